@@ -1,0 +1,1 @@
+"""Scene to files: one module a target format, each a pure function."""

@@ -1,0 +1,1 @@
+"""The lowered scene: everything explicit, nothing left to a simulator's guess."""

@@ -1,0 +1,186 @@
+"""Rigid poses, and the only place where quaternion orders are converted.
+
+``X_AB`` is the pose of frame B in frame A: ``p_A = X_AB @ p_B``. Quaternions are ``wxyz`` everywhere in this project;
+:func:`to_xyzw` and :func:`from_xyzw` serve the formats that disagree (PyBullet, numpy views of USD quaternions).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def frozen_array(values: object, shape: tuple[int, ...] | None = None) -> Array:
+    """Copy ``values`` into a read-only float64 array, optionally of an exact shape."""
+    array = np.array(values, dtype=np.float64)
+    if shape is not None:
+        array = array.reshape(shape)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A rigid transform ``X_AB``: translation ``p`` [m], shape (3,), and unit quaternion ``q`` (wxyz), shape (4,)."""
+
+    p: Array
+    q: Array
+
+    @classmethod
+    def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
+        """Build a pose from any position and any non-zero quaternion (normalised, with ``w >= 0``)."""
+        quat = np.array(list(q), dtype=np.float64)
+        norm = float(np.linalg.norm(quat))
+        if not math.isfinite(norm) or norm < 1e-12:
+            raise ValueError(f"a rotation needs a non-zero quaternion, got {quat.tolist()}")
+        quat = quat / norm
+        if quat[0] < 0:
+            quat = -quat
+        return cls(frozen_array(list(p), (3,)), frozen_array(quat, (4,)))
+
+    @classmethod
+    def from_matrix(cls, matrix: Array) -> Pose:
+        """Build a pose from a homogeneous 4x4 matrix, or from a 3x3 rotation."""
+        matrix = np.asarray(matrix, dtype=np.float64)
+        p = matrix[:3, 3] if matrix.shape == (4, 4) else np.zeros(3)
+        return cls.of(p, quat_from_matrix(matrix[:3, :3]))
+
+    @property
+    def matrix(self) -> Array:
+        """The homogeneous matrix, shape (4, 4)."""
+        out = np.eye(4)
+        out[:3, :3] = self.rotation
+        out[:3, 3] = self.p
+        return out
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation matrix, shape (3, 3)."""
+        return matrix_from_quat(self.q)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether this is exactly the identity."""
+        return not self.p.any() and bool(self.q[0] == 1.0)
+
+    def inverse(self) -> Pose:
+        """``X_BA`` of this ``X_AB``."""
+        q = self.q * np.array([1.0, -1.0, -1.0, -1.0])
+        return Pose.of(-(matrix_from_quat(q) @ self.p), q)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Compose: ``X_AC = X_AB @ X_BC``."""
+        return Pose.of(self.p + self.rotation @ other.p, quat_multiply(self.q, other.q))
+
+    def apply(self, points: Array) -> Array:
+        """Map points from B to A, shape (..., 3)."""
+        return np.asarray(points) @ self.rotation.T + self.p
+
+    def angle_to(self, other: Pose) -> float:
+        """The angle between the two rotations [rad], in [0, pi]."""
+        relative = quat_multiply(self.q * np.array([1.0, -1.0, -1.0, -1.0]), other.q)
+        return 2.0 * math.atan2(float(np.linalg.norm(relative[1:])), abs(float(relative[0])))
+
+
+IDENTITY = Pose.of()
+
+
+def quat_multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of two wxyz quaternions."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def matrix_from_quat(q: Array) -> Array:
+    """Rotation matrix of a unit wxyz quaternion, shape (3, 3)."""
+    w, x, y, z = q
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quat_from_matrix(rotation: Array) -> Array:
+    """Unit wxyz quaternion of a rotation matrix, by the largest-diagonal branch (stable near 180 degrees)."""
+    r = np.asarray(rotation, dtype=np.float64)
+    trace = float(r[0, 0] + r[1, 1] + r[2, 2])
+    candidates = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
+    k = int(np.argmax(candidates))
+    if k == 0:
+        q = np.array([1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    else:
+        i, j, m = [(0, 1, 2), (1, 2, 0), (2, 0, 1)][k - 1]
+        q = np.zeros(4)
+        q[0] = r[m, j] - r[j, m]
+        q[1 + i] = 1 + r[i, i] - r[j, j] - r[m, m]
+        q[1 + j] = r[j, i] + r[i, j]
+        q[1 + m] = r[m, i] + r[i, m]
+    return np.asarray(q / np.linalg.norm(q))
+
+
+def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """Wxyz quaternion of fixed-axis roll-pitch-yaw [rad], ``R = Rz(yaw) Ry(pitch) Rx(roll)`` as in URDF."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )
+
+
+def rpy_from_quat(q: Array) -> Array:
+    """Fixed-axis roll-pitch-yaw [rad] of a unit wxyz quaternion (URDF order), shape (3,)."""
+    r = matrix_from_quat(q)
+    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
+    if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # gimbal lock: roll and yaw share one axis, give all of it to yaw
+        return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])
+    return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+
+
+def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:
+    """Camera pose ``X_WC`` (OpenCV axes: x right, y down, z forward) at ``eye`` looking at ``target``."""
+    forward = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
+    norm = float(np.linalg.norm(forward))
+    if norm < 1e-9:
+        raise ValueError("a camera cannot look at its own position")
+    z = forward / norm
+    x = np.cross(z, np.array([0.0, 0.0, 1.0]) if up is None else up)
+    if np.linalg.norm(x) < 1e-6:  # looking straight up or down: keep image x along world x
+        x = np.cross(z, np.array([0.0, 1.0, 0.0]))
+    x = x / np.linalg.norm(x)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    matrix[:3, 3] = eye
+    return Pose.from_matrix(matrix)
+
+
+def to_xyzw(q: Array) -> Array:
+    """Wxyz to xyzw."""
+    return np.asarray(q)[..., [1, 2, 3, 0]]
+
+
+def from_xyzw(q: object) -> Array:
+    """Xyzw to wxyz."""
+    return np.asarray(q, dtype=np.float64)[..., [3, 0, 1, 2]]

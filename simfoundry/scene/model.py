@@ -1,0 +1,269 @@
+"""The lowered scene: what every backend reads and no backend decides.
+
+Conventions: SI units; right-handed world, z up; quaternions wxyz; ``X_AB`` is the pose of B in A; full extents, never
+half extents; cylinders and capsules along their local z; camera frames are OpenCV's (x right, y down, z forward).
+Every array is float64 and read-only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.scene.frames import IDENTITY, Array, Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box centred on its frame; ``size`` is its full extents [m], shape (3,)."""
+
+    size: Array
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere centred on its frame; ``radius`` [m]."""
+
+    radius: float
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z, centred on its frame; ``radius`` and full ``height`` [m]."""
+
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A capsule along z, centred on its frame; ``height`` [m] is that of the cylindrical part, without the caps."""
+
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh.
+
+    ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3), counter-clockwise from outside; ``uv`` shape (n, 2)
+    with v up (as in OBJ and USD), or None; ``texture`` the bytes of a PNG, or None.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    uv: Array | None = None
+    texture: bytes | None = None
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hex digits that name this mesh by its content."""
+        h = hashlib.sha256()
+        for part in (self.vertices, self.faces, self.uv):
+            h.update(b"-" if part is None else str(part.shape).encode() + np.ascontiguousarray(part).tobytes())
+        h.update(self.texture or b"")
+        return h.hexdigest()[:16]
+
+
+Primitive = Box | Sphere | Cylinder | Capsule
+Geometry = Primitive | Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Visual:
+    """What a camera sees: a geometry posed in its link, with a colour ``rgba`` in [0, 1], shape (4,).
+
+    A mesh with a texture shows the texture multiplied by ``rgba``.
+    """
+
+    name: str
+    geometry: Geometry
+    rgba: Array
+    X_LG: Pose = IDENTITY
+
+
+@dataclass(frozen=True, eq=False)
+class Collider:
+    """What a contact feels: a primitive or a *convex* mesh posed in its link.
+
+    ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
+    (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way.
+    """
+
+    name: str
+    geometry: Geometry
+    friction: float
+    restitution: float
+    X_LG: Pose = IDENTITY
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A rigid body of an object.
+
+    ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
+    axes, shape (3, 3), symmetric positive definite.
+    """
+
+    name: str
+    mass: float
+    com: Array
+    inertia: Array
+    visuals: tuple[Visual, ...]
+    colliders: tuple[Collider, ...]
+
+
+class JointType(StrEnum):
+    """How a child link moves in its parent."""
+
+    FIXED = "fixed"
+    REVOLUTE = "revolute"
+    PRISMATIC = "prismatic"
+    CONTINUOUS = "continuous"
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint between two links of one object.
+
+    ``X_PC`` is the pose of the child link's frame in the parent's at position zero; the joint acts at the child's
+    origin along ``axis`` (unit, child frame, shape (3,)). ``limits`` [rad or m] is None where there are none;
+    ``damping`` [N m s/rad or N s/m]; ``friction`` the Coulomb friction torque or force [N m or N]; ``armature``
+    [kg m^2 or kg]; ``position`` [rad or m] the state in the spec.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    X_PC: Pose
+    axis: Array
+    limits: tuple[float, float] | None = None
+    damping: float = 0.0
+    friction: float = 0.0
+    armature: float = 0.0
+    position: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """A named thing: one link, or a tree of links and joints whose first link is the root.
+
+    ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other
+    has a free root. Links are in topological order: a parent comes before its children.
+    """
+
+    name: str
+    category: str
+    fixed: bool
+    X_WO: Pose
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...] = ()
+
+    @property
+    def root(self) -> Link:
+        """The link whose frame is the object's frame."""
+        return self.links[0]
+
+    def qualified(self, link_or_joint: str) -> str:
+        """The name in a flat target: the object's own name for its root link, else ``object.link``."""
+        return self.name if link_or_joint == self.root.name else f"{self.name}.{link_or_joint}"
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera: image ``width`` x ``height`` [px], intrinsics [px], pose ``X_WC`` (OpenCV axes)."""
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    X_WC: Pose
+
+
+class LightType(StrEnum):
+    """How a light shines."""
+
+    DISTANT = "distant"
+    POINT = "point"
+    DOME = "dome"
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """A light; it shines along -z of its frame ``X_WL`` (distant), from its origin (point) or from everywhere (dome).
+
+    ``intensity`` is relative: 1 lights a white surface that faces the light fully; ``rgb`` in [0, 1], shape (3,).
+    """
+
+    name: str
+    type: LightType
+    intensity: float
+    rgb: Array
+    X_WL: Pose
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation that the spec states, as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
+
+    predicate: str
+    args: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"{self.predicate}({', '.join(self.args)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit."""
+
+    name: str
+    gravity: Array
+    objects: tuple[SceneObject, ...]
+    cameras: tuple[Camera, ...] = ()
+    lights: tuple[Light, ...] = ()
+    relations: tuple[Relation, ...] = field(default=())
+
+    def object(self, name: str) -> SceneObject:
+        """The object called ``name``; a KeyError lists the names there are."""
+        for item in self.objects:
+            if item.name == name:
+                return item
+        raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
+
+
+def pair_friction(a: float, b: float) -> float:
+    """Coulomb coefficient of a contact between two surfaces: the geometric mean."""
+    return float(np.sqrt(a * b))
+
+
+def pair_restitution(a: float, b: float) -> float:
+    """Restitution of a contact between two surfaces: the geometric mean."""
+    return float(np.sqrt(a * b))
+
+
+def principal_inertia(inertia: Array) -> tuple[Array, Array]:
+    """Principal moments and axes of a symmetric inertia: ``I = R diag(moments) R^T``.
+
+    Returns moments [kg m^2], shape (3,), and the wxyz quaternion of R, shape (4,). An inertia that is diagonal already
+    keeps its axes, so that symmetric bodies are not turned by rounding.
+    """
+    off_diagonal = max(abs(inertia[0, 1]), abs(inertia[0, 2]), abs(inertia[1, 2]))
+    if off_diagonal <= 1e-12 * float(np.trace(inertia)):
+        return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    moments, axes = np.linalg.eigh(inertia)
+    for k in range(3):  # the sign of an eigenvector is arbitrary: its largest entry is made positive
+        if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
+            axes[:, k] = -axes[:, k]
+    if np.linalg.det(axes) < 0:
+        axes[:, 2] = -axes[:, 2]
+    return moments, Pose.from_matrix(axes).q.copy()
