@@ -1,0 +1,115 @@
+"""``asset/1``: a thing with parts, links and joints, used by scenes."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.base import (
+    Body,
+    Color,
+    Material,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Origin,
+    Pose,
+    Positive,
+    Shape,
+    Vec3,
+    exclusive,
+)
+
+
+class Part(Model):
+    """One piece of a link: a shape or a mesh, posed in the link."""
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    mesh: str | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    pose: Pose = Field(Pose(), description="Pose in the link's frame.")
+    material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
+    color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> Self:
+        exclusive(self, "shape", "mesh", needed=True)
+        return self
+
+
+class Inertial(Model):
+    """A measured inertia, which replaces the one computed from the parts."""
+
+    com: Vec3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
+    inertia: tuple[Number, Number, Number, Number, Number, Number] = Field(
+        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]."
+    )
+
+
+class LinkSpec(Body):
+    """A rigid body of the asset, made of parts."""
+
+    parts: dict[Name, Part] = Field(min_length=1, description="The pieces it is made of, by name.")
+    inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
+
+    @model_validator(mode="after")
+    def _mass(self) -> Self:
+        exclusive(self, "mass", "density")
+        if self.inertial is not None and self.mass is None:
+            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it")
+        return self
+
+
+JointKind = Literal["fixed", "revolute", "prismatic", "continuous"]
+
+
+class JointSpec(Model):
+    """A joint between two links; it acts at the origin of the child's frame."""
+
+    type: JointKind = Field(description="How the child moves in the parent.")
+    parent: Name = Field(description="The link that carries.")
+    child: Name = Field(description="The link that moves.")
+    pose: Pose = Field(Pose(), description="Pose of the child's frame in the parent's at position zero.")
+    axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
+    limits: tuple[Number, Number] | None = Field(
+        None, description="Lowest and highest position of a prismatic joint [m]."
+    )
+    limits_deg: tuple[Number, Number] | None = Field(
+        None, description="Lowest and highest position of a revolute joint [deg]."
+    )
+    damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
+    friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
+    armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.type == "prismatic" and self.limits is None:
+            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in metres")
+        if self.type == "revolute" and self.limits_deg is None:
+            raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
+        if self.limits is not None and self.type != "prismatic":
+            raise PydanticCustomError("sf107", "`limits` (metres) belong to prismatic joints; use `limits_deg`")
+        if self.limits_deg is not None and self.type != "revolute":
+            raise PydanticCustomError("sf107", "`limits_deg` belong to revolute joints")
+        low, high = self.limits or self.limits_deg or (0.0, 1.0)
+        if low >= high:
+            raise PydanticCustomError("sf104", "the lower limit must lie below the upper one")
+        if self.type != "fixed" and sum(v * v for v in self.axis) < 1e-12:
+            raise PydanticCustomError("sf104", "`axis` must not be zero")
+        return self
+
+
+class AssetSpec(Model):
+    """A reusable object of one or more links."""
+
+    simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
+    name: Name
+    description: str | None = Field(None, description="For people.")
+    category: Name | None = Field(None, description="What it is, as `drawer_cabinet`.")
+    materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
+    links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
+    joints: dict[Name, JointSpec] = Field({}, description="What connects them, by name.")
+    origin: Origin | None = Field(None, description="Where it comes from.")

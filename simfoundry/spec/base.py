@@ -1,0 +1,208 @@
+"""Types that every document shares: names, numbers with units, poses, shapes, quantities with doubt."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Vec2 = tuple[Number, Number]
+Vec3 = tuple[Number, Number, Number]
+Size3 = tuple[Positive, Positive, Positive]
+Color = Annotated[
+    Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
+    | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
+    Discriminator(lambda v: "rgba" if isinstance(v, tuple | list) and len(v) == 4 else "rgb"),
+]
+
+
+class Model(BaseModel):
+    """A part of a document: immutable, strict, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def exclusive(model: Model, *names: str, needed: bool = False) -> None:
+    """Raise a finding unless at most one (or, with ``needed``, exactly one) of the fields is given."""
+    given = [n for n in names if n in model.model_fields_set and getattr(model, n) is not None]
+    listed = ", ".join(f"`{n}`" for n in names)
+    if len(given) > 1:
+        raise PydanticCustomError("sf107", "give one of {listed}, not {n}", {"listed": listed, "n": len(given)})
+    if needed and not given:
+        raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
+
+
+class Pose(Model):
+    """Where a frame is in its parent; the rotation is given in at most one of three ways."""
+
+    xyz: Vec3 = Field((0.0, 0.0, 0.0), description="Position [m].")
+    yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
+    rpy_deg: Vec3 | None = Field(
+        None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
+    )
+    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(None, description="Quaternion, w first.")
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> Self:
+        exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
+        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1")
+        return self
+
+
+class CameraPose(Model):
+    """Where a camera is: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
+
+    xyz: Vec3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
+    look_at: Vec3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
+    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
+    )
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> Self:
+        exclusive(self, "look_at", "quat_wxyz", needed=True)
+        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1")
+        if self.look_at == self.xyz:
+            raise PydanticCustomError("sf104", "a camera cannot look at its own position")
+        return self
+
+
+class Estimate(Model):
+    """A number that was estimated, not measured."""
+
+    value: Positive = Field(description="The value to use.")
+    range: tuple[Positive, Positive] | None = Field(None, description="The lowest and highest plausible value.")
+    by: str = Field("unknown", max_length=64, description="Who or what estimated it.")
+
+    @model_validator(mode="after")
+    def _inside(self) -> Self:
+        if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
+            raise PydanticCustomError("sf104", "`value` lies outside `range`")
+        return self
+
+
+Quantity = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[Estimate, Tag("estimate")],
+    Discriminator(lambda v: "estimate" if isinstance(v, dict | Estimate) else "number"),
+]
+
+
+def quantity_value(quantity: float | Estimate | None) -> float | None:
+    """The plain number of a quantity."""
+    return quantity.value if isinstance(quantity, Estimate) else quantity
+
+
+class Round(Model):
+    """Radius and height of a cylinder or capsule, which stand along z."""
+
+    radius: Positive = Field(description="Radius [m].")
+    height: Positive = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
+
+
+class Prism(Model):
+    """An outline extruded along z: table tops, trays, tiles."""
+
+    outline: tuple[Vec2, ...] = Field(
+        min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
+    )
+    height: Positive = Field(description="Full height [m].")
+
+
+class BoxShape(Model):
+    """A box centred on its frame."""
+
+    box: Size3 = Field(description="Full extents along x, y, z [m].")
+
+
+class SphereShape(Model):
+    """A sphere centred on its frame."""
+
+    sphere: Positive = Field(description="Radius [m].")
+
+
+class CylinderShape(Model):
+    """A cylinder along z, centred on its frame."""
+
+    cylinder: Round
+
+
+class CapsuleShape(Model):
+    """A capsule along z, centred on its frame."""
+
+    capsule: Round
+
+
+class PrismShape(Model):
+    """A prism along z, centred on its frame in height."""
+
+    prism: Prism
+
+
+SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "prism")
+
+
+def _shape_tag(value: Any) -> str:
+    keys = value.keys() if isinstance(value, dict) else type(value).model_fields if isinstance(value, Model) else ()
+    return next((k for k in SHAPE_KEYS if k in keys), "box")
+
+
+Shape = Annotated[
+    Annotated[BoxShape, Tag("box")]
+    | Annotated[SphereShape, Tag("sphere")]
+    | Annotated[CylinderShape, Tag("cylinder")]
+    | Annotated[CapsuleShape, Tag("capsule")]
+    | Annotated[PrismShape, Tag("prism")],
+    Discriminator(_shape_tag),
+]
+
+
+class Origin(Model):
+    """Where a description comes from, and how well it fits what was seen."""
+
+    capture: str | None = Field(None, description="The capture it was estimated from.")
+    fit: NonNegative | None = Field(None, description="Median distance of the seen points from the fitted surface [m].")
+    confidence: Fraction | None = Field(None, description="How far to trust it, 0 to 1.")
+    note: str | None = Field(None, max_length=200, description="What was assumed.")
+
+
+class Material(Model):
+    """What things are made of."""
+
+    density: Positive | None = Field(None, description="Density [kg/m^3].")
+    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair slides at the geometric mean.")
+    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair bounces at the geometric mean.")
+    color: Color | None = Field(None, description="sRGB colour, red, green, blue and optionally opacity, each 0 to 1.")
+
+
+Collision = Literal["auto", "hull", "decompose", "none"]
+Solid = Literal["exact", "hull"]
+
+
+class Body(Model):
+    """Fields of everything that has mass and a surface."""
+
+    material: Name | None = Field(None, description="A name from `materials`.")
+    mass: Quantity | None = Field(None, description="Mass [kg].")
+    density: Quantity | None = Field(None, description="Density [kg/m^3], over the solid volume.")
+    friction: NonNegative | None = Field(None, description="Coulomb friction coefficient; default: the material's.")
+    restitution: Fraction | None = Field(None, description="Restitution; default: the material's.")
+    color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
+    collision: Collision = Field(
+        "auto",
+        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a hull where the mesh "
+        "is nearly convex and parts where not, `none` no contact. A primitive collides as itself.",
+    )
+    solid: Solid = Field(
+        "exact", description="What carries the mass of a mesh: its own volume (it must be closed), or its convex hull."
+    )
+
+
+KINDS = ("scene/1", "asset/1", "capture/1")

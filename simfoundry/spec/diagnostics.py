@@ -1,0 +1,121 @@
+"""One kind of finding for the whole project: a code, a place, what was expected and what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+CODES = {
+    "SF001": "the file cannot be read",
+    "SF002": "the text is not YAML",
+    "SF003": "a key is written twice",
+    "SF004": "a YAML feature that specs do not use",
+    "SF005": "the document is too large or too deep",
+    "SF006": "the kind of document is not known",
+    "SF101": "an unknown key",
+    "SF102": "a missing key",
+    "SF103": "a value of the wrong type",
+    "SF104": "a value out of range",
+    "SF105": "a list of the wrong length",
+    "SF106": "a value that is not among the valid ones",
+    "SF107": "keys that exclude or need each other",
+    "SF108": "a body without a mass",
+    "SF201": "a name that nothing defines",
+    "SF202": "a relation that cannot be read",
+    "SF203": "a file that does not exist",
+    "SF204": "a path that leaves the project",
+    "SF205": "a joint state outside its limits",
+    "SF206": "links and joints that do not form a tree",
+    "SF301": "a mesh that cannot be used",
+    "SF302": "a mesh that is not closed",
+    "SF303": "a mesh of an implausible size",
+    "SF401": "an unused material",
+    "SF402": "an implausible density",
+    "SF501": "a capture whose files do not fit together",
+    "SF502": "a capture without usable depth",
+    "SF503": "a capture without a support plane",
+    "SF504": "a capture without objects",
+    "SF505": "an object that could not be fitted",
+}
+
+
+class Severity(StrEnum):
+    """How much a finding matters."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """A finding at a place: ``line`` and ``column`` count from 1, 0 where the whole file is meant."""
+
+    code: str
+    severity: Severity
+    message: str
+    file: str
+    line: int = 0
+    column: int = 0
+    path: str = ""
+    hint: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping for ``--json``."""
+        return asdict(self)
+
+
+class SpecError(Exception):
+    """Findings that stop the work; every one of them is shown."""
+
+    def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
+        self.diagnostics = ordered(diagnostics)
+        super().__init__("\n".join(f"{d.file}:{d.line}:{d.column}: {d.code} {d.message}" for d in self.diagnostics))
+
+
+def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
+    """Findings in reading order, each once."""
+    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message))
+
+
+def nearest(word: str, choices: Iterable[str]) -> str:
+    """A hint that names the most similar choice, or lists the choices where none is similar."""
+    names = sorted(choices)
+    match = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if match:
+        return f"did you mean `{match[0]}`?"
+    if not names:
+        return ""
+    shown = ", ".join(f"`{n}`" for n in names[:12])
+    return f"valid: {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def render(diagnostics: Iterable[Diagnostic], sources: dict[str, str] | None = None) -> str:
+    """All findings as a compiler prints them: place, message, the line with a caret, the hint."""
+    sources = {} if sources is None else sources
+    blocks = []
+    for d in ordered(diagnostics):
+        place = f"{d.file}:{d.line}:{d.column}" if d.line else d.file
+        lines = [f"{place}: {d.severity}[{d.code}] {d.message}"]
+        text = _line_of(d, sources)
+        if text is not None:
+            lines += [f"  {d.line:>5} | {text}", f"        | {' ' * (d.column - 1)}^"]
+        if d.hint:
+            lines.append(f"        = {d.hint}")
+        blocks.append("\n".join(lines))
+    return "\n".join(blocks)
+
+
+def _line_of(d: Diagnostic, sources: dict[str, str]) -> str | None:
+    if not d.line:
+        return None
+    if d.file not in sources:
+        try:
+            sources[d.file] = Path(d.file).read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            sources[d.file] = ""
+    lines = sources[d.file].splitlines()
+    return lines[d.line - 1][:200].replace("\t", " ") if d.line <= len(lines) else None

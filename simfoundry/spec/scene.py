@@ -1,0 +1,101 @@
+"""``scene/1``: objects, materials, cameras, lights and what should hold among them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from simfoundry.spec.base import (
+    Body,
+    CameraPose,
+    Color,
+    Material,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Origin,
+    Pose,
+    Positive,
+    Shape,
+    Vec3,
+    exclusive,
+)
+
+
+class Degrees(Model):
+    """A joint position in degrees."""
+
+    deg: Number = Field(description="Position of a revolute or continuous joint [deg].")
+
+
+JointPosition = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")],
+    Discriminator(lambda v: "degrees" if isinstance(v, dict | Degrees) else "number"),
+]
+
+
+class ObjectSpec(Body):
+    """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    asset: str | None = Field(
+        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
+    )
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    visual: str | None = Field(
+        None, description="A mesh that is shown in place of the shape; it has no effect in physics."
+    )
+    category: Name | None = Field(None, description="What it is, as `mug`; default: its name.")
+    fixed: bool = Field(False, description="Welded to the world.")
+    pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
+    joints: dict[Name, JointPosition] = Field(
+        {}, description="Joint positions by name: metres, radians, or `{deg: 30}`; default 0."
+    )
+    origin: Origin | None = Field(None, description="Where the description comes from.")
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> Self:
+        exclusive(self, "shape", "asset", needed=True)
+        exclusive(self, "mass", "density")
+        return self
+
+
+class CameraSpec(Model):
+    """A pinhole camera."""
+
+    size: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]] = Field(
+        description="Width and height of the picture [px]."
+    )
+    fx: Positive = Field(description="Focal length in x [px].")
+    fy: Positive = Field(description="Focal length in y [px].")
+    cx: Number | None = Field(None, description="Principal point in x [px]; default: the middle, (width - 1) / 2.")
+    cy: Number | None = Field(None, description="Principal point in y [px]; default: the middle, (height - 1) / 2.")
+    pose: CameraPose = Field(description="Pose in the world.")
+
+
+class LightSpec(Model):
+    """A light."""
+
+    type: Literal["distant", "point", "dome"] = Field(description="Parallel rays, a point, or from everywhere.")
+    intensity: NonNegative = Field(1.0, description="Relative: 1 lights a white surface that faces it fully.")
+    color: Color = Field((1.0, 1.0, 1.0), description="sRGB colour, 0 to 1.")
+    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Where a distant light shines to.")
+    xyz: Vec3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
+
+
+class SceneSpec(Model):
+    """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
+
+    simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
+    name: Name
+    description: str | None = Field(None, description="For people.")
+    viewpoint: Name | None = Field(None, description="The camera from which left, right, front and behind are seen.")
+    gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")
+    materials: dict[Name, Material] = Field({}, description="What things are made of, by name.")
+    objects: dict[Name, ObjectSpec] = Field({}, description="The things in the scene, by name.")
+    cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
+    lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
+    relations: tuple[str, ...] = Field((), description="What should hold, as `OnTop(cup, desk)`.")
+    origin: Origin | None = Field(None, description="Where the scene comes from.")

@@ -1,0 +1,256 @@
+"""YAML in: a strict reading of YAML 1.2 that remembers where everything stands.
+
+Specs are data: mappings with string keys, sequences, strings, numbers, booleans and null. Tags, merge keys, duplicate
+keys and more than one document are errors. Depth, size and the expansion of aliases are bounded.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from simfoundry.spec.diagnostics import Diagnostic, Severity
+
+MAX_BYTES = 16 * 2**20
+MAX_DEPTH = 64
+MAX_NODES = 2_000_000
+
+_INT = re.compile(r"[-+]?[0-9]+\Z")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
+_RADIX = re.compile(r"0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
+_WORDS: dict[str, Any] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".inf", ".Inf", ".INF", "+.inf"), float("inf")),
+    **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
+}
+
+Path_ = tuple[str | int, ...]
+
+
+@dataclass(slots=True)
+class Node:
+    """A value with its place (counted from 1); a mapping also knows the places of its keys."""
+
+    value: Any
+    line: int
+    column: int
+    children: dict[str, Node] | list[Node] | None = None
+    keys: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+
+class YamlError(Exception):
+    """One finding that stops the reading of a text."""
+
+    def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
+        super().__init__(message)
+        self.code, self.message, self.line, self.column, self.hint = code, message, line, column, hint
+
+    def diagnostic(self, file: str) -> Diagnostic:
+        """The same as a :class:`Diagnostic` of ``file``."""
+        return Diagnostic(self.code, Severity.ERROR, self.message, file, self.line, self.column, "", self.hint)
+
+
+@dataclass(frozen=True)
+class Document:
+    """A read text: plain ``data`` (mappings, tuples, scalars) and the tree of places behind it."""
+
+    file: str
+    text: str
+    data: Any
+    root: Node
+    duplicates: tuple[Diagnostic, ...]
+
+    def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
+        """Line and column of the value at ``path`` (or of its key); of the nearest ancestor where there is none.
+
+        Parts of ``path`` that the data does not have (the tags of a union) are passed over.
+        """
+        node, place = self.root, (self.root.line, self.root.column)
+        for part in path:
+            if isinstance(node.children, dict) and part in node.children:
+                place = node.keys[str(part)]
+                node = node.children[str(part)]
+            elif isinstance(node.children, list) and isinstance(part, int) and part < len(node.children):
+                node = node.children[part]
+                place = (node.line, node.column)
+            else:
+                continue
+            of_leaf = (node.line, node.column)
+        return place if of_key or not path or place == (self.root.line, self.root.column) else of_leaf
+
+
+def read(path: Path) -> Document:
+    """Read a file; raises :class:`YamlError` with a place where the text cannot be read."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise YamlError("SF005", f"the file has {size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} are read")
+        text = path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise YamlError("SF001", f"the file is not UTF-8: byte {error.start} is not a character") from None
+    except OSError as error:
+        raise YamlError("SF001", f"the file cannot be read: {error.strerror or error}") from None
+    return parse(text, str(path))
+
+
+def parse(text: str, file: str = "<text>") -> Document:
+    """Read a text; raises :class:`YamlError` with a place where it cannot be read."""
+    composer = _Composer(file)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    try:
+        for event in yaml.parse(text, Loader=loader):
+            composer.feed(event)
+    except yaml.YAMLError as error:
+        raise _syntax_error(error) from None
+    root = composer.root or Node(None, 1, 1)
+    return Document(file, text, root.value, root, tuple(composer.duplicates))
+
+
+def _syntax_error(error: yaml.YAMLError) -> YamlError:
+    mark = getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
+    line, column = (mark.line + 1, mark.column + 1) if mark is not None else (0, 0)
+    hint = ""
+    if "tab" in problem or "\\t" in problem:
+        hint = "indent with spaces, not tabs"
+    elif "mapping values are not allowed" in problem:
+        hint = "is there a `:` too many, or a line indented too far?"
+    return YamlError("SF002", problem, line, column, hint)
+
+
+class _Composer:
+    """Turns parser events into :class:`Node` trees without recursion, so that depth cannot exhaust the stack."""
+
+    def __init__(self, file: str) -> None:
+        self.file = file
+        self.root: Node | None = None
+        self.documents = 0
+        self.nodes = 0
+        self.stack: list[tuple[Node, Any, str | None]] = []  # (collection, pending key event, anchor)
+        self.anchors: dict[str, tuple[Node, int]] = {}
+        self.duplicates: list[Diagnostic] = []
+
+    def feed(self, event: Any) -> None:
+        match type(event).__name__:
+            case "ScalarEvent":
+                self._add(Node(_scalar(event), *_mark(event)), event.anchor, event)
+            case "MappingStartEvent" | "SequenceStartEvent" as kind:
+                self._start(event, kind == "MappingStartEvent")
+            case "MappingEndEvent" | "SequenceEndEvent":
+                self._end()
+            case "AliasEvent":
+                self._alias(event)
+            case "DocumentStartEvent":
+                self.documents += 1
+                if self.documents > 1:
+                    raise YamlError("SF004", "a second document starts here; a spec is one document", *_mark(event))
+
+    def _start(self, event: Any, mapping: bool) -> None:
+        if event.tag is not None:
+            raise YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+        if len(self.stack) >= MAX_DEPTH:
+            raise YamlError("SF005", f"nested more than {MAX_DEPTH} levels deep", *_mark(event))
+        if self.stack and isinstance(self.stack[-1][0].children, dict) and self.stack[-1][1] is None:
+            raise YamlError("SF004", "a key must be a plain word", *_mark(event))
+        node = Node({} if mapping else (), *_mark(event), {} if mapping else [])
+        self.stack.append((node, None, event.anchor))
+
+    def _end(self) -> None:
+        node, _, anchor = self.stack.pop()
+        if isinstance(node.children, dict):
+            node.value = {key: child.value for key, child in node.children.items()}
+        else:
+            node.value = tuple(child.value for child in node.children or ())
+        self._add(node, anchor, None)
+
+    def _alias(self, event: Any) -> None:
+        if event.anchor not in self.anchors:
+            raise YamlError("SF002", f"the alias *{event.anchor} has no finished anchor before it", *_mark(event))
+        node, weight = self.anchors[event.anchor]
+        self.nodes += weight
+        self._add(node, None, event)
+
+    def _add(self, node: Node, anchor: str | None, event: Any) -> None:
+        self.nodes += 1
+        if self.nodes > MAX_NODES:
+            raise YamlError("SF005", f"more than {MAX_NODES} values", node.line, node.column)
+        if not self.stack:
+            self.root = node
+        elif isinstance(self.stack[-1][0].children, list):
+            self.stack[-1][0].children.append(node)
+        else:
+            self._add_to_mapping(node, event)
+        if anchor is not None:
+            self.anchors[anchor] = (node, _weight(node))
+
+    def _add_to_mapping(self, node: Node, event: Any) -> None:
+        parent, key, anchor = self.stack[-1]
+        assert isinstance(parent.children, dict)
+        if key is None:
+            text = getattr(event, "value", None)
+            if not isinstance(text, str):
+                raise YamlError("SF004", "a key must be a plain word", node.line, node.column)
+            if text == "<<" and not event.style:
+                raise YamlError(
+                    "SF004", "merge keys (<<) are not YAML 1.2", node.line, node.column, "write the keys out"
+                )
+            self.stack[-1] = (parent, (text, node.line, node.column), anchor)
+            return
+        name, line, column = key
+        if name in parent.children:
+            first = parent.keys[name][0]
+            message = f"`{name}` is written twice in one mapping"
+            hint = f"it stands first in line {first}; remove or rename one of the two"
+            self.duplicates.append(Diagnostic("SF003", Severity.ERROR, message, self.file, line, column, name, hint))
+        else:
+            parent.children[name] = node
+            parent.keys[name] = (line, column)
+        self.stack[-1] = (parent, None, anchor)
+
+
+def _mark(event: Any) -> tuple[int, int]:
+    return event.start_mark.line + 1, event.start_mark.column + 1
+
+
+def _weight(node: Node) -> int:
+    """How many values an alias of ``node`` stands for; nodes are counted once each as they were read."""
+    todo, count = [node], 0
+    while todo:
+        current = todo.pop()
+        count += 1
+        if count > MAX_NODES:
+            break
+        children = current.children
+        todo.extend(children.values() if isinstance(children, dict) else children or ())
+    return count
+
+
+def _scalar(event: Any) -> Any:
+    if event.tag is not None:
+        raise YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+    text: str = event.value
+    if event.style:  # quoted and block scalars are strings, whatever they look like
+        return text
+    if text in _WORDS:
+        return _WORDS[text]
+    if _INT.match(text):
+        return _integer(text, 10, event)
+    if _FLOAT.match(text):
+        return float(text)
+    if _RADIX.match(text):
+        return _integer(text[2:], 8 if text[1] == "o" else 16, event)
+    return text
+
+
+def _integer(text: str, base: int, event: Any) -> int:
+    if len(text) > 100:
+        raise YamlError("SF104", "a number of more than 100 digits", *_mark(event))
+    return int(text, base)

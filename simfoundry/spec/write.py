@@ -1,0 +1,142 @@
+"""YAML out: one canonical form, short enough to read and stable enough to diff."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from simfoundry.spec.base import Model
+from simfoundry.spec.text import parse
+
+WIDTH = 110
+DIGITS = 6
+
+_RANK = {
+    name: rank
+    for rank, name in enumerate(
+        ("simfoundry", "name", "description", "category", "fixed", "shape", "asset", "mesh", "scale", "visual")
+        + ("material", "color", "mass", "density", "friction", "restitution", "collision", "solid", "pose", "joints")
+    )
+}
+"""Fields that people look for come first; the others follow in the order of their model."""
+
+_BLOCKS = ("objects", "links", "frames")
+"""Sections whose members are written over several lines."""
+
+_PLAIN = re.compile(r"[A-Za-z_/.][A-Za-z0-9_/. ()+-]*\Z")
+
+
+def to_yaml(spec: Model, comment: str = "") -> str:
+    """The canonical text of a document: fields in the order of the model, defaults left out, six decimals."""
+    lines = [f"# {line}".rstrip() for line in comment.splitlines()]
+    lines += _block(to_data(spec), 0)
+    return "\n".join(lines) + "\n"
+
+
+def to_data(spec: Model) -> dict[str, Any]:
+    """Plain data of a document, in canonical order, without what equals its default."""
+    fields = type(spec).model_fields
+    out: dict[str, Any] = {}
+    for name in sorted(fields, key=lambda n: _RANK.get(n, len(_RANK))):
+        value = getattr(spec, name)
+        if name in ("simfoundry", "name") or fields[name].is_required() or value != fields[name].default:
+            out[name] = _data(value)
+    return out
+
+
+def _data(value: Any) -> Any:
+    match value:
+        case Model():
+            return to_data(value)
+        case dict():
+            return {key: _data(item) for key, item in value.items()}
+        case tuple():
+            return tuple(_data(item) for item in value)
+    return value
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file in one step: a killed write leaves the old file whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(data)
+        Path(staging).chmod(0o644)
+        Path(staging).replace(path)
+    except BaseException:
+        Path(staging).unlink(missing_ok=True)
+        raise
+
+
+def _block(data: Mapping[str, Any], indent: int, section: str = "") -> Iterator[str]:
+    for key, value in data.items():
+        yield from _entry(f"{' ' * indent}{_string(key)}:", value, indent, section if indent else key)
+
+
+def _entry(head: str, value: Any, indent: int, section: str) -> Iterator[str]:
+    """One key with its value: on one line where it fits and is no section or member of a section of blocks."""
+    flow = _flow(value)
+    mapping = isinstance(value, Mapping) and len(value) > 0
+    block = mapping and (indent == 0 or (indent == 2 and section in _BLOCKS))
+    if not block and len(head) + 1 + len(flow) <= WIDTH:
+        yield f"{head} {flow}"
+    elif mapping:
+        yield head
+        yield from _block(value, indent + 2, section)
+    elif isinstance(value, tuple | list) and value:
+        yield head
+        for item in value:
+            yield f"{' ' * (indent + 2)}- {_flow(item)}"
+    else:
+        yield f"{head} {flow}"
+
+
+def _flow(value: Any) -> str:
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            return str(value)
+        case float():
+            return number(value)
+        case str():
+            return _string(value)
+        case Mapping():
+            return "{" + ", ".join(f"{_string(k)}: {_flow(v)}" for k, v in value.items()) + "}"
+        case _:
+            return "[" + ", ".join(_flow(v) for v in value) + "]"
+
+
+def number(value: float) -> str:
+    """A number with at most six decimals, without an exponent where it is of ordinary size."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} cannot be written in a spec")
+    if value != 0 and abs(value) < 10 ** (2 - DIGITS):
+        return _shortest(f"{value:.3e}")
+    text = f"{value:.{DIGITS}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
+
+
+def _shortest(text: str) -> str:
+    mantissa, exponent = text.split("e")
+    return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
+
+
+def _string(text: str) -> str:
+    """Plain where a reader gets the same string back, else in double quotes."""
+    if _PLAIN.match(text) and text == text.strip() and ": " not in text:
+        try:
+            if parse(f"[{text}]").data == (text,):
+                return text
+        except Exception:  # any refusal means that quotes are needed
+            return json.dumps(text, ensure_ascii=False)
+    return json.dumps(text, ensure_ascii=False)
