@@ -40,6 +40,15 @@ class Loaded:
         """Findings of this document and of the assets it uses."""
         return [*self.findings, *(d for a in self.assets.values() for d in a.all_findings())]
 
+    def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
+        """An error at a place of this document, whose text is read again to find it."""
+        try:
+            line, column = read(self.path).place(path)
+        except YamlError:
+            line, column = 0, 0
+        dotted = ".".join(str(p) for p in path)
+        return Diagnostic(code, Severity.ERROR, message, str(self.path), line, column, dotted, hint)
+
     def file(self, reference: str) -> Path:
         """The file that a path in this document means."""
         return (self.path.parent / reference).resolve()

@@ -37,13 +37,14 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(slots=True)
 class Node:
-    """A value with its place (counted from 1); a mapping also knows the places of its keys."""
+    """A value with its place (counted from 1); a mapping knows the places of its keys, an unquoted scalar its text."""
 
     value: Any
     line: int
     column: int
     children: dict[str, Node] | list[Node] | None = None
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
+    plain: str = ""
 
 
 class YamlError(Exception):
@@ -141,7 +142,8 @@ class _Composer:
     def feed(self, event: Any) -> None:
         match type(event).__name__:
             case "ScalarEvent":
-                self._add(Node(_scalar(event), *_mark(event)), event.anchor, event)
+                plain = "" if event.style else event.value
+                self._add(Node(_scalar(event), *_mark(event), plain=plain), event.anchor, event)
             case "MappingStartEvent" | "SequenceStartEvent" as kind:
                 self._start(event, kind == "MappingStartEvent")
             case "MappingEndEvent" | "SequenceEndEvent":
@@ -168,7 +170,8 @@ class _Composer:
         if isinstance(node.children, dict):
             node.value = {key: child.value for key, child in node.children.items()}
         else:
-            node.value = tuple(child.value for child in node.children or ())
+            node.children = _rejoined(node.children or [])
+            node.value = tuple(child.value for child in node.children)
         self._add(node, anchor, None)
 
     def _alias(self, event: Any) -> None:
@@ -214,6 +217,22 @@ class _Composer:
             parent.children[name] = node
             parent.keys[name] = (line, column)
         self.stack[-1] = (parent, None, anchor)
+
+
+def _rejoined(items: list[Node]) -> list[Node]:
+    """A sequence in which parentheses group, so that ``[OnTop(cup, desk), Closed(box)]`` holds two texts.
+
+    Plain YAML splits such a text at its comma. Only plain scalars carry ``plain``; quoted ones stay as they are.
+    """
+    out: list[Node] = []
+    for item in items:
+        last = out[-1] if out else None
+        if last is not None and last.plain and item.plain and last.plain.count("(") > last.plain.count(")"):
+            joined = f"{last.plain}, {item.plain}"
+            out[-1] = Node(joined, last.line, last.column, plain=joined)
+        else:
+            out.append(item)
+    return out
 
 
 def _mark(event: Any) -> tuple[int, int]:

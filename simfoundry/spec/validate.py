@@ -46,7 +46,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     kind: str = error["type"]
     loc = tuple(part for part in error["loc"] if part != "[key]")
     of_key = "[key]" in error["loc"] or kind == "extra_forbidden"
-    message, hint = _words(model, document, kind, loc, error)
+    message, hint = _words(model, kind, loc, error)
     code = kind.upper() if kind.startswith("sf") else _CODES.get(kind, "SF103")
     if kind == "missing" and loc and isinstance(loc[-1], int):
         code = "SF105"
@@ -56,7 +56,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     return Diagnostic(code, Severity.ERROR, message, document.file, line, column, _dotted(loc), hint)
 
 
-def _words(model: type[Model], document: Document, kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
+def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
     """Message and hint of one pydantic error."""
     last = loc[-1] if loc else ""
     description = _description(model, loc)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.spec.base import Model
-from simfoundry.spec.text import parse
+from simfoundry.spec.text import YamlError, parse
 
 WIDTH = 110
 DIGITS = 6
@@ -20,8 +20,28 @@ DIGITS = 6
 _RANK = {
     name: rank
     for rank, name in enumerate(
-        ("simfoundry", "name", "description", "category", "fixed", "shape", "asset", "mesh", "scale", "visual")
-        + ("material", "color", "mass", "density", "friction", "restitution", "collision", "solid", "pose", "joints")
+        (
+            "simfoundry",
+            "name",
+            "description",
+            "category",
+            "fixed",
+            "shape",
+            "asset",
+            "mesh",
+            "scale",
+            "visual",
+            "material",
+            "color",
+            "mass",
+            "density",
+            "friction",
+            "restitution",
+            "collision",
+            "solid",
+            "pose",
+            "joints",
+        )
     )
 }
 """Fields that people look for come first; the others follow in the order of their model."""
@@ -82,6 +102,10 @@ def _block(data: Mapping[str, Any], indent: int, section: str = "") -> Iterator[
 
 def _entry(head: str, value: Any, indent: int, section: str) -> Iterator[str]:
     """One key with its value: on one line where it fits and is no section or member of a section of blocks."""
+    if isinstance(value, tuple) and any(isinstance(v, str) and "(" in v for v in value):
+        yield head
+        yield from (f"{' ' * (indent + 2)}- {_text(v)}" for v in value)
+        return
     flow = _flow(value)
     mapping = isinstance(value, Mapping) and len(value) > 0
     block = mapping and (indent == 0 or (indent == 2 and section in _BLOCKS))
@@ -132,11 +156,17 @@ def _shortest(text: str) -> str:
 
 
 def _string(text: str) -> str:
-    """Plain where a reader gets the same string back, else in double quotes."""
-    if _PLAIN.match(text) and text == text.strip() and ": " not in text:
-        try:
-            if parse(f"[{text}]").data == (text,):
-                return text
-        except Exception:  # any refusal means that quotes are needed
-            return json.dumps(text, ensure_ascii=False)
-    return json.dumps(text, ensure_ascii=False)
+    """Plain where a reader gets the same string back inside brackets, else in double quotes."""
+    return text if _PLAIN.match(text) and _reads_back(f"[{text}]", (text,)) else json.dumps(text, ensure_ascii=False)
+
+
+def _text(text: str) -> str:
+    """An item of a list over several lines: plain where a reader gets the same string back."""
+    return text if _reads_back(f"- {text}", (text,)) else json.dumps(text, ensure_ascii=False)
+
+
+def _reads_back(text: str, data: tuple[str, ...]) -> bool:
+    try:
+        return bool(parse(text).data == data)
+    except YamlError:
+        return False

@@ -1,0 +1,1 @@
+"""Meshes: reading them, what they weigh, and the convex parts that touch."""

@@ -1,0 +1,102 @@
+"""Convex parts of meshes and prisms: what touches in every simulator."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.cache import Cache, key_of
+from simfoundry.assets.mass import mesh as solid_of
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+Part = tuple[Array, Faces]
+
+MAX_HULL_VERTICES = 64
+"""PhysX cooks at most 64 vertices into a hull and simplifies anything larger by itself."""
+
+NEARLY_CONVEX = 0.90
+"""A mesh that fills this share of its hull collides as its hull."""
+
+COACD = {"threshold": 0.05, "max_convex_hull": 24, "mcts_iterations": 100, "seed": 0, "max_ch_vertex": 60}
+
+
+def hull(points: Array) -> Part:
+    """Convex hull of points [m], shape (n, 3), with at most 64 vertices, faces counter-clockwise from outside."""
+    from scipy.spatial import ConvexHull
+
+    corners = points[np.sort(ConvexHull(points).vertices)]
+    if len(corners) > MAX_HULL_VERTICES:
+        corners = corners[_spread(corners, MAX_HULL_VERTICES)]
+    result = ConvexHull(corners)
+    faces = result.simplices.astype(np.int32)
+    outward = result.equations[:, :3]
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    flipped = np.einsum("ij,ij->i", np.cross(b - a, c - a), outward) < 0
+    faces[flipped] = faces[flipped][:, ::-1]
+    order = np.lexsort(faces.T[::-1])
+    return corners, np.ascontiguousarray(faces[order])
+
+
+def _spread(points: Array, count: int) -> NDArray[np.int64]:
+    """Indices of ``count`` points that lie far from one another, starting at the lowest corner."""
+    chosen = [int(np.lexsort(points.T)[0])]
+    distance = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.sort(np.array(chosen))
+
+
+def convex_parts(vertices: Array, faces: Faces, how: str, cache: Cache | None = None) -> tuple[Part, ...]:
+    """Convex parts of a welded mesh: ``hull``, ``decompose``, or ``auto`` for whichever suits it; none for ``none``."""
+    if how == "none":
+        return ()
+    whole = hull(vertices)
+    if how == "hull":
+        return (whole,)
+    if how == "auto" and solid_of(vertices, faces).volume >= NEARLY_CONVEX * solid_of(*whole).volume:
+        return (whole,)
+    import coacd
+
+    key = key_of("convex 1", repr(sorted(COACD.items())), _version(), vertices.tobytes(), faces.tobytes())
+    stored = cache.get(key) if cache is not None else None
+    if stored is not None:
+        return _unpack(stored)
+    coacd.set_log_level("error")
+    pieces = coacd.run_coacd(coacd.Mesh(vertices, faces), decimate=True, **COACD)
+    parts = tuple(hull(np.asarray(v, dtype=np.float64)) for v, _ in pieces if _is_solid(v))
+    if not parts:
+        return (whole,)
+    if cache is not None:
+        cache.put(key, _pack(parts))
+    return parts
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("coacd")
+
+
+def _is_solid(vertices: Array) -> bool:
+    """Whether points span a volume; slivers would only make trouble in contact."""
+    centred = np.asarray(vertices) - np.mean(vertices, axis=0)
+    return len(vertices) >= 4 and float(np.linalg.svd(centred, compute_uv=False)[2]) > 1e-5
+
+
+def _pack(parts: tuple[Part, ...]) -> bytes:
+    stream = io.BytesIO()
+    arrays: dict[str, Array | Faces] = {}
+    for k, (corners, sides) in enumerate(parts):
+        arrays |= {f"v{k:03d}": corners, f"f{k:03d}": sides}
+    np.savez(stream, allow_pickle=False, **arrays)
+    return stream.getvalue()
+
+
+def _unpack(data: bytes) -> tuple[Part, ...]:
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        count = len(arrays.files) // 2
+        return tuple((arrays[f"v{k:03d}"], arrays[f"f{k:03d}"]) for k in range(count))

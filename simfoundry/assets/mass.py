@@ -1,0 +1,82 @@
+"""Volume, centre of mass and inertia of solids of uniform density."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A solid of density 1.
+
+    ``volume`` [m^3]; ``com`` [m], shape (3,); ``inertia`` [m^5] about the centre of mass, shape (3, 3).
+    """
+
+    volume: float
+    com: Array
+    inertia: Array
+
+    def moved(self, rotation: Array, translation: Array) -> Solid:
+        """The same solid in a frame where its own is rotated (3, 3) and translated (3,)."""
+        return Solid(self.volume, rotation @ self.com + translation, rotation @ self.inertia @ rotation.T)
+
+
+def box(size: Array) -> Solid:
+    """A box of full extents ``size`` [m], centred."""
+    x, y, z = (float(v) for v in size)
+    volume = x * y * z
+    return Solid(volume, np.zeros(3), volume / 12 * np.diag([y * y + z * z, x * x + z * z, x * x + y * y]))
+
+
+def sphere(radius: float) -> Solid:
+    """A sphere, centred."""
+    volume = 4 / 3 * math.pi * radius**3
+    return Solid(volume, np.zeros(3), 0.4 * volume * radius**2 * np.eye(3))
+
+
+def cylinder(radius: float, height: float) -> Solid:
+    """A cylinder along z, centred."""
+    volume = math.pi * radius**2 * height
+    across = volume * (3 * radius**2 + height**2) / 12
+    return Solid(volume, np.zeros(3), np.diag([across, across, volume * radius**2 / 2]))
+
+
+def capsule(radius: float, height: float) -> Solid:
+    """A capsule along z, centred; ``height`` is that of the cylindrical part."""
+    tube = cylinder(radius, height)
+    caps = 4 / 3 * math.pi * radius**3
+    # Two half spheres; the centre of mass of each lies 3/8 of the radius above its disc.
+    across = caps * (0.4 * radius**2 + height**2 / 4 + 3 / 8 * height * radius)
+    return Solid(tube.volume + caps, np.zeros(3), tube.inertia + np.diag([across, across, 0.4 * caps * radius**2]))
+
+
+def mesh(vertices: Array, faces: NDArray[np.int32]) -> Solid:
+    """A closed surface as a solid, by signed tetrahedra; the volume is negative where the surface is inside out."""
+    origin = vertices.mean(axis=0)  # tetrahedra from nearby lose less to rounding
+    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6
+    volume = float(volumes.sum())
+    if volume == 0.0:
+        return Solid(0.0, origin.copy(), np.zeros((3, 3)))
+    com = ((a + b + c) * volumes[:, None]).sum(axis=0) / 4 / volume
+    total = a + b + c
+    second = sum(np.einsum("i,ij,ik->jk", volumes, p, p) for p in (a, b, c, total)) / 20
+    second = second - volume * np.outer(com, com)
+    return Solid(volume, origin + com, np.trace(second) * np.eye(3) - second)
+
+
+def combine(parts: list[tuple[float, Solid]]) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and inertia about it of parts, each with its density [kg/m^3]."""
+    mass = sum(d * s.volume for d, s in parts)
+    com = sum((d * s.volume * s.com for d, s in parts), np.zeros(3)) / mass
+    inertia = np.zeros((3, 3))
+    for d, s in parts:
+        r = s.com - com
+        inertia += d * (s.inertia + s.volume * (float(r @ r) * np.eye(3) - np.outer(r, r)))
+    return mass, com, inertia

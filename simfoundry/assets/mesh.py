@@ -1,0 +1,136 @@
+"""Mesh files in: triangles, colours and textures, checked before anything is computed from them."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+MAX_FACES = 2_000_000
+SMALLEST, LARGEST = 0.001, 20.0  # plausible extents of anything on, around or under a table [m]
+
+Array = NDArray[np.float64]
+
+
+class MeshError(Exception):
+    """A mesh that cannot be used: a diagnostic code, what is wrong, and what to do."""
+
+    def __init__(self, code: str, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.code, self.message, self.hint = code, message, hint
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPart:
+    """One geometry of a mesh file.
+
+    ``vertices`` [m], shape (n, 3); ``faces`` int32, shape (m, 3); ``uv`` shape (n, 2), v up, or None; ``texture`` a PNG
+    or None; ``rgba`` in [0, 1] or None where the file has no colour.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    uv: Array | None = None
+    texture: bytes | None = None
+    rgba: tuple[float, float, float, float] | None = None
+
+
+def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
+    """The geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
+
+    Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
+    """
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+    except Exception as error:  # trimesh lets every parser's own exceptions through
+        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {error}", "export it again") from None
+    if not meshes:
+        raise MeshError("SF301", f"{path.name} has no triangles", "export the surface, not only points or curves")
+    if sum(len(m.faces) for m in meshes) > MAX_FACES:
+        raise MeshError("SF301", f"{path.name} has more than {MAX_FACES} triangles", "decimate it first")
+    parts = tuple(_part(m, scale, path.suffix.lower() in (".glb", ".gltf")) for m in meshes)
+    _check_size(path.name, np.concatenate([p.vertices for p in parts]), scale)
+    return parts
+
+
+def _part(mesh: Any, scale: float, y_up: bool) -> MeshPart:
+    vertices = np.array(mesh.vertices, dtype=np.float64) * scale
+    if y_up:
+        vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
+    uv, texture, rgba = _appearance(mesh)
+    return MeshPart(vertices, np.array(mesh.faces, dtype=np.int32), uv, texture, rgba)
+
+
+def _appearance(mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
+    """Texture coordinates, PNG and colour of a trimesh mesh."""
+    visual = mesh.visual
+    if visual.kind == "texture" and getattr(visual, "uv", None) is not None:
+        material = visual.material
+        image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        if image is not None:
+            return np.array(visual.uv, dtype=np.float64)[:, :2], _png(image), None
+        color = getattr(material, "baseColorFactor", None)
+        color = getattr(material, "diffuse", None) if color is None else color
+        return None, None, None if color is None else _rgba(np.asarray(color))
+    if visual.kind in ("vertex", "face"):
+        colors = visual.vertex_colors if visual.kind == "vertex" else visual.face_colors
+        return None, None, _rgba(np.asarray(colors, dtype=np.float64).mean(axis=0))
+    return None, None, None
+
+
+def _rgba(color: Array) -> tuple[float, float, float, float]:
+    values = [float(v) / 255.0 if np.max(color) > 1.0 else float(v) for v in color]
+    values += [1.0] * (4 - len(values))
+    return values[0], values[1], values[2], values[3]
+
+
+def _png(image: Any) -> bytes:
+    stream = io.BytesIO()
+    image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB").save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def _check_size(name: str, vertices: Array, scale: float) -> None:
+    if not np.isfinite(vertices).all():
+        bad = int((~np.isfinite(vertices).all(axis=1)).sum())
+        raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
+    size = float(np.ptp(vertices, axis=0).max())
+    shown = f"{name} is {size:.4g} m across"
+    if size > LARGEST:
+        millimetres = SMALLEST < size / 1000 < LARGEST
+        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
+        raise MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
+    if size < SMALLEST:
+        raise MeshError("SF303", f"{shown}, less than a millimetre", "set `scale`, the metres of one unit of the mesh")
+
+
+def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    """Join vertices at the same place (texture seams split them) and drop faces without area."""
+    tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
+    cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
+    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    joined = inverse.reshape(-1)[faces]
+    proper = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
+    return vertices[first], joined[proper].astype(np.int32)
+
+
+def open_edges(faces: NDArray[np.int32]) -> int:
+    """How many directed edges of welded faces have no partner in the other direction; 0 for a closed surface."""
+    if not len(faces):
+        return 0
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    n = int(faces.max()) + 1
+    forward, n_forward = np.unique(edges[:, 0] * n + edges[:, 1], return_counts=True)
+    backward, n_backward = np.unique(edges[:, 1] * n + edges[:, 0], return_counts=True)
+    keys = np.union1d(forward, backward)
+    count = np.zeros(len(keys), dtype=np.int64)
+    count[np.searchsorted(keys, forward)] += n_forward
+    count[np.searchsorted(keys, backward)] -= n_backward
+    return int(np.abs(count).sum() // 2)

@@ -1,0 +1,190 @@
+"""One rigid body from its description: visuals, colliders, mass, centre of mass, inertia."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from simfoundry.assets import mass
+from simfoundry.assets.cache import Cache
+from simfoundry.assets.convex import Faces, convex_parts, hull
+from simfoundry.assets.mesh import MeshError, open_edges, read_mesh, weld
+from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
+from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.frames import frozen_array as frozen
+from simfoundry.scene.model import Box, Capsule, Collider, Cylinder, Geometry, Link, Mesh, Sphere, Visual
+from simfoundry.spec.asset import Inertial, Part
+from simfoundry.spec.base import (
+    Body,
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    Material,
+    PrismShape,
+    SphereShape,
+    quantity_value,
+)
+
+GREY = (0.7, 0.7, 0.7, 1.0)
+FIXED_DENSITY = 1000.0
+"""Density [kg/m^3] of a fixed body that gives none: it never moves, so its mass acts on nothing."""
+
+ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape
+
+
+@dataclass
+class BodyBuilder:
+    """Collects the parts of one link, then computes the link. Raises :class:`MeshError` for meshes it cannot use."""
+
+    name: str
+    body: Body
+    materials: dict[str, Material]
+    cache: Cache | None
+    visuals: list[Visual] = field(default_factory=list)
+    colliders: list[Collider] = field(default_factory=list)
+    solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
+
+    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+        """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
+        geometry, solid, touching = _primitive(shape)
+        if show:
+            self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
+        if self.body.collision != "none":
+            for k, piece in enumerate(touching):
+                self._collide(name if len(touching) == 1 else f"{name}_{k}", piece, X_LG, part)
+        self._weigh(name, solid, X_LG, part)
+
+    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None) -> None:
+        """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
+        pieces = read_mesh(path, scale)
+        for k, piece in enumerate(pieces):
+            mesh = Mesh(
+                frozen(piece.vertices),
+                _faces(piece.faces),
+                None if piece.uv is None else frozen(piece.uv),
+                piece.texture,
+            )
+            default = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None else piece.rgba
+            label = name if len(pieces) == 1 else f"{name}_{k}"
+            self.visuals.append(Visual(label, mesh, self._rgba(part, default), X_LG))
+        offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+        vertices = np.concatenate([p.vertices for p in pieces])
+        faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
+        vertices, faces = weld(vertices, faces)
+        solid, faces = self._solid(path.name, vertices, faces)
+        parts = convex_parts(vertices, faces, self.body.collision, self.cache)
+        for k, (corners, sides) in enumerate(parts):
+            label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
+            self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
+        self._weigh(name, solid, X_LG, part)
+
+    def add_visual(self, name: str, path: Path) -> None:
+        """Add a mesh file that is only looked at."""
+        for k, piece in enumerate(read_mesh(path)):
+            uv = None if piece.uv is None else frozen(piece.uv)
+            default = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None else piece.rgba
+            mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
+            self.visuals.append(Visual(name if k == 0 else f"{name}_{k}", mesh, self._rgba(None, default), IDENTITY))
+
+    def link(self, fixed: bool, inertial: Inertial | None) -> Link:
+        """The finished link; raises :class:`MeshError` where it has no mass."""
+        total = quantity_value(self.body.mass)
+        own = quantity_value(self.body.density)
+        densities = [own if own is not None else density for _, density, _ in self.solids]
+        if total is not None:  # only the shares matter: the whole is scaled to the given mass
+            densities = [1.0 if d is None else d for d in densities]
+        elif fixed:
+            densities = [FIXED_DENSITY if d is None else d for d in densities]
+        if any(d is None for d in densities):
+            raise MeshError(
+                "SF108", f"`{self.name}` has no mass", "give `mass`, `density` or a material with a density"
+            )
+        weighed = [(d, s) for d, (_, _, s) in zip(densities, self.solids, strict=True) if d is not None]
+        computed, com, inertia = mass.combine(weighed)
+        if total is not None:
+            inertia = inertia * (total / computed)
+        if inertial is not None:
+            com, inertia = np.array(inertial.com), _tensor(inertial.inertia)
+        value = total if total is not None else computed
+        _check_inertia(self.name, inertia)
+        return Link(self.name, value, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
+
+    def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
+        """The solid that carries the mass, and the faces turned outward."""
+        if self.body.solid == "hull":
+            return mass.mesh(*hull(vertices)), faces
+        gaps = open_edges(faces)
+        if gaps:
+            hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
+            raise MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on one side only", hint)
+        solid = mass.mesh(vertices, faces)
+        if solid.volume < 0:
+            faces = np.ascontiguousarray(faces[:, ::-1])
+            solid = mass.mesh(vertices, faces)
+        if solid.volume < 1e-10:
+            raise MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
+        return solid, faces
+
+    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:
+        self.solids.append((name, self._material(part).density, solid.moved(X_LG.rotation, X_LG.p)))
+
+    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
+        material = self._material(part)
+        friction = material.friction if self.body.friction is None else self.body.friction
+        restitution = material.restitution if self.body.restitution is None else self.body.restitution
+        self.colliders.append(Collider(name, geometry, friction, restitution, X_LG))
+
+    def _material(self, part: Part | None) -> Material:
+        name = part.material if part is not None and part.material is not None else self.body.material
+        return Material() if name is None else self.materials[name]
+
+    def _rgba(self, part: Part | None, default: tuple[float, float, float, float] | None) -> Array:
+        """The colour by the nearest word on it: the part's, the body's, the mesh's own, the material's, grey."""
+        for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
+            if color is not None:
+                return frozen((*color, 1.0)[:4])
+        return frozen(GREY)
+
+
+def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
+    """What is shown, what it weighs at density 1, and what touches."""
+    geometry: Geometry
+    match shape:
+        case BoxShape():
+            geometry, solid = Box(frozen(shape.box)), mass.box(np.array(shape.box))
+        case SphereShape():
+            geometry, solid = Sphere(shape.sphere), mass.sphere(shape.sphere)
+        case CylinderShape():
+            c = shape.cylinder
+            geometry, solid = Cylinder(c.radius, c.height), mass.cylinder(c.radius, c.height)
+        case CapsuleShape():
+            c = shape.capsule
+            geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
+        case PrismShape():
+            outline = checked_outline(np.array(shape.prism.outline))
+            vertices, faces = prism_mesh(outline, shape.prism.height)
+            pieces = [prism_mesh(p, shape.prism.height) for p in convex_outlines(outline)]
+            whole = Mesh(frozen(vertices), _faces(faces))
+            return whole, mass.mesh(vertices, faces), [Mesh(frozen(v), _faces(f)) for v, f in pieces]
+    return geometry, solid, [geometry]
+
+
+def _faces(faces: Faces) -> Faces:
+    out = np.array(faces, dtype=np.int32)
+    out.setflags(write=False)
+    return out
+
+
+def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
+    xx, yy, zz, xy, xz, yz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _check_inertia(name: str, inertia: Array) -> None:
+    """Moments of a real body are positive, and none exceeds the sum of the other two."""
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
+        shown = ", ".join(f"{m:.3g}" for m in moments)
+        raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")

@@ -1,0 +1,214 @@
+"""SceneSpec to Scene: every default resolved, every frame composed, every mass and convex part computed.
+
+The same documents give the same scene on every machine. A finding in a mesh is reported at the line that names it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.assets.mesh import MeshError
+from simfoundry.scene.bodies import BodyBuilder
+from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
+from simfoundry.scene.frames import frozen_array as frozen
+from simfoundry.scene.model import (
+    Camera,
+    Joint,
+    JointType,
+    Light,
+    LightType,
+    Link,
+    Relation,
+    Scene,
+    SceneObject,
+)
+from simfoundry.spec import base
+from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.diagnostics import Diagnostic, SpecError
+from simfoundry.spec.load import Loaded
+from simfoundry.spec.relations import parse_relation
+from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+
+Progress = Callable[[str, int, int], None]
+
+
+def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
+    """Lower a checked scene document; raises :class:`SpecError` with every finding.
+
+    ``cache`` keeps convex decompositions between runs; ``progress`` is called with a name, how many objects are done,
+    and how many there are.
+    """
+    if loaded.errors:
+        raise SpecError(loaded.errors)
+    assert isinstance(loaded.spec, SceneSpec)
+    spec = loaded.spec
+    lowering = _Lowering(loaded, cache)
+    objects = []
+    for done, (name, item) in enumerate(spec.objects.items()):
+        if progress is not None:
+            progress(name, done, len(spec.objects))
+        objects.append(lowering.object(name, item, spec))
+    if lowering.findings:
+        raise SpecError(lowering.findings)
+    return Scene(
+        name=spec.name,
+        gravity=frozen(spec.gravity, (3,)),
+        objects=tuple(o for o in objects if o is not None),
+        cameras=tuple(camera(n, c) for n, c in spec.cameras.items()),
+        lights=tuple(_light(n, s) for n, s in spec.lights.items()),
+        relations=tuple(Relation(*parse_relation(text)) for text in spec.relations),
+    )
+
+
+def pose(spec: base.Pose) -> Pose:
+    """The pose that a document writes."""
+    if spec.quat_wxyz is not None:
+        return Pose.of(spec.xyz, spec.quat_wxyz)
+    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
+    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
+
+
+def camera(name: str, spec: CameraSpec) -> Camera:
+    """A camera with its principal point and its pose resolved."""
+    width, height = spec.size
+    cx = (width - 1) / 2 if spec.cx is None else spec.cx
+    cy = (height - 1) / 2 if spec.cy is None else spec.cy
+    if spec.pose.look_at is not None:
+        X_WC = look_at(np.array(spec.pose.xyz), np.array(spec.pose.look_at))
+    else:
+        X_WC = Pose.of(spec.pose.xyz, spec.pose.quat_wxyz or (1.0, 0.0, 0.0, 0.0))
+    return Camera(name, width, height, spec.fx, spec.fy, cx, cy, X_WC)
+
+
+def _light(name: str, spec: LightSpec) -> Light:
+    """A light; it shines along -z of its frame."""
+    X_WL = Pose.of(spec.xyz)
+    if spec.type == "distant":
+        aim = look_at(np.zeros(3), np.array(spec.direction)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+        X_WL = Pose.of(q=aim.q)
+    return Light(name, LightType(spec.type), spec.intensity, frozen(spec.color[:3], (3,)), X_WL)
+
+
+@dataclass
+class _Lowering:
+    """Lowers objects one by one and collects what is wrong with their meshes."""
+
+    loaded: Loaded
+    cache: Cache | None
+    findings: list[Diagnostic] = field(default_factory=list)
+
+    def object(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
+        before = len(self.findings)
+        category = item.category or name
+        joints: tuple[Joint, ...] = ()
+        if item.asset is not None and item.asset.endswith(".asset.yaml"):
+            asset = self.loaded.assets[str(self.loaded.file(item.asset))]
+            assert isinstance(asset.spec, AssetSpec)
+            category = item.category or asset.spec.category or asset.spec.name
+            links, joints = self.articulated(asset, asset.spec, item)
+        else:
+            links = self.rigid(name, item, spec)
+        if len(self.findings) > before:
+            return None
+        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints)
+
+    def rigid(self, name: str, item: ObjectSpec, spec: SceneSpec) -> list[Link]:
+        """The one link of a primitive or of a mesh."""
+        builder = BodyBuilder("base", item, spec.materials, self.cache)
+        place = ("objects", name)
+        with _At(self, self.loaded, (*place, "shape" if item.shape is not None else "asset")):
+            if item.shape is not None:
+                builder.add_shape("shape", item.shape, Pose.of(), None, show=item.visual is None)
+            else:
+                builder.add_mesh("mesh", self.loaded.file(item.asset or ""), item.scale, Pose.of(), None)
+        if item.visual is not None:
+            with _At(self, self.loaded, (*place, "visual")):
+                builder.add_visual("visual", self.loaded.file(item.visual))
+        return self._built(builder, item, self.loaded, place, fixed=item.fixed)
+
+    def articulated(self, asset: Loaded, spec: AssetSpec, item: ObjectSpec) -> tuple[list[Link], tuple[Joint, ...]]:
+        """The links of an asset document in topological order, and its joints at the positions the object asks for."""
+        links: list[Link] = []
+        for name in _topological(spec):
+            link = spec.links[name]
+            builder = BodyBuilder(name, link, spec.materials, self.cache)
+            for part_name, part in link.parts.items():
+                with _At(self, asset, ("links", name, "parts", part_name)):
+                    if part.shape is not None:
+                        builder.add_shape(part_name, part.shape, pose(part.pose), part)
+                    else:
+                        builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
+            links += self._built(builder, link, asset, ("links", name), fixed=False)
+        joints = tuple(_joint(name, joint, item.joints.get(name, 0.0)) for name, joint in spec.joints.items())
+        return links, joints
+
+    def _built(
+        self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool
+    ) -> list[Link]:
+        """The finished link, alone in a list; empty where a finding forbids it."""
+        if any(d.path.startswith(".".join(place)) for d in self.findings):
+            return []
+        with _At(self, source, place):
+            return [builder.link(fixed, getattr(body, "inertial", None))]
+        return []
+
+
+def _topological(spec: AssetSpec) -> Iterator[str]:
+    """Links from the root outwards, siblings in the order of their joints."""
+    todo = [next(iter(spec.links))]
+    while todo:
+        link = todo.pop(0)
+        yield link
+        todo += [j.child for j in spec.joints.values() if j.parent == link]
+
+
+def _joint(name: str, spec: JointSpec, position: float | Degrees) -> Joint:
+    limits = spec.limits
+    if spec.limits_deg is not None:
+        limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
+    axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
+    return Joint(
+        name=name,
+        type=JointType(spec.type),
+        parent=spec.parent,
+        child=spec.child,
+        X_PC=pose(spec.pose),
+        axis=frozen(axis, (3,)),
+        limits=limits,
+        damping=spec.damping,
+        friction=spec.friction,
+        armature=spec.armature,
+        position=math.radians(position.deg) if isinstance(position, Degrees) else position,
+    )
+
+
+@dataclass
+class _At:
+    """Turns a :class:`MeshError` inside it into a finding at a place of a document."""
+
+    lowering: _Lowering
+    source: Loaded
+    path: tuple[str, ...]
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: Any) -> bool:
+        if not isinstance(error, MeshError):
+            return False
+        self.lowering.findings.append(self.source.finding(error.code, self.path, str(error), error.hint))
+        return True
+
+
+def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
+    """Load, check and lower the scene document at ``path``; raises :class:`SpecError`."""
+    from simfoundry.spec.load import load_scene
+
+    return lower(load_scene(path), cache, progress)
