@@ -1,0 +1,88 @@
+"""What things are called and what they weigh, without a model: from shape and colour, by tables.
+
+The bulk densities are ranges of filled household packages and vessels, in which the published masses and sizes of the
+YCB objects lie (cracker box 160 kg/m^3, sugar box 700, soup can 940, bleach bottle 1,000). They are estimates: the spec
+says so, with the range.
+"""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Sphere
+
+
+class Kind(StrEnum):
+    """What an object's shape says about it."""
+
+    BOX = "box"
+    CAN = "can"
+    BALL = "ball"
+    BOWL = "bowl"
+    OBJECT = "object"
+
+
+@dataclass(frozen=True)
+class Substance:
+    """A row of the material table: densities [kg/m^3] over the solid volume, and the Coulomb friction coefficient."""
+
+    name: str
+    density: float
+    lowest: float
+    highest: float
+    friction: float
+
+
+TABLE = {
+    Kind.BOX: Substance("carton", 400, 150, 750, 0.4),
+    Kind.CAN: Substance("can", 700, 300, 1050, 0.35),
+    Kind.BALL: Substance("fruit", 800, 100, 1050, 0.5),
+    Kind.BOWL: Substance("crockery", 1800, 900, 2500, 0.35),
+    Kind.OBJECT: Substance("package", 600, 150, 1100, 0.4),
+}
+SUPPORT = Substance("table_top", 700, 500, 900, 0.5)
+
+_HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
+
+
+def kind_of(geometry: Geometry, hollow: bool) -> Kind:
+    """The kind of a fitted shape."""
+    match geometry:
+        case Box():
+            return Kind.BOX
+        case Cylinder() | Capsule():
+            return Kind.CAN
+        case Sphere():
+            return Kind.BALL
+    return Kind.BOWL if hollow else Kind.OBJECT
+
+
+def color_word(rgb: tuple[float, float, float]) -> str:
+    """A plain English word for an sRGB colour in [0, 1]."""
+    hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
+    if value < 0.2:
+        return "black"
+    if saturation < 0.18:
+        return "white" if value > 0.65 else "gray"
+    degrees = hue * 360
+    if 10 <= degrees < 45 and value < 0.6:
+        return "brown"
+    if (degrees >= 320 or degrees < 15) and saturation < 0.45 and value > 0.6:
+        return "pink"
+    return next((word for limit, word in _HUES if degrees < limit), "red")
+
+
+def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """The names with ``_2``, ``_3`` … appended where one occurs again."""
+    used = set(taken)
+    out = []
+    for base in wanted:
+        name, k = base, 2
+        while name in used:
+            name, k = f"{base}_{k}", k + 1
+        used.add(name)
+        out.append(name)
+    return out

@@ -1,0 +1,184 @@
+"""Files of a capture to one registered frame, with everything that can be wrong with them said at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.frame import Frame
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.lower import pose
+from simfoundry.spec.capture import CaptureSpec, Intrinsics, Shot
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
+from simfoundry.spec.load import Loaded
+
+NEAR, FAR = 0.1, 5.0
+"""Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
+
+UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
+
+
+def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
+    """The frame ``name`` of a checked capture document, or its first; raises :class:`SpecError` with every finding."""
+    assert isinstance(loaded.spec, CaptureSpec)
+    frames = loaded.spec.frames
+    name = name or next(iter(frames))
+    if name not in frames:
+        message = f"the capture has no frame `{name}`"
+        raise SpecError([loaded.finding("SF201", ("frames",), message, nearest(name, frames))])
+    return _Reader(loaded, ("frames", name)).frame(frames[name])
+
+
+@dataclass
+class _Reader:
+    """Reads the files of one frame and collects findings."""
+
+    loaded: Loaded
+    place: tuple[str, ...]
+    findings: list[Diagnostic] = field(default_factory=list)
+
+    def fail(self, code: str, path: tuple[str, ...], message: str, hint: str = "") -> None:
+        self.findings.append(self.loaded.finding(code, (*self.place, *path), message, hint))
+
+    def frame(self, shot: Shot) -> Frame:
+        color = self.color(shot)
+        depth = self.depth(shot)
+        masks = self.masks(shot)
+        if color is not None:
+            self.intrinsics(shot.camera, color.shape[1], color.shape[0], ("camera",), shot.color)
+        if depth is not None and shot.depth.camera is not None:
+            height, width = depth.shape
+            self.intrinsics(shot.depth.camera, width, height, ("depth", "camera"), shot.depth.image)
+        elif depth is not None and color is not None and depth.shape != color.shape[:2]:
+            message = f"{shot.depth.image} is {_size(depth)}, but {shot.color} is {_size(color)}"
+            hint = "register depth to colour, or give the depth camera's own `camera` and `pose`"
+            self.fail("SF501", ("depth", "image"), message, hint)
+        if masks is not None and color is not None and masks.shape != color.shape[:2]:
+            image = shot.masks.image if shot.masks is not None else ""
+            message = f"{image} is {_size(masks)}, but {shot.color} is {_size(color)}"
+            self.fail("SF501", ("masks", "image"), message, "masks must match the colour picture pixel by pixel")
+        if self.findings or color is None or depth is None:
+            raise SpecError(self.findings)
+        if shot.depth.camera is not None and shot.depth.pose is not None:
+            X_color_depth = pose(shot.depth.pose)
+            size = (color.shape[0], color.shape[1])
+            depth = register(depth, matrix(shot.depth.camera), X_color_depth, matrix(shot.camera), size)
+        return Frame(color, depth, matrix(shot.camera), masks)
+
+    def color(self, shot: Shot) -> NDArray[np.uint8] | None:
+        import cv2
+
+        picture = cv2.imread(str(self.loaded.file(shot.color)), cv2.IMREAD_COLOR)
+        if picture is None:
+            self.fail("SF501", ("color",), f"{shot.color} cannot be read as a picture")
+            return None
+        return np.ascontiguousarray(picture[:, :, ::-1])
+
+    def depth(self, shot: Shot) -> Array | None:
+        """Depth in metres, NaN where there is none."""
+        raw = self.raw(shot.depth.image, ("depth", "image"))
+        if raw is None:
+            return None
+        values = raw.astype(np.float64)
+        valid = np.isfinite(values) & (values > 0) & ~np.isin(raw, shot.depth.invalid)
+        if not valid.any():
+            message = f"{shot.depth.image} holds no measurement: all values are invalid"
+            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
+            return None
+        metres = np.where(valid, values * shot.depth.scale, np.nan)
+        usable = (metres >= NEAR) & (metres <= FAR)
+        if usable.sum() < 100:
+            median = float(np.median(values[valid]))
+            fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
+            hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
+            found = f"its median is {median * shot.depth.scale:.4g} m"
+            message = f"{shot.depth.image} has nothing between {NEAR:g} m and {FAR:g} m; {found}"
+            self.fail("SF502", ("depth", "scale"), message, hint)
+            return None
+        return np.where(usable, metres, np.nan)
+
+    def masks(self, shot: Shot) -> NDArray[np.int32] | None:
+        """Object numbers, 0 where there is no object."""
+        if shot.masks is None:
+            return None
+        raw = self.raw(shot.masks.image, ("masks", "image"))
+        if raw is None:
+            return None
+        labels = raw.astype(np.int32)
+        labels[np.isin(labels, shot.masks.background)] = 0
+        for name, number in shot.masks.names.items():
+            if not (labels == number).any():
+                self.fail(
+                    "SF501", ("masks", "names", name), f"{shot.masks.image} has no pixel with the number {number}"
+                )
+        return labels
+
+    def raw(self, image: str, path: tuple[str, ...]) -> NDArray[np.generic] | None:
+        """A picture of one channel as it is stored."""
+        import cv2
+
+        file = self.loaded.file(image)
+        picture = _numpy(file) if file.suffix == ".npy" else cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        if picture is None or picture.size == 0:
+            self.fail("SF501", path, f"{image} cannot be read as a picture")
+            return None
+        if picture.ndim != 2:
+            self.fail("SF501", path, f"{image} has {picture.shape[-1]} channels; one is expected")
+            return None
+        return np.asarray(picture)
+
+    def intrinsics(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
+        """The principal point lies in the picture, and the field of view is one that lenses have."""
+        if not (0 <= camera.cx < width and 0 <= camera.cy < height):
+            message = f"the principal point ({camera.cx:g}, {camera.cy:g}) lies outside {image}, {width} x {height}"
+            self.fail("SF501", path, message, "are the intrinsics those of another resolution?")
+        for key, focal, extent in (("fx", camera.fx, width), ("fy", camera.fy, height)):
+            if not 0.2 * extent <= focal <= 20 * extent:
+                message = f"`{key}` {focal:g} px does not fit a picture of {extent} px"
+                self.fail("SF501", (*path, key), message, "focal lengths are in pixels of this picture")
+        if not 0.5 <= camera.fx / camera.fy <= 2:
+            self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
+
+
+def matrix(camera: Intrinsics) -> Array:
+    """The intrinsic matrix K [px], shape (3, 3)."""
+    return np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+
+
+def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
+    """Depth [m] as the colour camera would see it, shape ``size`` (height, width), NaN where nothing lands.
+
+    Each measurement covers the pixels that its own pixel spans in the colour picture; the nearest one wins.
+    """
+    height, width = size
+    points = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, K_depth).points[np.isfinite(depth)]
+    x, y, z = X_color_depth.apply(points).T
+    ahead = z > NEAR
+    x, y, z = x[ahead], y[ahead], z[ahead]
+    u, v = x / z * K_color[0, 0] + K_color[0, 2], y / z * K_color[1, 1] + K_color[1, 2]
+    half = 0.5 * max(K_color[0, 0] / K_depth[0, 0], K_color[1, 1] / K_depth[1, 1])
+    out = np.full(height * width, np.inf)
+    reach = int(np.ceil(2 * half))
+    left, top = np.ceil(u - half).astype(int), np.ceil(v - half).astype(int)
+    for dv in range(reach):
+        for du in range(reach):
+            column, row = left + du, top + dv
+            inside = (
+                (column < u + half) & (row < v + half) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            )
+            np.minimum.at(out, row[inside] * width + column[inside], z[inside])
+    return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
+
+
+def _numpy(file: Path) -> NDArray[np.generic] | None:
+    try:
+        return np.asarray(np.load(file, allow_pickle=False))
+    except (OSError, ValueError, EOFError):
+        return None
+
+
+def _size(picture: NDArray[np.generic] | Array) -> str:
+    return f"{picture.shape[1]} x {picture.shape[0]}"
