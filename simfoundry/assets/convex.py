@@ -20,7 +20,7 @@ MAX_HULL_VERTICES = 64
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull."""
 
-COACD = {"threshold": 0.05, "max_convex_hull": 24, "mcts_iterations": 100, "seed": 0, "max_ch_vertex": 60}
+COACD = {"threshold": 0.05, "max_convex_hull": 32, "mcts_iterations": 100, "seed": 0, "max_ch_vertex": 60}
 
 
 def hull(points: Array) -> Part:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from simfoundry.spec.base import Model
@@ -79,20 +76,6 @@ def _data(value: Any) -> Any:
         case tuple():
             return tuple(_data(item) for item in value)
     return value
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file in one step: a killed write leaves the old file whole."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
-        Path(staging).chmod(0o644)
-        Path(staging).replace(path)
-    except BaseException:
-        Path(staging).unlink(missing_ok=True)
-        raise
 
 
 def _block(data: Mapping[str, Any], indent: int, section: str = "") -> Iterator[str]:

@@ -1,8 +1,8 @@
 """Settling: from fitted poses, which overlap and float a little, to poses that rest.
 
-First as the paper does it ("Object Depenetration and Physical Stability"): physics steps with all velocities set to zero
-after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is at
-rest, because a body that topples slowly looks still in the first phase.
+First as the paper does it ("Object Depenetration and Physical Stability"): physics steps with all velocities set to
+zero after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is
+at rest, because a body that topples slowly looks still in the first phase.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from simfoundry.worlds.base import Contact, World
 
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import Contact, World
 
 Progress = Callable[[str, float], None]
 
@@ -48,9 +48,9 @@ class SettleOptions:
 class ObjectSettle:
     """What settling did to one object.
 
-    ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is how far it moved from
-    its fitted pose, ``tilt_deg`` how far its up axis turned, ``turn_deg`` how far it turned at all. ``supports`` names
-    what carries it now; ``support_kept`` is False where an ``OnTop`` of the scene no longer holds.
+    ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is how far it moved
+    from its fitted pose, ``tilt_deg`` how far its up axis turned, ``turn_deg`` how far it turned at all. ``supports``
+    names what carries it now; ``support_kept`` is False where an ``OnTop`` of the scene no longer holds.
     """
 
     name: str

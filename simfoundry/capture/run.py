@@ -1,0 +1,137 @@
+"""A capture folder to a folder with a settled scene: reconstruct, settle, report, pictures."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.capture.errors import CaptureError
+from simfoundry.capture.frame import Frame
+from simfoundry.capture.load import load_frame
+from simfoundry.capture.reconstruct import Reconstruction, reconstruct
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import Scene
+from simfoundry.scene.poses import with_poses
+from simfoundry.spec.capture import CaptureSpec
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.files import replace_folder
+from simfoundry.spec.load import Loaded, load_capture, load_scene
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.write import to_yaml
+from simfoundry.worlds.settle import Settled, settle
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureRun:
+    """What a capture became: where its scene is, and how well it fits and rests."""
+
+    scene_file: Path
+    reconstruction: Reconstruction
+    settled: Settled
+    report: dict[str, Any]
+
+
+def run_capture(
+    path: Path, out: Path, frame_name: str | None = None, progress: Progress | None = None, cache: Cache | None = None
+) -> CaptureRun:
+    """Reconstruct one frame of the capture document at ``path`` (or of ``capture.yaml`` in that folder) into ``out``.
+
+    ``out`` is replaced in one step at the end; a run that fails leaves it as it was. Raises :class:`SpecError` with
+    every finding. Two runs write the same bytes.
+    """
+    report_progress = progress or (lambda stage, share: None)
+    loaded = load_capture(path / "capture.yaml" if path.is_dir() else path)
+    assert isinstance(loaded.spec, CaptureSpec)
+    frame_name = frame_name or next(iter(loaded.spec.frames))
+    frame = load_frame(loaded, frame_name)
+    built = _reconstruct(loaded, frame_name, frame, lambda stage, share: report_progress(stage, 0.6 * share))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        scene_name = f"{built.spec.name}.scene.yaml"
+        settled = _write(built, staging / scene_name, frame, cache, report_progress)
+        report = _report(built, settled, f"{loaded.spec.name}/{frame_name}")
+        (staging / "report.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        replace_folder(staging, out)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return CaptureRun(out / scene_name, built, settled, report)
+
+
+def _reconstruct(loaded: Loaded, frame_name: str, frame: Frame, progress: Progress) -> Reconstruction:
+    """Reconstruct, and turn what the picture lacks into a finding at its place in the capture document."""
+    assert isinstance(loaded.spec, CaptureSpec)
+    masks = loaded.spec.frames[frame_name].masks
+    single = len(loaded.spec.frames) == 1
+    name = loaded.spec.name if single else f"{loaded.spec.name}_{frame_name}"
+    try:
+        return reconstruct(name, frame, masks.names if masks is not None else None, progress)
+    except CaptureError as error:
+        raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
+
+
+def _write(built: Reconstruction, scene_file: Path, frame: Frame, cache: Cache | None, progress: Progress) -> Settled:
+    """Write spec, meshes and pictures beside ``scene_file``, the spec with settled poses."""
+    from simfoundry.worlds.mujoco_world import MujocoWorld
+
+    for relative, data in built.files.items():
+        target = scene_file.parent / relative
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+    scene_file.write_text(to_yaml(built.spec), encoding="utf-8")
+    scene = lower(
+        load_scene(scene_file), cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total)
+    )
+    with MujocoWorld(scene) as world:
+        settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
+    spec = with_poses(built.spec, settled.state.poses)
+    scene_file.write_text(to_yaml(spec, comment="Estimated from one picture; see report.json."), encoding="utf-8")
+    progress("pictures", 0.95)
+    _pictures(built, frame, scene, settled, scene_file.parent)
+    return settled
+
+
+def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settled, folder: Path) -> None:
+    from simfoundry.scene.raycast import raycast
+    from simfoundry.worlds.compare import overlay, save_png, side_by_side
+
+    assert isinstance(built.spec, SceneSpec)
+    seen = raycast(scene, scene.cameras[0], settled.state)
+    tinted = overlay(frame.color, built.segmentation.labels, 0.45)
+    panels = [("capture", frame.color), ("objects found", tinted), ("simulated", seen.color)]
+    save_png(folder / "compare.png", side_by_side(panels))
+
+
+def _report(built: Reconstruction, settled: Settled, source: str) -> dict[str, Any]:
+    settle_of = {o["name"]: o for o in settled.to_json()["objects"]}
+    objects = {}
+    for name, shape in built.shapes.items():
+        pixels = int(np.count_nonzero(built.segmentation.labels == built.names[name]))
+        rest = {k: _rounded(v) for k, v in settle_of[name].items() if k != "name"}
+        objects[name] = {
+            "pixels": pixels,
+            "fit": _rounded(shape.fit_m),
+            "confidence": _rounded(shape.confidence),
+            "settle": rest,
+        }
+    return {
+        "source": source,
+        "passed": settled.passed and not built.skipped,
+        "support": {"residual": _rounded(built.support.residual), "corners": len(built.support.outline)},
+        "objects": objects,
+        "skipped": list(built.skipped),
+    }
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 6) if isinstance(value, float) else value

@@ -1,0 +1,112 @@
+"""The support as an object: a slab with the seen outline, its thickness, and the picture of its top."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.assets.prism import prism_mesh
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.scene.model import Mesh
+
+DEFAULT_THICKNESS = 0.03
+"""Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm."""
+
+EDGE = 0.015
+"""Points this close to the outline [m], and below the top, belong to its edge."""
+
+TEXTURE_STEP = 0.002
+"""Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
+TEXTURE_LIMIT = 1024
+
+
+@dataclass(frozen=True)
+class Thickness:
+    """Thickness [m] of the support, and whether its edge was seen."""
+
+    value: float
+    measured: bool
+
+
+def thickness(frame: Frame, support: Support) -> Thickness:
+    """Thickness of the support, from points of its edge where the picture shows enough of them."""
+    import shapely
+
+    points = support.X_WC.apply(frame.points[np.isfinite(frame.depth)])
+    below = points[(points[:, 2] < -0.004) & (points[:, 2] > -0.12)]
+    ring = shapely.Polygon(support.outline).exterior
+    near = below[shapely.distance(ring, shapely.points(below[:, :2])) < EDGE] if len(below) else below
+    if len(near) < 300:
+        return Thickness(DEFAULT_THICKNESS, False)
+    depths = -near[:, 2]
+    counts, edges = np.histogram(depths, bins=np.arange(0.004, 0.124, 0.004))
+    dense = counts > 0.02 * len(near)
+    if not dense[0] or dense.all():
+        return Thickness(DEFAULT_THICKNESS, False)
+    end = int(np.argmin(dense))  # the edge is one band that starts at the top
+    value = float(edges[end])
+    return Thickness(value, True) if value >= 0.012 else Thickness(DEFAULT_THICKNESS, False)
+
+
+def support_mesh(frame: Frame, support: Support, height: float) -> Mesh:
+    """The slab, top at z = 0, with the picture warped onto it.
+
+    Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's colour.
+    What objects hide, and what lies outside the picture, gets the colour of the nearest seen patch.
+    """
+    vertices, faces = prism_mesh(support.outline, height)
+    vertices = vertices - np.array([0.0, 0.0, height / 2])
+    low, high = support.outline.min(axis=0), support.outline.max(axis=0)
+    uv = (vertices[:, :2] - low) / (high - low)
+    return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, low, high))
+
+
+def _texture(frame: Frame, support: Support, low: Array, high: Array) -> bytes:
+    """PNG of the top seen from above: +x to the right, +y up."""
+    import cv2
+
+    extent = high - low
+    step = max(TEXTURE_STEP, float(extent.max()) / TEXTURE_LIMIT)
+    width, height = (max(8, round(float(e) / step)) for e in extent)
+    x = low[0] + (np.arange(width) + 0.5) / width * extent[0]
+    y = high[1] - (np.arange(height) + 0.5) / height * extent[1]
+    grid = np.stack([*np.meshgrid(x, y), np.zeros((height, width))], axis=-1)
+    in_camera = support.X_WC.inverse().apply(grid)
+    depth = np.maximum(in_camera[..., 2], 1e-6)
+    u = (in_camera[..., 0] / depth * frame.K[0, 0] + frame.K[0, 2]).astype(np.float32)
+    v = (in_camera[..., 1] / depth * frame.K[1, 1] + frame.K[1, 2]).astype(np.float32)
+    color = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    shown = cv2.erode(support.inliers.astype(np.uint8), np.ones((5, 5), np.uint8))
+    seen = cv2.remap(shown, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    return _png(_filled(color, seen & (in_camera[..., 2] > 0)))
+
+
+def _filled(color: Array, seen: Array) -> Array:
+    """The picture with unseen pixels taken from a blurred copy of what is seen near them."""
+    import cv2
+
+    weight = seen.astype(np.float32)
+    values = color.astype(np.float32) * weight[..., None]
+    out = color.copy()
+    missing = ~seen
+    sigma = 4.0
+    while missing.any() and sigma < 2 * max(seen.shape):
+        blurred, mass = cv2.GaussianBlur(values, (0, 0), sigma), cv2.GaussianBlur(weight, (0, 0), sigma)
+        fill = missing & (mass > 1e-2)
+        out[fill] = np.clip(blurred[fill] / mass[fill][:, None] + 0.5, 0, 255).astype(np.uint8)
+        missing = missing & ~fill
+        sigma *= 2
+    if missing.any():
+        out[missing] = (values.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0)).astype(np.uint8)
+    return out
+
+
+def _png(picture: Array) -> bytes:
+    import cv2
+
+    ok, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not ok:
+        raise ValueError("the texture could not be encoded")
+    return bytes(data)

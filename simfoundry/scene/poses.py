@@ -1,0 +1,32 @@
+"""Poses back into the words of a spec, and settled poses into a spec."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.spec.base import Pose as PoseSpec
+from simfoundry.spec.scene import SceneSpec
+
+UPRIGHT_DEG = 0.05
+"""A body tilted less than this is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
+
+
+def pose_spec(X_WO: Pose) -> PoseSpec:
+    """A pose as a person writes it: position to 0.1 mm, yaw alone where upright, roll, pitch and yaw where not."""
+    x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
+    tilt = math.degrees(math.acos(min(1.0, float(X_WO.rotation[2, 2]))))
+    if tilt >= UPRIGHT_DEG:
+        return PoseSpec(xyz=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return PoseSpec(xyz=(x, y, z), yaw_deg=yaw) if yaw else PoseSpec(xyz=(x, y, z))
+
+
+def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
+    """The spec with other poses for the objects that are not fixed."""
+    objects = {
+        name: item if item.fixed or name not in poses else item.model_copy(update={"pose": pose_spec(poses[name])})
+        for name, item in spec.objects.items()
+    }
+    return spec.model_copy(update={"objects": objects})
