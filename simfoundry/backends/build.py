@@ -1,0 +1,35 @@
+"""A scene to a build folder: one folder a target, and one report of what was lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+from simfoundry.backends import compile_scene
+from simfoundry.backends.artifact import Artifact
+from simfoundry.scene.model import Scene
+from simfoundry.spec.files import write_atomically
+
+
+def build(scene: Scene, targets: Iterable[str], out: Path) -> list[Artifact]:
+    """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
+
+    Everything is compiled before anything is written; each folder is replaced in one step.
+    """
+    artifacts = [compile_scene(scene, target) for target in dict.fromkeys(targets)]
+    for artifact in artifacts:
+        artifact.write(out / artifact.target)
+    write_atomically(out / "loss.json", loss_report(artifacts))
+    return artifacts
+
+
+def loss_report(artifacts: Iterable[Artifact]) -> bytes:
+    """``loss.json``: per target, every field that is approximated or dropped, with the reason."""
+    report = {
+        artifact.target: [
+            {"path": loss.path, "fidelity": loss.fidelity.value, "reason": loss.reason} for loss in artifact.losses
+        ]
+        for artifact in artifacts
+    }
+    return (json.dumps(report, indent=2, ensure_ascii=False) + "\n").encode()

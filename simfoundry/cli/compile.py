@@ -1,0 +1,45 @@
+"""``simfoundry compile``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+
+TARGETS = ("mjcf", "urdf", "pybullet", "usd")
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-t", "--target", "targets", type=click.Choice(TARGETS), multiple=True, help="Default: all four.")
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True)
+@click.option("--strict", is_flag=True, help="Exit with 1 where a target cannot keep everything.")
+@json_option
+@reporting
+def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, as_json: bool) -> int:
+    """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.backends.build import build
+    from simfoundry.scene.lower import lower_file
+
+    with progress_bar(as_json) as progress:
+        lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
+        artifacts = build(lowered, targets or TARGETS, out)
+    losses = {a.target: a.losses for a in artifacts}
+    if as_json:
+        report = {
+            t: [{"path": x.path, "fidelity": x.fidelity, "reason": x.reason} for x in lost]
+            for t, lost in losses.items()
+        }
+        print_json(
+            {"out": str(out), "targets": {a.target: str(out / a.target / a.entry) for a in artifacts}, "losses": report}
+        )
+    else:
+        for artifact in artifacts:
+            lost = f"{len(artifact.losses)} losses" if artifact.losses else "nothing lost"
+            click.echo(f"{artifact.target:<9} {out / artifact.target / artifact.entry}  ({lost})")
+        if any(losses.values()):
+            click.echo(f"what each target cannot keep: {out / 'loss.json'}")
+    return FINDINGS if strict and any(losses.values()) else DONE

@@ -1,0 +1,75 @@
+"""Entry point: commands are imported when they are called, so that each starts as fast as it can."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from simfoundry import __version__
+
+COMMANDS = {
+    "capture": "Turn a capture folder into a scene.",
+    "check": "Check documents; every finding with its place.",
+    "compile": "Compile a scene for simulators.",
+    "demo": "Capture, compile and run, from the project's own picture or yours.",
+    "doctor": "Say what is installed, what is missing and how to get it.",
+    "render": "Render a picture from a camera of a scene.",
+    "schema": "Print the JSON Schemas of the documents.",
+    "settle": "Let a scene come to rest in physics, with a report.",
+    "show": "Show a scene as a tree with sizes and masses.",
+    "synthesize": "Render a scene to a capture with sensor noise.",
+}
+
+
+class _Lazy(click.Group):
+    """A group whose commands are modules ``simfoundry.cli.<name>`` with a ``command``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"simfoundry.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            from simfoundry.spec.diagnostics import nearest
+
+            ctx.fail(f"there is no command `{args[0]}`; {nearest(args[0], COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
+
+@click.command(cls=_Lazy, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="simfoundry")
+def app() -> None:
+    """From a captured tabletop to simulator worlds: one typed scene spec, many simulators.
+
+    Exit codes: 0 done, 1 findings, 2 cannot.
+    """
+
+
+def main() -> None:
+    """Run the command line."""
+    try:
+        sys.exit(app(standalone_mode=False) or 0)
+    except click.exceptions.Abort:
+        click.echo("stopped", err=True)
+        sys.exit(130)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

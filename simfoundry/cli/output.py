@@ -1,0 +1,79 @@
+"""What commands print: findings, JSON, progress; and how errors become exit codes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec
+
+import click
+
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, render
+
+P = ParamSpec("P")
+
+DONE, FINDINGS, CANNOT = 0, 1, 2
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
+
+
+class CannotError(click.ClickException):
+    """Something that cannot be done, said in one sentence."""
+
+    exit_code = CANNOT
+
+
+def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
+    """Turn findings and missing engines into output and an exit code; bad input never shows a traceback."""
+
+    @wraps(command)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
+        from simfoundry.worlds.base import MissingEngineError
+
+        try:
+            return command(*args, **kwargs) or DONE
+        except SpecError as error:
+            print_findings(error.diagnostics, bool(kwargs.get("as_json")))
+            return CANNOT
+        except MissingEngineError as error:
+            raise CannotError(str(error)) from None
+
+    return wrapped
+
+
+def print_json(data: Any) -> None:
+    """JSON on standard output."""
+    click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+
+
+def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
+    """Findings as JSON on standard output, or as a compiler prints them on standard error."""
+    if as_json:
+        print_json({"findings": [d.to_json() for d in findings]})
+    else:
+        click.echo(render([_relative(d) for d in findings]), err=True)
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+    """A bar on standard error for steps that take longer than a moment; nothing where it is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+
+
+def _relative(d: Diagnostic) -> Diagnostic:
+    """The same finding with its file relative to the current folder where it lies below it."""
+    from dataclasses import replace
+
+    path = Path(d.file)
+    here = Path.cwd()
+    return replace(d, file=str(path.relative_to(here))) if path.is_absolute() and path.is_relative_to(here) else d

@@ -1,0 +1,50 @@
+"""``simfoundry render``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-c", "--camera", help="A camera of the scene; default: its viewpoint, or its first.")
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: SCENE-CAMERA.png here.")
+@click.option(
+    "--engine",
+    type=click.Choice(["auto", "egl", "osmesa", "raycast"]),
+    default="auto",
+    show_default=True,
+    help="MuJoCo by EGL or OSMesa, or the ray caster, which needs no driver.",
+)
+@json_option
+@reporting
+def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_json: bool) -> None:
+    """Render a PNG from a camera, without a display."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.diagnostics import nearest
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.worlds.compare import save_png
+    from simfoundry.worlds.render import render
+
+    loaded = load_scene(scene)
+    assert isinstance(loaded.spec, SceneSpec)
+    lowered = lower(loaded, Cache.default())
+    cameras = {c.name: c for c in lowered.cameras}
+    if not cameras:
+        raise CannotError(f"{scene} has no camera; add one under `cameras`")
+    name = camera or loaded.spec.viewpoint or next(iter(cameras))
+    if name not in cameras:
+        raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
+    picture = render(lowered, cameras[name], engine=engine)
+    target = out or Path(f"{lowered.name}-{name}.png")
+    save_png(target, picture.image)
+    if as_json:
+        print_json({"out": str(target), "camera": name, "engine": picture.engine})
+    else:
+        click.echo(f"{target}  ({name}, {cameras[name].width} x {cameras[name].height}, {picture.engine})")

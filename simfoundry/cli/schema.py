@@ -1,0 +1,29 @@
+"""``simfoundry schema``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import reporting
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(["scene", "asset", "capture"]), required=False)
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Write all of them into a folder.")
+@reporting
+def command(kind: str | None, out: Path | None) -> None:
+    """Print the JSON Schema of a kind of document, or write all of them with -o."""
+    from simfoundry.spec.files import write_atomically
+    from simfoundry.spec.schema import schemas
+
+    texts = schemas()
+    if out is not None:
+        for name, text in texts.items():
+            write_atomically(out / name, text.encode())
+            click.echo(str(out / name))
+        return
+    if kind is None:
+        raise click.UsageError("say which: scene, asset or capture; or write all of them with -o FOLDER")
+    click.echo(texts[f"{kind}.schema.json"], nl=False)

@@ -1,0 +1,74 @@
+"""``simfoundry settle``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where to write the settled scene.")
+@click.option("--engine", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@json_option
+@reporting
+def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
+    """Let a scene come to rest, and say what moved.
+
+    Without -o nothing is written. The output is written in canonical form, without the comments of the input. Exit code
+    1 where an object fails: it moved, tilted, penetrates, lost its support or never came to rest.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.scene.poses import with_poses
+    from simfoundry.spec.files import write_atomically
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.write import to_yaml
+    from simfoundry.worlds import open_world
+    from simfoundry.worlds.settle import settle
+
+    if out is not None and out.resolve().parent != scene.resolve().parent:
+        raise CannotError(
+            "write the settled scene beside the original: its paths to meshes are relative to that folder"
+        )
+    loaded = load_scene(scene)
+    with progress_bar(as_json) as progress:
+        lowered = lower(loaded, Cache.default(), lambda name, done, total: progress(name, 0.5 * done / total))
+        with open_world(lowered, engine) as world:
+            settled = settle(world, progress=lambda stage, share: progress(stage, 0.5 + 0.5 * share))
+    if out is not None:
+        assert isinstance(loaded.spec, SceneSpec)
+        write_atomically(out, to_yaml(with_poses(loaded.spec, settled.state.poses)).encode())
+    if as_json:
+        print_json({**settled.to_json(), "out": None if out is None else str(out)})
+    else:
+        click.echo(settle_table(settled.to_json()["objects"]))
+        if not settled.at_rest:
+            click.echo("the scene did not come to rest in time")
+    return DONE if settled.passed else FINDINGS
+
+
+def settle_table(objects: list[dict[str, object]]) -> str:
+    """A table of what settling did to each object."""
+    rows = [f"{'object':<22}{'penetration':>16}{'drift':>10}{'tilt':>9}  supports"]
+    for o in objects:
+        depth = f"{_mm(o['penetration_before'])} -> {_mm(o['penetration_after'])} mm"
+        on = ", ".join(o["supports"]) if isinstance(o["supports"], list | tuple) else ""
+        problems = o["problems"]
+        verdict = "; ".join(problems) if isinstance(problems, list | tuple) and problems else "ok"
+        rows.append(
+            f"{o['name']!s:<22}{depth:>16}{_mm(o['drift']):>7} mm{_float(o['tilt_deg']):>5.1f} deg  {on}  [{verdict}]"
+        )
+    return "\n".join(rows)
+
+
+def _mm(value: object) -> str:
+    return f"{_float(value) * 1000:.1f}"
+
+
+def _float(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else 0.0

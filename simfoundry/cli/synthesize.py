@@ -1,0 +1,36 @@
+"""``simfoundry synthesize``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import CannotError, reporting
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-c", "--camera", help="A camera of the scene; default: its viewpoint, or its first.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), required=True, help="The capture folder."
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensor noise.")
+@click.option("--masks", is_flag=True, help="Write instance masks too.")
+@reporting
+def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool) -> None:
+    """Render a scene to a capture: colour and depth as a real sensor would see them, with its noise and holes."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.capture.synthesize import synthesize
+    from simfoundry.scene.lower import lower_file
+    from simfoundry.spec.diagnostics import nearest
+
+    lowered = lower_file(scene, Cache.default())
+    cameras = {c.name: c for c in lowered.cameras}
+    if not cameras:
+        raise CannotError(f"{scene} has no camera; add one under `cameras`")
+    name = camera or next(iter(cameras))
+    if name not in cameras:
+        raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
+    path = synthesize(lowered, cameras[name], out, seed, masks, truth=scene)
+    click.echo(str(path))

@@ -1,0 +1,124 @@
+"""A scene in a few lines: what a person wants to know before opening it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, JointType, Mesh, Scene, SceneObject, Sphere
+from simfoundry.spec.base import Estimate
+from simfoundry.spec.scene import SceneSpec
+
+
+def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
+    """Plain facts: per object its size [m], mass [kg] and doubt, position [m], colliders, joints, and what carries it."""
+    carried_by = {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
+    objects = {o.name: _object(o, spec, carried_by.get(o.name)) for o in scene.objects}
+    cameras = {c.name: {"size": [c.width, c.height]} for c in scene.cameras}
+    return {"name": scene.name, "objects": objects, "cameras": cameras, "relations": [str(r) for r in scene.relations]}
+
+
+def tree(facts: dict[str, Any]) -> str:
+    """The facts of :func:`summary` as an indented tree: what stands on a thing hangs below it."""
+    objects: dict[str, Any] = facts["objects"]
+    children: dict[str | None, list[str]] = {}
+    for name, item in objects.items():
+        parent = item["on"] if item["on"] in objects and item["on"] != name else None
+        children.setdefault(parent, []).append(name)
+    lines = [
+        f"{facts['name']}  {len(objects)} objects, {sum(o['mass'] for o in objects.values() if not o['fixed']):.3g} kg"
+    ]
+    shown: set[str] = set()
+
+    def branch(name: str, prefix: str, last: bool) -> None:
+        if name in shown:
+            return
+        shown.add(name)
+        lines.append(f"{prefix}{'└─ ' if last else '├─ '}{_line(name, objects[name])}")
+        below = f"{prefix}{'   ' if last else '│  '}"
+        for joint in objects[name]["joints"]:
+            lines.append(f"{below}   ~ {joint}")
+        inside = children.get(name, [])
+        for k, child in enumerate(inside):
+            branch(child, below, k == len(inside) - 1)
+
+    roots = children.get(None, [])
+    for k, name in enumerate(roots):
+        branch(name, "", k == len(roots) - 1)
+    for name in objects:  # what stands in a ring of `OnTop` has no root above it
+        branch(name, "", True)
+    for name, camera in facts["cameras"].items():
+        lines.append(f"camera {name}  {camera['size'][0]} x {camera['size'][1]}")
+    return "\n".join(lines)
+
+
+def _line(name: str, item: dict[str, Any]) -> str:
+    size = " x ".join(f"{100 * v:.1f}" for v in item["size"])
+    weight = "fixed" if item["fixed"] else f"{item['mass']:.3g} kg"
+    if item["mass_range"] and not item["fixed"]:
+        weight += f" ({item['mass_range'][0]:.3g} to {item['mass_range'][1]:.3g}, {item['mass_by']})"
+    parts = f"{item['colliders']} collider{'s' if item['colliders'] != 1 else ''}"
+    return f"{name}  {item['shape']} {size} cm  {weight}  {parts}"
+
+
+def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any]:
+    written = spec.objects[item.name]
+    estimate = written.mass if isinstance(written.mass, Estimate) else None
+    kinds = {type(v.geometry).__name__.lower() for link in item.links for v in link.visuals}
+    colliders = [c for link in item.links for c in link.colliders]
+    shapes = {type(c.geometry).__name__.lower() for c in colliders} if written.visual else kinds
+    joints = [f"{j.name}  {j.type.value}  at {j.position:.3g}" for j in item.joints if j.type is not JointType.FIXED]
+    low, high = bounds(item)
+    return {
+        "category": item.category,
+        "shape": shapes.pop() if len(shapes) == 1 else f"{len(item.links)} links" if len(item.links) > 1 else "mesh",
+        "size": [round(float(v), 4) for v in high - low],
+        "fixed": item.fixed,
+        "mass": float(sum(link.mass for link in item.links)),
+        "mass_range": list(estimate.range) if estimate is not None and estimate.range is not None else None,
+        "mass_by": estimate.by if estimate is not None else None,
+        "xyz": [round(float(v), 4) for v in item.X_WO.p],
+        "colliders": len(colliders),
+        "joints": joints,
+        "on": on,
+    }
+
+
+def bounds(item: SceneObject) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
+    poses = link_poses(item)
+    points = []
+    for link in item.links:
+        for part in link.colliders or link.visuals:
+            points.append((poses[link.name] @ part.X_LG).apply(_extreme_points(part.geometry)))
+    if not points:
+        return np.zeros(3), np.zeros(3)
+    every = np.concatenate(points)
+    return every.min(axis=0), every.max(axis=0)
+
+
+def _extreme_points(geometry: Geometry) -> Array:
+    """Points whose hull is the geometry, or a box around it."""
+    match geometry:
+        case Mesh():
+            return geometry.vertices
+        case Box():
+            half = geometry.size / 2
+        case Sphere():
+            half = np.full(3, geometry.radius)
+        case Cylinder():
+            half = np.array([geometry.radius, geometry.radius, geometry.height / 2])
+        case Capsule():
+            half = np.array([geometry.radius, geometry.radius, geometry.height / 2 + geometry.radius])
+    return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+
+
+def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] in the world of the object's own bounding box posed at ``X_WO``."""
+    low, high = bounds(item)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    moved = X_WO.apply(corners)
+    return moved.min(axis=0), moved.max(axis=0)
