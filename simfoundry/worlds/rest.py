@@ -1,0 +1,34 @@
+"""Does a scene stay as it is? Real dynamics for some seconds, and how far each object moved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.worlds.base import World
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How far an object got from where it started: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
+
+    name: str
+    moved: float
+    turned_deg: float
+
+
+def simulate(world: World, seconds: float = 2.0) -> list[Motion]:
+    """Run a world from the state of its scene, and report the motion of every free object."""
+    world.reset()
+    before = world.state()
+    world.step(round(seconds / world.timestep))
+    after = world.state()
+    out = []
+    for item in world.scene.objects:
+        if not item.fixed:
+            start, end = before.poses[item.name], after.poses[item.name]
+            moved = float(np.linalg.norm(end.p - start.p))
+            out.append(Motion(item.name, moved, math.degrees(start.angle_to(end))))
+    return out
