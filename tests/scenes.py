@@ -66,10 +66,11 @@ def checker_png(cells: int = 4, cell: int = 4) -> bytes:
 def wedge_mesh(x: float, y: float, z: float, shift: float = 0.0, textured: bool = False) -> Mesh:
     """A ramp-shaped convex prism of extents ``x, y, z`` [m], its low edge at +x; its frame is not at its centroid."""
     vertices = [[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]
+    offset = np.array([shift, 0.3 * shift, 0.0])
     faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
     uv = [[0, 0], [1, 0], [0, 0.5], [1, 0.5], [0, 1], [0.25, 1]]
     return Mesh(
-        vertices=frozen_array(np.array(vertices) + [shift, 0.3 * shift, 0.0]),
+        vertices=frozen_array(np.array(vertices) + offset),
         faces=np.array(faces, dtype=np.int32),
         uv=frozen_array(uv) if textured else None,
         texture=checker_png() if textured else None,
