@@ -1,0 +1,1 @@
+"""Simulators and pictures: one protocol over the engines that hold a compiled scene."""
