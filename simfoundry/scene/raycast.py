@@ -100,7 +100,7 @@ def _normals(surface: Surface, hits: Hits, rays: Rays, camera: Camera) -> Array:
     corners = surface.corners[hits.triangle]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     away = (outward * _directions(rays, camera)).sum(axis=1) > 0  # seen from the back: an open surface
-    return np.where(away[:, None], -normals, normals)
+    return np.asarray(np.where(away[:, None], -normals, normals))
 
 
 def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:

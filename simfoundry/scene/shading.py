@@ -38,7 +38,7 @@ NADIR = frozen_array([0.50, 0.52, 0.55])
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A light that casts shadows: at ``p`` [m, world], or from the direction ``p`` (unit) if ``distant``; linear rgb."""
+    """A light that casts shadows: at ``p`` [m, world] or, if ``distant``, from direction ``p`` (unit); linear rgb."""
 
     p: Array
     distant: bool
@@ -58,7 +58,7 @@ def studio(scene: Scene) -> Studio:
     """The scene's own lights, or daylight from the upper left of a robot that looks along x."""
     if not scene.lights:
         key = np.array([-0.16, 0.66, 0.82])
-        lamp = Lamp(key / np.linalg.norm(key), True, np.array([0.80, 0.77, 0.72]))
+        lamp = Lamp(key / np.linalg.norm(key), True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
     lamps, dome = [], np.zeros(3)
     for light in scene.lights:
@@ -112,7 +112,7 @@ def shade(surface: Surface, lights: Studio, hits: Hits, at: Points, focal_square
 
 
 def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
-    """The ``k``-th of ``count`` spots spread over a distant lamp; one spot is its centre, and a point lamp is a point."""
+    """The ``k``-th of ``count`` spots spread over a distant lamp; a single spot, or a point lamp, is its centre."""
     if count == 1 or not lamp.distant:
         return lamp
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
@@ -178,7 +178,7 @@ def background(directions: Array) -> Array:
     rise = directions[:, 2:] / np.linalg.norm(directions, axis=1, keepdims=True)
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
-    return HORIZON * (1 - up - down) + ZENITH * up + NADIR * down
+    return np.asarray(HORIZON * (1 - up - down) + ZENITH * up + NADIR * down)
 
 
 def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -> Array:

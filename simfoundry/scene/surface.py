@@ -107,7 +107,7 @@ def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
 
 
 def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
-    """Unit normals, shape (m, 3, 3): the area-weighted mean over the faces at the corner's vertex that are no crease."""
+    """Unit normals, shape (m, 3, 3): the area-weighted mean of the faces at a corner's vertex, creases apart."""
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     unit = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-30)
     vertex = faces.ravel()

@@ -1,11 +1,11 @@
 """Which triangle a ray meets first, for many rays from one point.
 
-Rays that share an origin need no search tree. Such a ray is a point ``(x, y)`` on the plane z = 1 of a view frame at the
-origin, a triangle covers a region of that plane, and the signed volumes ``d . (v_j x v_k)`` that decide the hit are
-linear in ``(x, y)``, also for triangles that reach behind the origin. The plane is cut into cells; each triangle visits
-the spans of cells it covers and is tested against the rays in them. The same code serves the pixels of a camera (one
-ray a cell) and the points that a light may reach (any number a cell). Everything is float64, and two triangles that
-share an edge decide about it with the same numbers, so no ray slips between them.
+Rays that share an origin need no search tree. Such a ray is a point ``(x, y)`` on the plane z = 1 of a view frame at
+the origin, a triangle covers a region of that plane, and the signed volumes ``d . (v_j x v_k)`` that decide the hit
+are linear in ``(x, y)``, also for triangles that reach behind the origin. The plane is cut into cells; each triangle
+visits the spans of cells it covers and is tested against the rays in them. The same code serves the pixels of a camera
+(one ray a cell) and the points that a light may reach (any number a cell). Everything is float64, and two triangles
+that share an edge decide about it with the same numbers, so no ray slips between them.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Grid:
 class Rays:
     """Rays ``(x, y, 1)`` from the origin of a view frame, sorted by cell.
 
-    ``x`` and ``y`` have shape (n,); ``first`` shape (rows * columns + 1,) is where each cell begins; ``order`` shape (n,)
-    is the index that each sorted ray had when it came in.
+    ``x`` and ``y`` have shape (n,); ``first`` shape (rows * columns + 1,) is where each cell begins; ``order`` shape
+    (n,) is the index that each sorted ray had when it came in.
     """
 
     grid: Grid
@@ -113,7 +113,7 @@ def first_hits(triangles: Array, rays: Rays, floor: Array | None = None) -> Hits
 
 
 def _linear_forms(triangles: Array) -> tuple[Index, Array, Array]:
-    """Triangles that can be seen at all, their three edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
+    """Triangles that can be seen at all, their edge forms (k, 3, 3) and inverse-depth form (k, 3) in (x, y, 1)."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     edges = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
     volume = a[:, 0] * edges[:, 0, 0] + a[:, 1] * edges[:, 0, 1] + a[:, 2] * edges[:, 0, 2]
