@@ -1,0 +1,51 @@
+"""Meshes and textures as files, named by their content, so that what is equal is written once."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from simfoundry.scene.model import Mesh
+
+
+def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:
+    """A mesh as Wavefront OBJ, in metres, with its texture coordinates (v up) where it has some.
+
+    ``material_file`` names an MTL file beside it whose only material, ``skin``, covers every face.
+    """
+    parts = [] if material_file is None else [f"mtllib {material_file}\n"]
+    # Adding zero turns -0.0 into 0.0, which would print differently.
+    parts.append(_rows("v %.12g %.12g %.12g\n", np.asarray(mesh.vertices) + 0.0))
+    corners = np.asarray(mesh.faces, dtype=np.int64) + 1
+    if mesh.uv is not None:
+        parts.append(_rows("vt %.12g %.12g\n", np.asarray(mesh.uv) + 0.0))
+        corners = np.repeat(corners, 2, axis=1)
+    if material_file is not None:
+        parts.append("usemtl skin\n")
+    parts.append(_rows("f %d/%d %d/%d %d/%d\n" if mesh.uv is not None else "f %d %d %d\n", corners))
+    return "".join(parts).encode()
+
+
+def _rows(form: str, values: np.ndarray) -> str:
+    return (form * len(values)) % tuple(values.ravel().tolist())
+
+
+def texture_name(png: bytes) -> str:
+    """File name of a PNG texture."""
+    return f"{hashlib.sha256(png).hexdigest()[:16]}.png"
+
+
+def has_texture(mesh: Mesh) -> bool:
+    """Whether a mesh has both a texture and coordinates to lay it on with."""
+    return mesh.texture is not None and mesh.uv is not None
+
+
+def obj_with_material(mesh: Mesh) -> dict[str, bytes]:
+    """OBJ, and MTL and PNG where there is a texture, by file name; the OBJ comes first."""
+    digest = mesh.digest
+    if mesh.texture is None or mesh.uv is None:
+        return {f"{digest}.obj": obj_bytes(mesh)}
+    png = texture_name(mesh.texture)
+    material = f"newmtl skin\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {png}\n"
+    return {f"{digest}.obj": obj_bytes(mesh, f"{digest}.mtl"), f"{digest}.mtl": material.encode(), png: mesh.texture}

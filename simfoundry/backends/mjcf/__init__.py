@@ -1,0 +1,92 @@
+"""MJCF for MuJoCo: ``scene.xml``, its assets and a loader.
+
+Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
+``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), what a camera sees
+``object:visual``. Visuals are in group 2 and touch nothing, colliders in group 3, which cameras leave out.
+
+Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
+colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links of one object do not collide with each
+other: joints, not contacts, hold a drawer in its cabinet.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from simfoundry.backends.artifact import Artifact, number, numbers
+from simfoundry.backends.mjcf.bodies import add_object
+from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
+from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
+from simfoundry.backends.names import check_names
+from simfoundry.scene.model import Scene
+
+TIMESTEP = 1 / 500
+"""Seconds a step."""
+
+_LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
+
+
+def compile_mjcf(scene: Scene) -> Artifact:
+    """Compile a scene to MJCF. Raises :class:`InvalidSceneError` for unusable names."""
+    check_names(scene)
+    root = ET.Element("mujoco", model=scene.name)
+    _add_settings(root, scene)
+    assets = Assets(ET.SubElement(root, "asset"))
+    world = ET.SubElement(root, "worldbody")
+    add_lights(world, scene.lights)
+    for camera in scene.cameras:
+        add_camera(world, camera)
+    qpos: list[float] = []
+    for item in scene.objects:
+        qpos.extend(add_object(world, item, assets))
+    add_contacts(root, scene)
+    _add_texts(root, scene)
+    keyframe = ET.SubElement(root, "keyframe")
+    ET.SubElement(keyframe, "key", {"name": "initial"} | ({"qpos": numbers(qpos)} if qpos else {}))
+    ET.indent(root)
+    files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
+    files |= {f"assets/{name}": data for name, data in assets.files.items()}
+    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene)))
+
+
+def _add_settings(root: ET.Element, scene: Scene) -> None:
+    """How to read the file, how to step, and what the geoms have in common."""
+    compiler = {
+        "angle": "radian",
+        "meshdir": "assets",
+        "texturedir": "assets",
+        "autolimits": "true",
+        "inertiafromgeom": "false",
+        "balanceinertia": "false",
+        "boundmass": "0",
+        "boundinertia": "0",
+        "fusestatic": "false",
+        "discardvisual": "false",
+    }
+    ET.SubElement(root, "compiler", compiler)
+    # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
+    option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
+    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
+    visual = ET.SubElement(root, "visual")
+    if scene.cameras:  # the off-screen buffer must hold the largest picture
+        width, height = max(c.width for c in scene.cameras), max(c.height for c in scene.cameras)
+        ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
+    if (own_light := headlight(scene.lights)) is not None:
+        ET.SubElement(visual, "headlight", own_light)
+    default = ET.SubElement(root, "default")
+    seen = ET.SubElement(default, "default", {"class": "visual"})
+    ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
+    felt = ET.SubElement(default, "default", {"class": "collider"})
+    ET.SubElement(felt, "geom", group="3", condim="3", rgba="0.9 0.5 0.2 0.5")
+
+
+def _add_texts(root: ET.Element, scene: Scene) -> None:
+    """What MuJoCo has no place for, as custom text: categories of objects and the stated relations."""
+    custom = ET.SubElement(root, "custom")
+    for item in scene.objects:
+        if item.category:
+            ET.SubElement(custom, "text", name=f"{item.name}.category", data=item.category)
+    if scene.relations:
+        ET.SubElement(custom, "text", name="relations", data="; ".join(str(r) for r in scene.relations))

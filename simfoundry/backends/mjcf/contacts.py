@@ -1,0 +1,108 @@
+"""Which MuJoCo geoms touch, and how: pairs where two surfaces differ, exclusions within an object, restitution."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
+from simfoundry.scene.model import JointType, Scene, SceneObject, pair_friction, pair_restitution
+
+_CONTACT_TIME = 0.02
+"""Time constant of a contact [s]: MuJoCo's own default."""
+
+_CRITICAL_REBOUND = math.exp(-2)
+"""Restitution of a critically damped contact."""
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A collision geom: its name, its object's, whether it can never move, and its friction and restitution."""
+
+    geom: str
+    owner: str
+    static: bool
+    material: tuple[float, float]
+
+
+def add_contacts(root: ET.Element, scene: Scene) -> None:
+    """Add ``<contact>``: the pairs whose surfaces differ, and no contact between links of one object."""
+    contact = ET.SubElement(root, "contact")
+    for item in scene.objects:
+        for a, b in combinations(item.links, 2):
+            ET.SubElement(contact, "exclude", body1=item.qualified(a.name), body2=item.qualified(b.name))
+    by_material: dict[tuple[float, float], list[_Surface]] = {}
+    for item in scene.objects:
+        for surface in _surfaces(item):
+            by_material.setdefault(surface.material, []).append(surface)
+    for (material_a, group_a), (material_b, group_b) in combinations(by_material.items(), 2):
+        mu = number(pair_friction(material_a[0], material_b[0]))
+        attributes = {"friction": f"{mu} {mu} 0.005 0.0001 0.0001"}
+        restitution = pair_restitution(material_a[1], material_b[1])
+        if restitution > 0:
+            attributes["solref"] = numbers(solref(restitution))
+        for a in group_a:
+            for b in group_b:
+                if a.owner != b.owner and not (a.static and b.static):
+                    ET.SubElement(contact, "pair", {"geom1": a.geom, "geom2": b.geom} | attributes)
+
+
+def _surfaces(item: SceneObject) -> Iterator[_Surface]:
+    static_links = {item.root.name} if item.fixed else set()
+    by_child = {joint.child: joint for joint in item.joints}
+    for link in item.links:
+        joint = by_child.get(link.name)
+        if joint is not None and joint.type is JointType.FIXED and joint.parent in static_links:
+            static_links.add(link.name)
+        for collider in link.colliders:
+            yield _Surface(
+                geom=f"{item.qualified(link.name)}.{collider.name}",
+                owner=item.name,
+                static=link.name in static_links,
+                material=(collider.friction, collider.restitution),
+            )
+
+
+def solref(restitution: float) -> tuple[float, float]:
+    """MuJoCo's time constant [s] and damping ratio of a contact that rebounds at ``restitution``.
+
+    The stiffness is that of MuJoCo's default contact; only the damping follows the restitution.
+    """
+    ratio = damping_ratio(restitution)
+    return _CONTACT_TIME / ratio, ratio
+
+
+@lru_cache(maxsize=256)
+def damping_ratio(restitution: float) -> float:
+    """Damping ratio of a spring and damper that only push and rebound at ``restitution``.
+
+    The bodies part when the force, not the depth, reaches zero (Schwager and Poeschel, Granular Matter 9, 2007), so
+    critical damping still rebounds at exp(-2): less than that is out of reach and gets ratio 1.
+    """
+    if restitution <= _CRITICAL_REBOUND:
+        return 1.0
+    low, high = 1e-3, 1.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if rebound(middle) > restitution else (low, middle)
+    return (low + high) / 2
+
+
+def rebound(ratio: float) -> float:
+    """Restitution of a spring and damper of a damping ratio below 1 that only push."""
+    root = math.sqrt(1 - ratio * ratio)
+    return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
+
+
+def restitution_losses(scene: Scene) -> tuple[Loss, ...]:
+    """One loss for each object that bounces."""
+    reason = "MuJoCo has no restitution: a contact is damped to rebound within 0.03 of it, but never below 0.14"
+    return tuple(
+        Loss(f"{item.name}.restitution", Fidelity.APPROXIMATED, reason)
+        for item in scene.objects
+        if any(collider.restitution > 0 for link in item.links for collider in link.colliders)
+    )

@@ -1,0 +1,126 @@
+"""PyBullet: the URDFs of the urdf backend, ``world.json`` with what URDF lacks, and a loader.
+
+Bullet multiplies the frictions and restitutions of two bodies; each link therefore has the square root of its own, and
+a pair the geometric mean of both. A link has one friction, however many colliders it has.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
+from simfoundry.backends.names import check_names
+from simfoundry.backends.urdf import joint_losses, placement, urdf_files, whole
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import Camera, JointType, Link, Scene, SceneObject
+
+TIMESTEP = 1 / 500
+"""Seconds a step."""
+
+NEAR, FAR = 0.01, 100.0
+"""Clipping distances of the cameras [m]."""
+
+_LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
+
+
+def compile_pybullet(scene: Scene) -> Artifact:
+    """Compile a scene for PyBullet. Raises :class:`InvalidSceneError` for unusable names."""
+    check_names(scene)
+    files = urdf_files(scene, whole)
+    world = {
+        "gravity": _numbers(scene.gravity),
+        "timestep": TIMESTEP,
+        "objects": {item.name: _object(item) for item in scene.objects},
+        "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
+    }
+    files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
+    files["load.py"] = _LOADER.read_bytes()
+    return Artifact("pybullet", "load.py", files, tuple(_losses(scene)))
+
+
+def link_friction(link: Link) -> float:
+    """The one coefficient that stands for all colliders of a link: their geometric mean."""
+    return _geometric_mean([collider.friction for collider in link.colliders])
+
+
+def link_restitution(link: Link) -> float:
+    """The one restitution that stands for all colliders of a link: their geometric mean."""
+    return _geometric_mean([collider.restitution for collider in link.colliders])
+
+
+def _geometric_mean(values: list[float]) -> float:
+    if not values or min(values) <= 0:
+        return 0.0
+    return values[0] if len(set(values)) == 1 else math.exp(sum(map(math.log, values)) / len(values))
+
+
+def _object(item: SceneObject) -> dict[str, object]:
+    links = {
+        link.name: {
+            "lateral_friction": _number(math.sqrt(link_friction(link))),
+            "restitution": _number(math.sqrt(link_restitution(link))),
+        }
+        for link in item.links
+    }
+    friction = {joint.name: _number(joint.friction) for joint in item.joints if joint.type is not JointType.FIXED}
+    damping = {joint.name: _number(joint.damping) for joint in item.joints if joint.type is not JointType.FIXED}
+    rest = {"links": links, "joint_friction": friction, "joint_damping": damping}
+    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item) | rest
+
+
+def _camera(camera: Camera) -> dict[str, object]:
+    """Arguments of ``getCameraImage``; both matrices column by column, as OpenGL wants them."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    view = flip @ camera.X_WC.inverse().matrix
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "view": _numbers(view.T),
+        "projection": _numbers(projection_matrix(camera).T),
+    }
+
+
+def projection_matrix(camera: Camera) -> Array:
+    """OpenGL's projection of a pinhole camera, shape (4, 4); the middle of the first pixel is (0, 0)."""
+    left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
+    top, bottom = (camera.cy + 0.5) / camera.fy, -(camera.height - camera.cy - 0.5) / camera.fy
+    return np.array(
+        [
+            [2 / (right - left), 0.0, (right + left) / (right - left), 0.0],
+            [0.0, 2 / (top - bottom), (top + bottom) / (top - bottom), 0.0],
+            [0.0, 0.0, -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
+
+
+def _number(value: float) -> float:
+    return float(number(value))
+
+
+def _numbers(values: Array) -> list[float]:
+    return [_number(v) for v in np.asarray(values).ravel()]
+
+
+def _losses(scene: Scene) -> Iterator[Loss]:
+    for item in scene.objects:
+        for link in item.links:
+            yield from _surface_losses(item, link)
+        yield from joint_losses(item)
+    for light in scene.lights:
+        reason = "a PyBullet world holds no lights: each picture brings its own"
+        yield Loss(light.name, Fidelity.DROPPED, reason)
+
+
+def _surface_losses(item: SceneObject, link: Link) -> Iterator[Loss]:
+    for field, value in (("friction", link_friction(link)), ("restitution", link_restitution(link))):
+        values = sorted({getattr(collider, field) for collider in link.colliders})
+        if len(values) > 1:
+            span = ", ".join(number(v) for v in values)
+            reason = f"Bullet has one {field} a link: {number(round(value, 4))} stands for {span}"
+            yield Loss(f"{item.qualified(link.name)}.{field}", Fidelity.APPROXIMATED, reason)

@@ -1,0 +1,210 @@
+"""URDF: one file an object, and ``poses.json`` for what URDF has no place for: the poses and joint positions.
+
+A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
+them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
+Link, joint and collider names are the scene's own; the robot's name is the object's.
+"""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
+from simfoundry.backends.geometry_files import has_texture, obj_with_material, texture_name
+from simfoundry.backends.names import check_names
+from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    Joint,
+    JointType,
+    Link,
+    Mesh,
+    Scene,
+    SceneObject,
+    Sphere,
+    Visual,
+    principal_inertia,
+)
+
+Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
+"""Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
+
+_EFFORT, _VELOCITY = "1000", "100"
+"""URDF demands limits of effort and velocity. The scene has none, so these are out of reach [N or N m, m/s or rad/s]."""
+
+_FAR = 1000.0
+"""Where a sliding joint without limits ends [m]."""
+
+
+def compile_urdf(scene: Scene) -> Artifact:
+    """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for unusable names."""
+    check_names(scene)
+    files = urdf_files(scene, capsule_parts)
+    poses = {item.name: _manifest(item) for item in scene.objects}
+    files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
+    return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
+
+
+def urdf_files(scene: Scene, parts: Parts) -> dict[str, bytes]:
+    """The URDF of every object and the assets that they share, by path."""
+    files: dict[str, bytes] = {}
+    for item in scene.objects:
+        root = ET.Element("robot", name=item.name)
+        for link in item.links:
+            _add_link(root, link, parts, files)
+        for joint in item.joints:
+            _add_joint(root, joint)
+        ET.indent(root)
+        files[f"{item.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+    return files
+
+
+def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+    """The geometry as it is, for dialects that know capsules."""
+    yield "", geometry, Pose.of()
+
+
+def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+    """The geometry as it is, but a capsule, which URDF lacks, as a cylinder and two spheres: the same solid."""
+    if not isinstance(geometry, Capsule):
+        yield "", geometry, Pose.of()
+        return
+    yield "_tube", Cylinder(geometry.radius, geometry.height), Pose.of()
+    yield "_top", Sphere(geometry.radius), Pose.of([0.0, 0.0, geometry.height / 2])
+    yield "_bottom", Sphere(geometry.radius), Pose.of([0.0, 0.0, -geometry.height / 2])
+
+
+def _add_link(root: ET.Element, link: Link, parts: Parts, files: dict[str, bytes]) -> None:
+    element = ET.SubElement(root, "link", name=link.name)
+    moments, q = principal_inertia(link.inertia)
+    inertial = ET.SubElement(element, "inertial")
+    _add_origin(inertial, Pose.of(link.com, q))
+    ET.SubElement(inertial, "mass", value=number(link.mass))
+    ixx, iyy, izz = (number(moment) for moment in moments)
+    ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
+    for visual in link.visuals:
+        for suffix, geometry, X_GP in parts(visual.geometry):
+            shown = ET.SubElement(element, "visual", name=visual.name + suffix)
+            _add_origin(shown, visual.X_LG @ X_GP)
+            _add_geometry(shown, geometry, files)
+            _add_material(shown, visual)
+    for collider in link.colliders:
+        for suffix, geometry, X_GP in parts(collider.geometry):
+            felt = ET.SubElement(element, "collision", name=collider.name + suffix)
+            _add_origin(felt, collider.X_LG @ X_GP)
+            _add_geometry(felt, geometry, files)
+
+
+def _add_origin(parent: ET.Element, pose: Pose) -> None:
+    if not pose.is_identity:
+        ET.SubElement(parent, "origin", xyz=numbers(pose.p), rpy=numbers(rpy_from_quat(pose.q)))
+
+
+def _add_geometry(parent: ET.Element, geometry: Geometry, files: dict[str, bytes]) -> None:
+    element = ET.SubElement(parent, "geometry")
+    match geometry:
+        case Box(size=size):
+            ET.SubElement(element, "box", size=numbers(size))
+        case Sphere(radius=radius):
+            ET.SubElement(element, "sphere", radius=number(radius))
+        case Cylinder(radius=radius, height=height):
+            ET.SubElement(element, "cylinder", radius=number(radius), length=number(height))
+        case Capsule(radius=radius, height=height):
+            ET.SubElement(element, "capsule", radius=number(radius), length=number(height))
+        case Mesh():
+            path = f"assets/{geometry.digest}.obj"
+            if path not in files:
+                files.update({f"assets/{name}": data for name, data in obj_with_material(geometry).items()})
+            ET.SubElement(element, "mesh", filename=path)
+
+
+def _add_material(parent: ET.Element, visual: Visual) -> None:
+    """A colour and perhaps a texture. Readers share materials by name in a file: the name follows the content."""
+    tint = numbers(visual.rgba)
+    name = "rgba_" + tint.replace(" ", "_")
+    mesh = visual.geometry
+    png = mesh.texture if isinstance(mesh, Mesh) and has_texture(mesh) else None
+    material = ET.SubElement(parent, "material", name=name if png is None else f"{texture_name(png)[:-4]}_{name}")
+    ET.SubElement(material, "color", rgba=tint)
+    if png is not None:
+        ET.SubElement(material, "texture", filename=f"assets/{texture_name(png)}")
+
+
+def _add_joint(root: ET.Element, joint: Joint) -> None:
+    kind = joint.type
+    if kind is JointType.REVOLUTE and joint.limits is None:
+        kind = JointType.CONTINUOUS
+    element = ET.SubElement(root, "joint", name=joint.name, type=kind.value)
+    _add_origin(element, joint.X_PC)
+    ET.SubElement(element, "parent", link=joint.parent)
+    ET.SubElement(element, "child", link=joint.child)
+    if joint.type is JointType.FIXED:
+        return
+    ET.SubElement(element, "axis", xyz=numbers(joint.axis))
+    limit = {"effort": _EFFORT, "velocity": _VELOCITY}
+    if limits := _urdf_limits(joint):
+        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
+    ET.SubElement(element, "limit", limit)
+    if joint.damping or joint.friction:
+        ET.SubElement(element, "dynamics", damping=number(joint.damping), friction=number(joint.friction))
+
+
+def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
+    """The limits to write; a sliding joint needs some, and without them many readers lock it at zero."""
+    if joint.type is JointType.CONTINUOUS:
+        return None
+    if joint.type is JointType.PRISMATIC and joint.limits is None:
+        return -_FAR, _FAR
+    return joint.limits
+
+
+def placement(item: SceneObject) -> dict[str, object]:
+    """What URDF does not hold: whether an object is fixed, its pose in the world and its joint positions."""
+    return {
+        "fixed": item.fixed,
+        "p": [_rounded(v) for v in item.X_WO.p],
+        "q_wxyz": [_rounded(v) for v in item.X_WO.q],
+        "joints": {j.name: _rounded(j.position) for j in item.joints if j.type is not JointType.FIXED},
+    }
+
+
+def _rounded(value: float) -> float:
+    return float(number(value))
+
+
+def _manifest(item: SceneObject) -> dict[str, object]:
+    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item)
+
+
+def _losses(scene: Scene) -> Iterator[Loss]:
+    def dropped(path: str, reason: str) -> Loss:
+        return Loss(path, Fidelity.DROPPED, reason)
+
+    yield dropped("gravity", "URDF describes objects, not a world: the simulator sets gravity")
+    for item in scene.objects:
+        colliders = [collider for link in item.links for collider in link.colliders]
+        if colliders:
+            yield dropped(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
+        if any(collider.restitution > 0 for collider in colliders):
+            yield dropped(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
+        yield from joint_losses(item)
+    for camera in scene.cameras:
+        yield dropped(camera.name, "URDF has no cameras")
+    for light in scene.lights:
+        yield dropped(light.name, "URDF has no lights")
+
+
+def joint_losses(item: SceneObject) -> Iterator[Loss]:
+    """What the joints of an object lose in any URDF: armature, and sliding without limits."""
+    for joint in item.joints:
+        if joint.type is JointType.PRISMATIC and joint.limits is None:
+            reason = f"URDF demands limits of a sliding joint: {number(_FAR)} m either way stand for none"
+            yield Loss(f"{item.name}.{joint.name}.limits", Fidelity.APPROXIMATED, reason)
+        if joint.armature > 0:
+            reason = "URDF has no rotor inertia: the joint accelerates as if it were zero"
+            yield Loss(f"{item.name}.{joint.name}.armature", Fidelity.DROPPED, reason)

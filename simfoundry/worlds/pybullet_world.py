@@ -1,0 +1,201 @@
+"""A scene in PyBullet, without a window."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType, TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from simfoundry.backends.pybullet import compile_pybullet
+from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.scene.model import JointType, Link, Scene
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, MissingEngineError, complete_state
+
+BASE = -1
+"""PyBullet's index of a body's root link; any other link has the index of the joint above it."""
+
+
+class PybulletWorld:
+    """A :class:`~simfoundry.worlds.World` over PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
+
+    The world is what the shipped ``load.py`` makes of the shipped files.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.client = -1
+        with quiet_stdout():
+            self._bullet = _import_pybullet()
+            self.client = self._bullet.connect(self._bullet.DIRECT)
+            with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
+                folder = Path(temporary) / "world"
+                compile_pybullet(scene).write(folder)
+                self._loader = _import_file(folder / "load.py")
+                self.bodies: dict[str, int] = self._loader.load(self.client)
+        self._objects = {body: name for name, body in self.bodies.items()}
+        self._links: dict[str, tuple[int, int]] = {}
+        self._joints: dict[str, tuple[int, int]] = {}
+        for item in scene.objects:
+            self._index_names(item.name)
+        self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
+        self.reset()
+
+    def _index_names(self, name: str) -> None:
+        item, body = self.scene.object(name), self.bodies[name]
+        self._links[item.name] = (body, BASE)
+        for index in range(self._call("getNumJoints", body)):
+            info = self._call("getJointInfo", body, index)
+            self._links[item.qualified(info[12].decode())] = (body, index)
+            if info[2] != self._bullet.JOINT_FIXED:
+                self._joints[f"{item.name}.{info[1].decode()}"] = (body, index)
+
+    def _call(self, function: str, *args: object, **options: object) -> Any:
+        return getattr(self._bullet, function)(*args, physicsClientId=self.client, **options)
+
+    def _inertial_pose(self, body: int, index: int) -> Pose:
+        """Pose of a link's inertial frame in its link frame."""
+        p, q = self._call("getDynamicsInfo", body, index)[3:5]
+        return Pose.of(p, from_xyzw(q))
+
+    @property
+    def timestep(self) -> float:
+        """Seconds a step."""
+        return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
+
+    def reset(self, state: SceneState | None = None) -> None:
+        """Go to ``state``, at rest; without one, to the state that the scene describes."""
+        full = complete_state(self.scene, state)
+        for name, pose in full.poses.items():
+            X_WI = pose @ self._X_OI[name]
+            self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
+            self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
+        for name, position in full.joints.items():
+            self._call("resetJointState", *self._joints[name], position, 0.0)
+
+    def step(self, n: int = 1) -> None:
+        """Advance ``n`` steps."""
+        for _ in range(n):
+            self._call("stepSimulation")
+
+    def state(self) -> SceneState:
+        """Poses of all objects and positions of all joints, now."""
+        poses = {name: self._link_pose(body, BASE) for name, body in self.bodies.items()}
+        joints = {name: float(self._call("getJointState", *at)[0]) for name, at in self._joints.items()}
+        return SceneState.of(poses, joints)
+
+    def _link_pose(self, body: int, index: int) -> Pose:
+        if index == BASE:
+            p, q = self._call("getBasePositionAndOrientation", body)
+            return Pose.of(p, from_xyzw(q)) @ self._X_OI[self._objects[body]].inverse()
+        # Bullet keeps link frames in single precision; inertial frames, in double, lead to the same place.
+        p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
+        return Pose.of(p, from_xyzw(q)) @ self._inertial_pose(body, index).inverse()
+
+    def contacts(self) -> list[Contact]:
+        """Contacts between different objects, now."""
+        self._call("performCollisionDetection")
+        found = []
+        for point in self._call("getContactPoints"):
+            a, b, distance = self._objects[point[1]], self._objects[point[2]], float(point[8])
+            if a != b and distance <= CONTACT_GAP:
+                middle = (np.array(point[5]) + np.array(point[6])) / 2
+                normal = -np.array(point[7])  # Bullet's points from b to a
+                found.append(Contact(a, b, -distance, frozen_array(normal), frozen_array(middle)))
+        return found
+
+    def read_back(self) -> dict[str, LinkFacts]:
+        """Every link by its qualified name, as PyBullet holds it."""
+        links = {o.qualified(link.name): link for o in self.scene.objects for link in o.links}
+        return {name: self._link_facts(*self._links[name], link) for name, link in links.items()}
+
+    def _link_facts(self, body: int, index: int, link: Link) -> LinkFacts:
+        info = self._call("getDynamicsInfo", body, index)
+        mass, lateral, moments = float(info[0]), float(info[1]), np.array(info[2])
+        X_LI = self._inertial_pose(body, index)
+        axes = X_LI.rotation
+        return LinkFacts(
+            mass=mass or None,
+            com=X_LI.p,
+            inertia=frozen_array(axes @ np.diag(moments) @ axes.T) if mass else None,
+            X_WL=self._link_pose(body, index),
+            friction=(lateral**2,) * len(link.colliders),
+        )
+
+    def read_back_joints(self) -> dict[str, JointFacts]:
+        """Every joint that moves by ``object.joint``, as PyBullet holds it."""
+        return {name: self._joint_facts(*at) for name, at in self._joints.items()}
+
+    def _joint_facts(self, body: int, index: int) -> JointFacts:
+        info = self._call("getJointInfo", body, index)
+        low, high = float(info[8]), float(info[9])
+        limited = low <= high
+        turns = JointType.REVOLUTE if limited else JointType.CONTINUOUS
+        return JointFacts(
+            type=JointType.PRISMATIC if info[2] == self._bullet.JOINT_PRISMATIC else turns,
+            axis=frozen_array(self._inertial_pose(body, index).rotation @ np.array(info[13])),
+            limits=(low, high) if limited else None,
+            damping=float(info[6]),
+            friction=float(info[7]),
+            armature=None,
+        )
+
+    def close(self) -> None:
+        """Disconnect; a second call does nothing."""
+        if self.client >= 0 and self._bullet.isConnected(self.client):
+            self._bullet.disconnect(self.client)
+        self.client = -1
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+
+def _import_pybullet() -> ModuleType:
+    try:
+        import pybullet
+    except ImportError as error:
+        raise MissingEngineError("PyBullet is not installed; install it with `pip install pybullet`") from error
+    module: ModuleType = pybullet
+    return module
+
+
+def _import_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("simfoundry_pybullet_world", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot import {path}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@contextmanager
+def quiet_stdout() -> Iterator[None]:
+    """Send what native code prints to standard output nowhere; PyBullet greets and warns there."""
+    libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
+    sys.stdout.flush()
+    libc.fflush(None)
+    saved = os.dup(1)
+    try:
+        with Path(os.devnull).open("wb") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+        yield
+    finally:
+        libc.fflush(None)  # else C's buffer would come out later, on the restored stream
+        os.dup2(saved, 1)
+        os.close(saved)
