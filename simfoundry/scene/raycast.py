@@ -1,0 +1,128 @@
+"""Pictures of a scene without a display, a driver or a GPU: colour, exact depth, object labels and normals.
+
+Made for synthetic captures, for documentation and for machines where no simulator can draw. Colours are shaded in
+linear light (Lambert, a faint highlight, hemispherical ambient light, hard shadows) and returned as sRGB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import Camera, Scene
+from simfoundry.scene.shading import Points, background, encode_srgb, shade, studio
+from simfoundry.scene.state import SceneState
+from simfoundry.scene.surface import Surface, scene_surface
+from simfoundry.scene.visibility import Hits, Rays, first_hits, pixel_rays
+
+
+@dataclass(frozen=True, eq=False)
+class Raycast:
+    """What a camera sees, pixel by pixel; every array is (h, w) or (h, w, 3).
+
+    ``color`` uint8 sRGB; ``depth`` [m] along the optical axis at the pixel's centre, float64, NaN where nothing is hit;
+    ``objects`` int32: 0 where nothing is hit, else 1 + the index in ``scene.objects``; ``normals`` unit, world frame,
+    toward the camera, NaN where nothing is hit; ``camera`` the camera that saw it.
+    """
+
+    color: NDArray[np.uint8]
+    depth: Array
+    objects: NDArray[np.int32]
+    normals: Array
+    camera: Camera
+
+
+def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, samples: int = 1) -> Raycast:
+    """Look at ``scene`` in ``state`` (by default the state that the scene describes) through ``camera``.
+
+    Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` of the camera frame, so the centre of the first pixel
+    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Colour is the mean of ``samples`` x ``samples`` rays
+    in each pixel; depth, objects and normals are those of its centre. A visual of alpha 0 is not there; one of alpha
+    below 1 is seen, in all four arrays, and lets the colour behind it through.
+    """
+    if samples < 1:
+        raise ValueError(f"a pixel needs at least one ray, got samples={samples}")
+    surface = scene_surface(scene, state)
+    h, w = camera.height, camera.width
+    rays = _pixels(camera, 1)
+    hits = _seen(surface, camera, rays)
+    depth = np.full(h * w, np.nan)
+    objects = np.zeros(h * w, dtype=np.int32)
+    normals = np.full((h * w, 3), np.nan)
+    met = hits.triangle >= 0
+    depth[met] = 1.0 / hits.inverse_depth[met]
+    objects[met] = surface.object[hits.triangle[met]] + 1
+    normals[met] = _normals(surface, hits, rays, camera)[met]
+    if samples > 1:
+        rays = _pixels(camera, samples)
+        hits = _seen(surface, camera, rays)
+    linear = _colors(scene, surface, camera, rays, hits, samples)
+    linear = linear.reshape(h, samples, w, samples, 3).mean(axis=(1, 3))
+    return Raycast(
+        color=encode_srgb(linear),
+        depth=depth.reshape(h, w),
+        objects=objects.reshape(h, w),
+        normals=normals.reshape(h, w, 3),
+        camera=camera,
+    )
+
+
+def _pixels(camera: Camera, samples: int) -> Rays:
+    return pixel_rays(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, samples)
+
+
+def _seen(surface: Surface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
+    """What each ray meets first. Of closed surfaces only the outside is seen, so the rest is not even tried."""
+    alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
+    outward = np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0])
+    faces_camera = ((camera.X_WC.p - surface.corners[:, 0]) * outward).sum(axis=1) > 0
+    kept = faces_camera | ~surface.closed
+    if opaque_only:
+        kept &= alpha[surface.visual] >= 1
+    index = np.flatnonzero(kept)
+    hits = first_hits(camera.X_WC.inverse().apply(surface.corners[index]), rays)
+    triangle = np.where(hits.triangle >= 0, index[hits.triangle] if len(index) else -1, -1)
+    return Hits(triangle, hits.inverse_depth, hits.weights)
+
+
+def _directions(rays: Rays, camera: Camera) -> Array:
+    """Ray directions in the world, shape (n, 3), of length one along the optical axis."""
+    return np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1) @ camera.X_WC.rotation.T
+
+
+def _normals(surface: Surface, hits: Hits, rays: Rays, camera: Camera) -> Array:
+    """Unit shading normals toward the camera, shape (n, 3); meaningless where nothing is hit."""
+    normals = (surface.normals[hits.triangle] * hits.weights[..., None]).sum(axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    corners = surface.corners[hits.triangle]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    away = (outward * _directions(rays, camera)).sum(axis=1) > 0  # seen from the back: an open surface
+    return np.asarray(np.where(away[:, None], -normals, normals))
+
+
+def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
+    """Linear colour of each ray, shape (n, 3); where the first hit is translucent, mixed with the opaque one behind."""
+    directions = _directions(rays, camera)
+    color = background(directions)
+    met = np.flatnonzero(hits.triangle >= 0)
+    if not len(met):
+        return color
+    some = Hits(hits.triangle[met], hits.inverse_depth[met], hits.weights[met])
+    row, column = np.divmod(met, camera.width * samples)
+    at = Points(
+        p=camera.X_WC.p + directions[met] / some.inverse_depth[:, None],
+        normals=_normals(surface, hits, rays, camera)[met],
+        to_eye=-directions[met] / np.linalg.norm(directions[met], axis=1, keepdims=True),
+        group=row % samples * samples + column % samples,
+        groups=samples * samples,
+    )
+    front = shade(surface, studio(scene), some, at, camera.fx * camera.fy)
+    alpha = np.array([min(1.0, v.rgba[3]) for v in surface.visuals])[surface.visual[some.triangle]]
+    if (alpha < 1).any():
+        behind = _colors(scene, surface, camera, rays, _seen(surface, camera, rays, opaque_only=True), samples)
+        front = front * alpha[:, None] + behind[met] * (1 - alpha[:, None])
+    color[met] = front
+    return color
