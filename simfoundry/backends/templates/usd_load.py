@@ -37,7 +37,8 @@ def main() -> None:
     if display and viewer:
         subprocess.run([viewer, str(SCENE)], check=True)
         return
-    prims = list(load().Traverse())
+    stage = load()
+    prims = list(stage.Traverse())
     bodies = sum(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims)
     joints = sum(prim.IsA(UsdPhysics.Joint) for prim in prims)
     objects = sum(str(prim.GetParent().GetPath()) == "/World/Objects" for prim in prims)

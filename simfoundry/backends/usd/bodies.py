@@ -52,7 +52,7 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     if is_static(item):
         return
     for body in links.values():
-        apply_schemas(body, ["PhysicsRigidBodyAPI"])
+        apply_schemas(body, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
     if item.joints:
         _articulate(prim, item, links)
 
@@ -63,7 +63,8 @@ def _articulate(prim: Sdf.PrimSpec, item: SceneObject, links: Mapping[str, Sdf.P
     PhysX and Newton read that from the articulation, other readers from the pairs.
     """
     root = prim if item.fixed else links[item.root.name]
-    apply_schemas(root, ["PhysicsArticulationRootAPI", "PhysxArticulationAPI"])
+    apply_schemas(root, ["PhysicsArticulationRootAPI", "PhysxArticulationAPI", "NewtonArticulationRootAPI"])
+    attribute(root, "newton:selfCollisionEnabled", "bool", False)
     attribute(root, "physxArticulation:enabledSelfCollisions", "bool", False)
     bodies = list(links.values())
     for k, body in enumerate(bodies[:-1]):
@@ -78,7 +79,7 @@ def _articulate(prim: Sdf.PrimSpec, item: SceneObject, links: Mapping[str, Sdf.P
 
 def _define_link(scopes: Scopes, body: Sdf.PrimSpec, link: Link) -> None:
     moments, axes = principal_inertia(link.inertia)
-    apply_schemas(body, ["PhysicsMassAPI"])
+    # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
     attribute(body, "physics:centerOfMass", "point3f", vec3f(link.com))
     attribute(body, "physics:diagonalInertia", "float3", vec3f(moments))
     attribute(body, "physics:mass", "float", rounded(link.mass))

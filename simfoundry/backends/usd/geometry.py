@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.backends.usd.prims import attribute, define, place, rounded
 from simfoundry.scene.frames import Pose
@@ -76,12 +77,24 @@ def mesh_layer(mesh: Mesh) -> bytes:
         attribute(prim, "faceVertexIndices", "int[]", Vt.IntArray.FromNumpy(indices))
         counts = np.full(len(mesh.faces), 3, dtype=np.int32)
         attribute(prim, "faceVertexCounts", "int[]", Vt.IntArray.FromNumpy(counts))
+        attribute(prim, "normals", "normal3f[]", Vt.Vec3fArray.FromNumpy(_face_normals(points, mesh.faces)))
+        prim.attributes["normals"].SetInfo("interpolation", "uniform")
         attribute(prim, "subdivisionScheme", "token", "none", uniform=True)
         if mesh.uv is not None:
             uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
             attribute(prim, "primvars:st", "texCoord2f[]", Vt.Vec2fArray.FromNumpy(uv))
             prim.attributes["primvars:st"].SetInfo("interpolation", "vertex")
     return str(layer.ExportToString()).encode()
+
+
+def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Unit normals of triangles, shape (m, 3); those of triangles without area point up."""
+    a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    flat = lengths[:, 0] == 0
+    normals[flat], lengths[flat] = [0.0, 0.0, 1.0], 1.0
+    return np.asarray((normals / lengths).round(7) + 0.0, dtype=np.float32)
 
 
 def _along_z(prim: Sdf.PrimSpec, height: float) -> None:

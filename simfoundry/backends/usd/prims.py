@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -25,10 +25,6 @@ def define(parent: Sdf.PrimSpec, name: str, type_name: str, schemas: Sequence[st
     """Define a child prim of a type, with the API schemas applied to it."""
     from pxr import Sdf
 
-    if not Sdf.Path.IsValidIdentifier(name):
-        raise ValueError(f"{name!r} below {parent.path} cannot name a USD prim: use letters, digits and underscores")
-    if name in parent.nameChildren:
-        raise ValueError(f"two things below {parent.path} are called {name!r}: rename one of them")
     prim = Sdf.PrimSpec(parent, name, Sdf.SpecifierDef, type_name)
     if schemas:
         apply_schemas(prim, schemas)
@@ -73,10 +69,10 @@ def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) 
 
     operations = []
     if pose is not IDENTITY and pose.p.any():
-        attribute(prim, "xformOp:translate", "double3", Gf.Vec3d(*(rounded(v) for v in pose.p)))
+        attribute(prim, "xformOp:translate", "double3", Gf.Vec3d(*(settled(v) for v in pose.p)))
         operations.append("xformOp:translate")
     if pose is not IDENTITY and pose.q[1:].any():
-        w, x, y, z = (rounded(v) for v in pose.q)
+        w, x, y, z = (settled(v) for v in pose.q)
         attribute(prim, "xformOp:orient", "quatd", Gf.Quatd(w, x, y, z))
         operations.append("xformOp:orient")
     if scale is not None:
@@ -87,20 +83,25 @@ def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) 
 
 
 def rounded(value: float) -> float:
-    """A number without the last bits of a double, which differ between CPUs."""
+    """A number to twelve significant digits: the last bits of a double differ between CPUs."""
     return float(number(value))
 
 
-def vec3f(values: Sequence[float]) -> Gf.Vec3f:
+def settled(value: float) -> float:
+    """A coordinate [m] or a part of a unit quaternion to twelve decimals, so that what should be zero is zero."""
+    return round(float(value), 12) + 0.0
+
+
+def vec3f(values: Iterable[float]) -> Gf.Vec3f:
     """Three numbers in single precision."""
     from pxr import Gf
 
     return Gf.Vec3f(*(rounded(v) for v in values))
 
 
-def quatf(q: Sequence[float]) -> Gf.Quatf:
+def quatf(q: Iterable[float]) -> Gf.Quatf:
     """A wxyz quaternion in single precision."""
     from pxr import Gf
 
-    w, x, y, z = (rounded(v) for v in q)
+    w, x, y, z = (settled(v) for v in q)
     return Gf.Quatf(w, x, y, z)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.bodies import Scopes, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
@@ -26,11 +27,12 @@ def compile_usd(scene: Scene) -> Artifact:
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
-    start with a capital, the scene's names do not, so the two never meet. A name that cannot name a prim, or is there
-    twice, is a ValueError.
+    start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there twice, is an
+    :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
 
+    check_names(scene)
     layer = Sdf.Layer.CreateAnonymous(".usda")
     with Sdf.ChangeBlock():
         _define_world(layer, scene)
@@ -79,7 +81,7 @@ def _assets(scene: Scene) -> dict[str, bytes]:
     meshes: dict[str, Mesh] = {}
     contents: dict[str, bytes] = {}
     for link in (link for item in scene.objects for link in item.links):
-        for geometry in [shape.geometry for shape in (*link.visuals, *link.colliders)]:
+        for geometry in [v.geometry for v in link.visuals] + [c.geometry for c in link.colliders]:
             if isinstance(geometry, Mesh):
                 meshes.setdefault(mesh_path(geometry), geometry)
         for texture in map(texture_of, link.visuals):

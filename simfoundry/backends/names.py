@@ -1,0 +1,46 @@
+"""The names of a scene, checked before they become file names, XML names and dictionary keys."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from simfoundry.scene.model import Scene, SceneObject
+
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+
+
+class InvalidSceneError(ValueError):
+    """A scene that no backend can write: a name that is not one, or two things with one name."""
+
+
+def check_names(scene: Scene) -> None:
+    """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique among its kind."""
+    _check("the scene", "scene", [scene.name])
+    _check("the scene", "object", (o.name for o in scene.objects))
+    _check("the scene", "camera", (c.name for c in scene.cameras))
+    _check("the scene", "light", (light.name for light in scene.lights))
+    for item in scene.objects:
+        _check_object(item)
+
+
+def _check_object(item: SceneObject) -> None:
+    _check(item.name, "link", (link.name for link in item.links))
+    _check(item.name, "joint", (joint.name for joint in item.joints))
+    for link in item.links:
+        where = f"{item.name}.{link.name}"
+        _check(where, "visual", (visual.name for visual in link.visuals))
+        _check(where, "collider", (collider.name for collider in link.colliders))
+
+
+def _check(where: str, kind: str, names: Iterable[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise InvalidSceneError(
+                f"{where}: {kind} name {name!r} is not usable; start with a lower-case letter and go on with "
+                f"lower-case letters, digits and underscores"
+            )
+        if name in seen:
+            raise InvalidSceneError(f"{where}: two {kind}s are called {name!r}; rename one")
+        seen.add(name)

@@ -1,0 +1,139 @@
+"""What every simulator offers here, so that predicates, tasks and checks run on any of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
+
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.model import JointType, Scene
+from simfoundry.scene.state import SceneState
+
+CONTACT_GAP = 1e-3
+"""Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
+
+
+class MissingEngineError(RuntimeError):
+    """A simulator that is not installed; the message says how to install it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """One point where two objects touch.
+
+    ``depth`` [m] is positive when they interpenetrate and negative for a gap, at most :data:`CONTACT_GAP`; ``normal``
+    is the unit vector from ``a`` towards ``b`` and ``position`` [m] the point, both in the world, shape (3,).
+    """
+
+    a: str
+    b: str
+    depth: float
+    normal: Array
+    position: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LinkFacts:
+    """A link as an engine holds it, in the scene's terms.
+
+    ``mass`` [kg], ``com`` [m] in the link frame, shape (3,), ``inertia`` [kg m^2] about the centre of mass in link
+    axes, shape (3, 3); they are None where the engine keeps none, as PyBullet for a root that is welded to the world.
+    ``X_WL`` is the pose of the link frame; ``friction`` the coefficient of each collider in the scene's sense.
+    """
+
+    mass: float | None
+    com: Array | None
+    inertia: Array | None
+    X_WL: Pose
+    friction: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class JointFacts:
+    """A joint as an engine holds it, in the scene's terms.
+
+    A revolute joint without limits reads back as continuous. ``axis`` is in the child frame, shape (3,); ``friction``
+    and ``armature`` are None where the engine does not tell.
+    """
+
+    type: JointType
+    axis: Array
+    limits: tuple[float, float] | None
+    damping: float
+    friction: float | None
+    armature: float | None
+
+
+class World(Protocol):
+    """A simulator that holds one scene. Use it as a context manager, or call :meth:`close`."""
+
+    scene: Scene
+
+    @property
+    def timestep(self) -> float:
+        """Seconds a step."""
+        ...
+
+    def reset(self, state: SceneState | None = None) -> None:
+        """Go to ``state``, at rest; without one, to the state that the scene describes.
+
+        What ``state`` does not mention is as the scene describes it. A KeyError names what is not in the scene.
+        """
+        ...
+
+    def step(self, n: int = 1) -> None:
+        """Advance ``n`` steps."""
+        ...
+
+    def state(self) -> SceneState:
+        """Poses of all objects and positions of all joints, now."""
+        ...
+
+    def contacts(self) -> list[Contact]:
+        """Contacts between different objects, now."""
+        ...
+
+    def read_back(self) -> dict[str, LinkFacts]:
+        """Every link by its qualified name, as the engine holds it."""
+        ...
+
+    def read_back_joints(self) -> dict[str, JointFacts]:
+        """Every joint that moves by ``object.joint``, as the engine holds it."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the simulator."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        ...
+
+
+def read_back(world: World) -> dict[str, LinkFacts]:
+    """Every link of a world by its qualified name, as the engine holds it."""
+    return world.read_back()
+
+
+def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
+    """``state`` with the scene's own values for what it does not mention; a KeyError names what the scene lacks."""
+    initial = SceneState.initial(scene)
+    if state is None:
+        return initial
+    _check_known("object", state.poses, initial.poses)
+    _check_known("joint", state.joints, initial.joints)
+    return SceneState.of({**initial.poses, **state.poses}, {**initial.joints, **state.joints})
+
+
+def _check_known(kind: str, given: Mapping[str, object], known: Mapping[str, object]) -> None:
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise KeyError(f"no {kind} {unknown[0]!r} in this scene; there are: {', '.join(known) or 'none'}")
