@@ -1,0 +1,49 @@
+"""Load this world into OpenUSD: ``load()`` from Python, or ``python load.py`` to see it."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from pxr import Usd, UsdPhysics
+
+SCENE = Path(__file__).resolve().parent / "scene.usda"
+
+
+def load(own_friction: bool = False, own_restitution: bool = False) -> Usd.Stage:
+    """Open the stage.
+
+    Contact materials hold square roots for PhysX, which multiplies the two of a pair. For a simulator that averages,
+    or takes the larger, ask for the surface's own values: they are set in the session layer, the files stay.
+    """
+    stage = Usd.Stage.Open(str(SCENE))
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim in stage.GetPrimAtPath("/World/Contacts").GetChildren():
+            material = UsdPhysics.MaterialAPI(prim)
+            if own_friction:
+                friction = prim.GetAttribute("simfoundry:friction").Get()
+                material.GetStaticFrictionAttr().Set(friction)
+                material.GetDynamicFrictionAttr().Set(friction)
+            if own_restitution:
+                material.GetRestitutionAttr().Set(prim.GetAttribute("simfoundry:restitution").Get())
+    return stage
+
+
+def main() -> None:
+    """Open usdview where there is one and a display; else say what was loaded."""
+    display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    viewer = shutil.which("usdview")
+    if display and viewer:
+        subprocess.run([viewer, str(SCENE)], check=True)
+        return
+    stage = load()
+    prims = list(stage.Traverse())
+    bodies = sum(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims)
+    joints = sum(prim.IsA(UsdPhysics.Joint) for prim in prims)
+    objects = sum(str(prim.GetParent().GetPath()) == "/World/Objects" for prim in prims)
+    print(f"{SCENE.name}: {objects} objects, {bodies} rigid bodies, {joints} joints")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""Joints between the links of one object, and the one that holds a fixed object's root."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.backends.usd.prims import apply_schemas, attribute, define, quatf, relate, rounded, vec3f
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.model import Joint, JointType
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+_TYPE = {
+    JointType.FIXED: "PhysicsFixedJoint",
+    JointType.REVOLUTE: "PhysicsRevoluteJoint",
+    JointType.CONTINUOUS: "PhysicsRevoluteJoint",
+    JointType.PRISMATIC: "PhysicsPrismaticJoint",
+}
+
+
+def define_anchor(scope: Sdf.PrimSpec, object_path: Sdf.Path, root_path: Sdf.Path) -> None:
+    """Weld a fixed object's root link to the world, at the object's prim, so that it moves along when that is moved.
+
+    Its name starts with a capital, as no joint of a scene does.
+    """
+    prim = define(scope, "Anchor", "PhysicsFixedJoint")
+    _frames(prim, object_path, root_path, Pose.of(), Pose.of())
+
+
+def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf.Path) -> None:
+    """Define ``joint`` between the links at ``parent`` and ``child``.
+
+    UsdPhysics counts angles in degrees and turns about a coordinate axis of the joint's frames: both frames are turned
+    so that the coordinate axis nearest to the scene's is that axis.
+    """
+    prim = define(scope, joint.name, _TYPE[joint.type])
+    token, X_CJ = joint_frame(joint.axis)
+    if joint.type is JointType.FIXED:
+        _frames(prim, parent, child, joint.X_PC, Pose.of())
+        return
+    _frames(prim, parent, child, joint.X_PC @ X_CJ, X_CJ)
+    attribute(prim, "physics:axis", "token", token, uniform=True)
+    attribute(prim, "simfoundry:type", "token", joint.type.value, uniform=True)
+    unit = 1.0 if joint.type is JointType.PRISMATIC else math.degrees(1.0)
+    if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
+        lower, upper = joint.limits
+        attribute(prim, "physics:lowerLimit", "float", rounded(lower * unit))
+        attribute(prim, "physics:upperLimit", "float", rounded(upper * unit))
+    _dynamics(prim, joint, unit)
+
+
+def joint_frame(axis: Array) -> tuple[str, Pose]:
+    """The coordinate axis (``X``, ``Y``, ``Z``) nearest to ``axis``, and the rotation that takes it onto ``axis``."""
+    k = int(np.argmax(np.abs(axis)))
+    unit = np.eye(3)[k]
+    cosine = float(unit @ axis)
+    if cosine < 0:  # half a turn about the next axis first, so that the rest is less than a quarter
+        half = np.concatenate([[0.0], np.eye(3)[(k + 1) % 3]])
+        flipped = Pose.of(q=half)
+        _, rest = joint_frame(flipped.inverse().apply(axis))
+        return "XYZ"[k], flipped @ rest
+    return "XYZ"[k], Pose.of(q=np.concatenate([[1.0 + cosine], np.cross(unit, axis)]))
+
+
+def _frames(prim: Sdf.PrimSpec, body0: Sdf.Path, body1: Sdf.Path, X_0J: Pose, X_1J: Pose) -> None:
+    relate(prim, "physics:body0", [body0])
+    relate(prim, "physics:body1", [body1])
+    for k, pose in enumerate([X_0J, X_1J]):
+        attribute(prim, f"physics:localPos{k}", "point3f", vec3f(pose.p))
+        attribute(prim, f"physics:localRot{k}", "quatf", quatf(pose.q))
+
+
+def _dynamics(prim: Sdf.PrimSpec, joint: Joint, unit: float) -> None:
+    """Damping, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
+
+    UsdPhysics has a place for the first only, a drive without stiffness, whose damping is per degree. The others are
+    PhysX's and Newton's attributes, in which torques [N m] and armatures [kg m^2] do not depend on the angle's unit.
+    """
+    kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
+    if joint.damping:
+        apply_schemas(prim, [f"PhysicsDriveAPI:{kind}"])
+        attribute(prim, f"drive:{kind}:physics:damping", "float", rounded(joint.damping / unit))
+        attribute(prim, f"drive:{kind}:physics:stiffness", "float", 0.0)
+        attribute(prim, f"drive:{kind}:physics:type", "token", "force", uniform=True)
+    if joint.friction or joint.armature:
+        apply_schemas(prim, ["PhysxJointAPI", f"PhysxJointAxisAPI:{kind}", "NewtonJointAPI"])
+        friction, armature = rounded(joint.friction), rounded(joint.armature)
+        attribute(prim, "newton:armature", "float", armature)
+        attribute(prim, "newton:friction", "float", friction)
+        attribute(prim, "physxJoint:armature", "float", armature)
+        attribute(prim, f"physxJointAxis:{kind}:armature", "float", armature)
+        attribute(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
+        attribute(prim, f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
+    position = rounded(joint.position * unit)
+    apply_schemas(prim, [f"PhysicsJointStateAPI:{kind}"])
+    attribute(prim, f"newton:{kind}:position", "float", position)
+    attribute(prim, f"state:{kind}:physics:position", "float", position)
+    attribute(prim, f"state:{kind}:physics:velocity", "float", 0.0)

@@ -1,0 +1,59 @@
+"""What a stage cannot hold exactly, for whom, and by how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.usd.bodies import is_static
+from simfoundry.backends.usd.materials import texture_of
+from simfoundry.scene.model import Collider, LightType, Mesh, Scene, SceneObject
+
+HULL_VERTICES = 64  # PhysX's limit of a convex hull
+
+
+def losses(scene: Scene) -> tuple[Loss, ...]:
+    """The losses of ``scene`` as a stage, in the order of the scene."""
+    return (*_contacts(scene), *(loss for item in scene.objects for loss in _object(item)), *_lights(scene))
+
+
+def _contacts(scene: Scene) -> Iterator[Loss]:
+    """Friction and restitution are exact only for readers that know PhysX's combine modes."""
+    colliders = [c for item in scene.objects for link in item.links for c in link.colliders]
+    for name in ("friction", "restitution"):
+        values = [float(getattr(collider, name)) for collider in colliders]
+        worst = max(values, key=lambda v: abs(math.sqrt(v) - v), default=0.0)
+        if math.sqrt(worst) != worst:
+            reason = (
+                f"written as the square root under PhysX's combine mode 'multiply', which makes the geometric mean; "
+                f"a reader of plain UsdPhysics that averages, as Newton, sees up to {math.sqrt(worst):.3g} for "
+                f"{worst:.3g} (load(own_{name}=True) in load.py gives it the surface's own value)"
+            )
+            yield Loss(name, Fidelity.APPROXIMATED, reason)
+
+
+def _object(item: SceneObject) -> Iterator[Loss]:
+    if is_static(item):
+        for joint in item.joints:
+            yield Loss(f"{item.name}.{joint.name}", Fidelity.DROPPED, "a joint in an object that cannot move")
+    for link in item.links:
+        for visual in link.visuals:
+            if isinstance(visual.geometry, Mesh) and visual.geometry.texture and texture_of(visual) is None:
+                reason = "the mesh has no texture coordinates"
+                yield Loss(f"{item.name}.{link.name}.{visual.name}.texture", Fidelity.DROPPED, reason)
+        for collider in link.colliders:
+            yield from _hull(f"{item.name}.{link.name}.{collider.name}", collider)
+
+
+def _hull(path: str, collider: Collider) -> Iterator[Loss]:
+    if isinstance(collider.geometry, Mesh) and len(collider.geometry.vertices) > HULL_VERTICES:
+        reason = f"PhysX keeps {HULL_VERTICES} of the hull's {len(collider.geometry.vertices)} vertices"
+        yield Loss(path, Fidelity.APPROXIMATED, reason)
+
+
+def _lights(scene: Scene) -> Iterator[Loss]:
+    for light in scene.lights:
+        if light.type is LightType.POINT:
+            reason = "its light falls off with the square of the distance, and has the stated intensity at 1 m"
+            yield Loss(f"{light.name}.intensity", Fidelity.APPROXIMATED, reason)

@@ -1,0 +1,104 @@
+"""What surfaces look like (UsdPreviewSurface) and how they touch (UsdPhysics and PhysX materials)."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.backends.artifact import number
+from simfoundry.backends.usd.prims import attribute, connect, define, rounded, vec3f
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import Collider, Mesh, Visual
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+
+def texture_of(visual: Visual) -> bytes | None:
+    """The texture that ``visual`` can show: that of a mesh which has texture coordinates."""
+    geometry = visual.geometry
+    return geometry.texture if isinstance(geometry, Mesh) and geometry.uv is not None else None
+
+
+def texture_path(texture: bytes) -> str:
+    """The path of a texture in the artifact, named by its content."""
+    return f"assets/{hashlib.sha256(texture).hexdigest()[:16]}.png"
+
+
+def visual_material(scope: Sdf.PrimSpec, visual: Visual) -> Sdf.Path:
+    """The material of ``visual``: equal looks share one, so the name comes from the content."""
+    texture = texture_of(visual)
+    path = "" if texture is None else texture_path(texture)
+    rgba = [rounded(v) for v in visual.rgba]
+    name = f"look_{hashlib.sha256(f'{path} {rgba}'.encode()).hexdigest()[:10]}"
+    if name not in scope.nameChildren:
+        _preview_material(define(scope, name, "Material"), np.array(rgba), path)
+    return scope.path.AppendChild(name)
+
+
+def linear_from_srgb(rgb: Array) -> Array:
+    """Scene-linear colour, which UsdPreviewSurface takes, of a colour as displayed (sRGB, as in MuJoCo and URDF)."""
+    return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def _preview_material(material: Sdf.PrimSpec, rgba: Array, texture: str) -> None:
+    surface = define(material, "Surface", "Shader")
+    attribute(surface, "info:id", "token", "UsdPreviewSurface", uniform=True)
+    attribute(surface, "inputs:metallic", "float", 0.0)
+    attribute(surface, "inputs:opacity", "float", rounded(rgba[3]))
+    attribute(surface, "inputs:roughness", "float", 0.5)
+    attribute(surface, "outputs:surface", "token", None)
+    color = linear_from_srgb(rgba[:3])
+    if texture:
+        image = _texture(material, color, texture)
+        connect(surface, "inputs:diffuseColor", "color3f", f"{image.path}.outputs:rgb")
+    else:
+        attribute(surface, "inputs:diffuseColor", "color3f", vec3f(color))
+    connect(material, "outputs:surface", "token", f"{surface.path}.outputs:surface")
+
+
+def _texture(material: Sdf.PrimSpec, color: Array, texture: str) -> Sdf.PrimSpec:
+    """The texture's shader, multiplied by ``color``, reading its coordinates from the primvar ``st``."""
+    from pxr import Gf, Sdf
+
+    reader = define(material, "Coordinates", "Shader")
+    attribute(reader, "info:id", "token", "UsdPrimvarReader_float2", uniform=True)
+    attribute(reader, "inputs:varname", "string", "st")
+    attribute(reader, "outputs:result", "float2", None)
+    image = define(material, "Texture", "Shader")
+    attribute(image, "info:id", "token", "UsdUVTexture", uniform=True)
+    attribute(image, "inputs:file", "asset", Sdf.AssetPath(f"./{texture}"))
+    attribute(image, "inputs:scale", "float4", Gf.Vec4f(*(rounded(v) for v in color), 1.0))
+    attribute(image, "inputs:sourceColorSpace", "token", "sRGB")
+    connect(image, "inputs:st", "float2", f"{reader.path}.outputs:result")
+    attribute(image, "inputs:wrapS", "token", "repeat")
+    attribute(image, "inputs:wrapT", "token", "repeat")
+    attribute(image, "outputs:rgb", "float3", None)
+    return image
+
+
+def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
+    """The contact material of ``collider``: √μ and √e under PhysX's ``multiply``, so that a pair has geometric means.
+
+    ``simfoundry:friction`` and ``simfoundry:restitution`` hold the surface's own coefficients.
+    """
+    friction, restitution = number(collider.friction), number(collider.restitution)
+    name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"
+    if name not in scope.nameChildren:
+        prim = define(scope, name, "Material", ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
+        root = rounded(math.sqrt(collider.friction))
+        attribute(prim, "physics:dynamicFriction", "float", root)
+        attribute(prim, "physics:restitution", "float", rounded(math.sqrt(collider.restitution)))
+        attribute(prim, "physics:staticFriction", "float", root)
+        attribute(prim, "physxMaterial:frictionCombineMode", "token", "multiply", uniform=True)
+        attribute(prim, "physxMaterial:restitutionCombineMode", "token", "multiply", uniform=True)
+        attribute(prim, "simfoundry:friction", "double", float(friction))
+        attribute(prim, "simfoundry:restitution", "double", float(restitution))
+    return scope.path.AppendChild(name)
+
+
+def _word(text: str) -> str:
+    return text.replace(".", "_").replace("-", "m").replace("+", "")

@@ -1,0 +1,91 @@
+"""The stage as a whole: what is where, and the files it consists of."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.names import check_names
+from simfoundry.backends.usd.bodies import Scopes, define_object
+from simfoundry.backends.usd.cameras import define_camera
+from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
+from simfoundry.backends.usd.lights import define_light
+from simfoundry.backends.usd.losses import losses
+from simfoundry.backends.usd.materials import texture_of, texture_path
+from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
+from simfoundry.scene.model import Mesh, Scene
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+
+def compile_usd(scene: Scene) -> Artifact:
+    """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
+
+    Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
+    ``Objects/<object>/Joints/<joint>``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
+    start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there twice, is an
+    :class:`~simfoundry.backends.names.InvalidSceneError`.
+    """
+    from pxr import Sdf
+
+    check_names(scene)
+    layer = Sdf.Layer.CreateAnonymous(".usda")
+    with Sdf.ChangeBlock():
+        _define_world(layer, scene)
+    loader = files("simfoundry.backends") / "templates" / "usd_load.py"
+    contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes(), **_assets(scene)}
+    return Artifact("usd", "scene.usda", contents, losses(scene))
+
+
+def _define_world(layer: Sdf.Layer, scene: Scene) -> None:
+    from pxr import Sdf, Vt
+
+    root = layer.pseudoRoot
+    root.SetInfo("kilogramsPerUnit", 1.0)
+    root.SetInfo("metersPerUnit", 1.0)
+    root.SetInfo("upAxis", "Z")
+    layer.defaultPrim = "World"
+    world = Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
+    world.SetInfo("kind", "assembly")
+    relations = Vt.StringArray([str(relation) for relation in scene.relations])
+    world.SetInfo("customData", {"simfoundry": {"name": scene.name, "relations": relations}})
+    _define_physics(world, scene)
+    objects = define(world, "Objects", "Xform")
+    objects.SetInfo("kind", "group")
+    scopes = Scopes(objects, define(world, "Looks", "Scope"), define(world, "Contacts", "Scope"))
+    for item in scene.objects:
+        define_object(scopes, item)
+    cameras = define(world, "Cameras", "Xform")
+    for camera in scene.cameras:
+        define_camera(cameras, camera)
+    lights = define(world, "Lights", "Xform")
+    for light in scene.lights:
+        define_light(lights, light)
+
+
+def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
+    """The physics scene; without gravity its direction still has to be a direction."""
+    prim = define(world, "Physics", "PhysicsScene")
+    magnitude = float(np.linalg.norm(scene.gravity))
+    direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
+    attribute(prim, "physics:gravityDirection", "vector3f", vec3f(direction))
+    attribute(prim, "physics:gravityMagnitude", "float", rounded(magnitude))
+
+
+def _assets(scene: Scene) -> dict[str, bytes]:
+    """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
+    meshes: dict[str, Mesh] = {}
+    contents: dict[str, bytes] = {}
+    for link in (link for item in scene.objects for link in item.links):
+        for geometry in [v.geometry for v in link.visuals] + [c.geometry for c in link.colliders]:
+            if isinstance(geometry, Mesh):
+                meshes.setdefault(mesh_path(geometry), geometry)
+        for texture in map(texture_of, link.visuals):
+            if texture is not None:
+                contents[texture_path(texture)] = texture
+    contents |= {path: mesh_layer(mesh) for path, mesh in meshes.items()}
+    return dict(sorted(contents.items()))
