@@ -1,0 +1,47 @@
+# Two commands are the whole set-up: `make demo` and `make test`. `make help` lists the others.
+
+PYTHON ?= python3
+WORKERS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format goldens schemas proofs lock hooks clean
+
+help: ## List the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
+
+# Set-up happens once, and again when the dependencies change. constraints.txt fixes every version.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	  echo "SimFoundry needs Python 3.11 or newer, and \`$(PYTHON)\` is $$($(PYTHON) --version 2>&1 | tail -n 1)."; \
+	  echo "Name another: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	@echo "Installing SimFoundry into $(VENV): once, about a minute ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, check each in its simulator
+	@$(BIN)/simfoundry demo
+
+test: $(READY) ## Run the tests
+	@$(BIN)/python -m pytest -n $(WORKERS)
+
+lint: $(READY) ## Check style, types and the import contract; changes nothing
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m simfoundry.spec.generated --check
+
+format: $(READY) ## Format the code and mend what can be mended by itself
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
+	$(BIN)/python -m simfoundry.spec.generated
+
+clean: ## Remove the environment, caches and build outputs
+	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find simfoundry tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,46 @@
+"""Files that are written from the models and checked in: ``python -m simfoundry.spec.generated [--check]``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from simfoundry.spec.reference import reference
+from simfoundry.spec.schema import schemas
+from simfoundry.spec.write import write_atomically
+
+
+def generated() -> dict[str, str]:
+    """Path from the root of the repository to text, of every generated file."""
+    files = {f"schemas/{name}": text for name, text in schemas().items()}
+    return {**files, "docs/reference.md": reference()}
+
+
+def stale(root: Path) -> list[str]:
+    """The generated files below ``root`` that are missing or differ from what the models say."""
+    return [path for path, text in generated().items() if not _holds(root / path, text)]
+
+
+def _holds(path: Path, text: str) -> bool:
+    return path.is_file() and path.read_bytes() == text.encode()
+
+
+def main(arguments: list[str]) -> int:
+    """Write what is stale; with ``--check``, only say so. Returns the exit status."""
+    root = Path.cwd()
+    if not (root / "schemas").is_dir():
+        print("run this in the root of the repository: there is no folder `schemas` here", file=sys.stderr)
+        return 2
+    differing = stale(root)
+    if "--check" in arguments:
+        for path in differing:
+            print(f"{path} is not what the models say; run `make schemas`", file=sys.stderr)
+        return 1 if differing else 0
+    for path in differing:
+        write_atomically(root / path, generated()[path].encode())
+        print(f"wrote {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
