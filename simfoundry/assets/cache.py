@@ -7,7 +7,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.spec.files import write_atomically
+from simfoundry.files import write_atomically
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from simfoundry.spec.files import replace_folder
+from simfoundry.files import replace_folder
 
 
 class Fidelity(StrEnum):

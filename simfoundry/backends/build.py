@@ -8,8 +8,8 @@ from pathlib import Path
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
+from simfoundry.files import write_atomically
 from simfoundry.scene.model import Scene
-from simfoundry.spec.files import write_atomically
 
 
 def build(scene: Scene, targets: Iterable[str], out: Path) -> list[Artifact]:

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
-from simfoundry.backends.geometry_files import has_texture, obj_with_material, texture_name
 from simfoundry.backends.names import check_names
 from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
     Box,
     Capsule,

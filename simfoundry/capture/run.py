@@ -17,12 +17,12 @@ from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct
+from simfoundry.files import replace_folder
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.files import replace_folder
 from simfoundry.spec.load import Loaded, load_capture, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_yaml

@@ -1,4 +1,4 @@
-"""A recovered scene against the true one, by the measures of the paper: position, size, Chamfer distance, F1 at 1 cm."""
+"""A recovered scene against the true one by the paper's measures: position, size, Chamfer distance, F1 at 1 cm."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from typing import Any, ParamSpec
 
 import click
 
+from simfoundry.errors import MissingEngineError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, render
 
 P = ParamSpec("P")
@@ -31,8 +32,6 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
 
     @wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
-        from simfoundry.worlds.base import MissingEngineError
-
         try:
             return command(*args, **kwargs) or DONE
         except SpecError as error:

@@ -30,7 +30,7 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_j
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
     from simfoundry.worlds.compare import save_png
-    from simfoundry.worlds.render import render
+    from simfoundry.worlds.render import choose_engine, render
 
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)
@@ -41,10 +41,10 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_j
     name = camera or loaded.spec.viewpoint or next(iter(cameras))
     if name not in cameras:
         raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
-    picture = render(lowered, cameras[name], engine=engine)
+    chosen = choose_engine(engine)
     target = out or Path(f"{lowered.name}-{name}.png")
-    save_png(target, picture.image)
+    save_png(target, render(lowered, cameras[name], engine=chosen))
     if as_json:
-        print_json({"out": str(target), "camera": name, "engine": picture.engine})
+        print_json({"out": str(target), "camera": name, "engine": chosen.value})
     else:
-        click.echo(f"{target}  ({name}, {cameras[name].width} x {cameras[name].height}, {picture.engine})")
+        click.echo(f"{target}  ({name}, {cameras[name].width} x {cameras[name].height}, {chosen})")

@@ -15,7 +15,7 @@ from simfoundry.cli.output import reporting
 @reporting
 def command(kind: str | None, out: Path | None) -> None:
     """Print the JSON Schema of a kind of document, or write all of them with -o."""
-    from simfoundry.spec.files import write_atomically
+    from simfoundry.files import write_atomically
     from simfoundry.spec.schema import schemas
 
     texts = schemas()

@@ -22,9 +22,9 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
     1 where an object fails: it moved, tilted, penetrates, lost its support or never came to rest.
     """
     from simfoundry.assets.cache import Cache
+    from simfoundry.files import write_atomically
     from simfoundry.scene.lower import lower
     from simfoundry.scene.poses import with_poses
-    from simfoundry.spec.files import write_atomically
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
     from simfoundry.spec.write import to_yaml

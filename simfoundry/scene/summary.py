@@ -14,7 +14,7 @@ from simfoundry.spec.scene import SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
-    """Plain facts: per object its size [m], mass [kg] and doubt, position [m], colliders, joints, and what carries it."""
+    """Plain facts: of each object its size [m], mass [kg] and doubt, position [m], joints, and what carries it."""
     carried_by = {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
     objects = {o.name: _object(o, spec, carried_by.get(o.name)) for o in scene.objects}
     cameras = {c.name: {"size": [c.width, c.height]} for c in scene.cameras}
@@ -39,8 +39,7 @@ def tree(facts: dict[str, Any]) -> str:
         shown.add(name)
         lines.append(f"{prefix}{'└─ ' if last else '├─ '}{_line(name, objects[name])}")
         below = f"{prefix}{'   ' if last else '│  '}"
-        for joint in objects[name]["joints"]:
-            lines.append(f"{below}   ~ {joint}")
+        lines.extend(f"{below}   ~ {joint}" for joint in objects[name]["joints"])
         inside = children.get(name, [])
         for k, child in enumerate(inside):
             branch(child, below, k == len(inside) - 1)
@@ -92,8 +91,8 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
     poses = link_poses(item)
     points = []
     for link in item.links:
-        for part in link.colliders or link.visuals:
-            points.append((poses[link.name] @ part.X_LG).apply(_extreme_points(part.geometry)))
+        X_OL = poses[link.name]
+        points += [(X_OL @ part.X_LG).apply(_extreme_points(part.geometry)) for part in link.colliders or link.visuals]
     if not points:
         return np.zeros(3), np.zeros(3)
     every = np.concatenate(points)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from simfoundry.files import write_atomically
 from simfoundry.spec.reference import reference
 from simfoundry.spec.schema import schemas
-from simfoundry.spec.write import write_atomically
 
 
 def generated() -> dict[str, str]:

@@ -15,10 +15,6 @@ CONTACT_GAP = 1e-3
 """Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
 
 
-class MissingEngineError(RuntimeError):
-    """A simulator that is not installed; the message says how to install it."""
-
-
 @dataclass(frozen=True, eq=False)
 class Contact:
     """One point where two objects touch.
@@ -85,6 +81,10 @@ class World(Protocol):
 
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
+        ...
+
+    def halt(self) -> None:
+        """Set every velocity to zero; poses and positions stay."""
         ...
 
     def state(self) -> SceneState:

@@ -52,9 +52,9 @@ def examine() -> list[Part]:
         remedy = PYBULLET_REMEDY if name == "pybullet" else f"pip install {name}"
         parts.append(Part(name, _version(name), required, purpose, remedy))
     if sys.platform.startswith("linux"):
-        from simfoundry.worlds.render import available_engines
+        from simfoundry.worlds.render import working_drivers
 
-        drivers = [e for e in available_engines() if e != "raycast"]
+        drivers = working_drivers()
         parts.append(Part("offscreen GL", " ".join(drivers), False, "MuJoCo's renderer", GL_REMEDY))
     return parts
 

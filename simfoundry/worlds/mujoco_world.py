@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, MissingEngineError, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
 
 if TYPE_CHECKING:
     import mujoco
@@ -62,6 +63,10 @@ class MujocoWorld:
         """Advance ``n`` steps."""
         if n > 0:
             self._mujoco.mj_step(self.model, self.data, nstep=n)
+
+    def halt(self) -> None:
+        """Set every velocity to zero; poses and positions stay."""
+        self.data.qvel[:] = 0.0
 
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""

@@ -16,10 +16,12 @@ from typing import Any, Self
 import numpy as np
 
 from simfoundry.backends.pybullet import compile_pybullet
+from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, MissingEngineError, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.doctor import PYBULLET_REMEDY
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -86,6 +88,13 @@ class PybulletWorld:
         """Advance ``n`` steps."""
         for _ in range(n):
             self._call("stepSimulation")
+
+    def halt(self) -> None:
+        """Set every velocity to zero; poses and positions stay."""
+        for body in self.bodies.values():
+            self._call("resetBaseVelocity", body, [0, 0, 0], [0, 0, 0])
+        for at in self._joints.values():
+            self._call("resetJointState", *at, self._call("getJointState", *at)[0], 0.0)
 
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""
@@ -170,7 +179,7 @@ def _import_pybullet() -> ModuleType:
     try:
         import pybullet
     except ImportError as error:
-        raise MissingEngineError("PyBullet is not installed; install it with `pip install pybullet`") from error
+        raise MissingEngineError(f"PyBullet is not installed; {PYBULLET_REMEDY}") from error
     module: ModuleType = pybullet
     return module
 

@@ -87,6 +87,11 @@ def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
     return wanted
 
 
+def working_drivers() -> list[str]:
+    """The GL drivers that MuJoCo can draw with here."""
+    return [engine.value for engine in (Engine.EGL, Engine.OSMESA) if _obstacle(engine) is None]
+
+
 def _obstacle(engine: Engine) -> str | None:
     """Why MuJoCo cannot draw with this driver in this process, or None if it can."""
     platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()

@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from simfoundry.worlds.base import Contact, World
 
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
+from simfoundry.worlds.base import Contact, World
 
 Progress = Callable[[str, float], None]
 
@@ -92,7 +92,6 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     """Settle the scene of a world from its own poses. The world is left in the settled state."""
     options = options or SettleOptions()
     world.reset()
-    world.step(0)
     before, contacts_before = world.state(), world.contacts()
     _quasi_static(world, options, progress)
     at_rest = _dynamic(world, options, progress)

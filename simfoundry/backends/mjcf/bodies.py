@@ -7,10 +7,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.geometry_files import has_texture
 from simfoundry.backends.mjcf.contacts import solref
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.scene.frames import Pose
+from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import (
     Box,
     Capsule,

@@ -1,4 +1,4 @@
-"""Meshes and textures as files, named by their content, so that what is equal is written once."""
+"""Meshes and textures as files; named by their content, what is equal is written once."""
 
 from __future__ import annotations
 
@@ -41,11 +41,14 @@ def has_texture(mesh: Mesh) -> bool:
     return mesh.texture is not None and mesh.uv is not None
 
 
-def obj_with_material(mesh: Mesh) -> dict[str, bytes]:
-    """OBJ, and MTL and PNG where there is a texture, by file name; the OBJ comes first."""
-    digest = mesh.digest
+def obj_with_material(mesh: Mesh, name: str = "") -> dict[str, bytes]:
+    """OBJ, and MTL and PNG where there is a texture, by file name; the OBJ comes first.
+
+    The files are called ``name``; without one, mesh and texture are named by their content.
+    """
+    digest = name or mesh.digest
     if mesh.texture is None or mesh.uv is None:
         return {f"{digest}.obj": obj_bytes(mesh)}
-    png = texture_name(mesh.texture)
+    png = f"{name}.png" if name else texture_name(mesh.texture)
     material = f"newmtl skin\nKd 1 1 1\nKs 0 0 0\nd 1\nillum 1\nmap_Kd {png}\n"
     return {f"{digest}.obj": obj_bytes(mesh, f"{digest}.mtl"), f"{digest}.mtl": material.encode(), png: mesh.texture}
