@@ -59,7 +59,10 @@ def mesh_path(mesh: Mesh) -> str:
 
 
 def mesh_layer(mesh: Mesh) -> bytes:
-    """A layer whose default prim is the mesh, in single precision, with texture coordinates where it has them."""
+    """A layer whose default prim is the mesh, in single precision, with texture coordinates where it has them.
+
+    Text, although a crate would be a third of the size: every release of USD reads it, and writes the same bytes.
+    """
     from pxr import Sdf, Vt
 
     layer = Sdf.Layer.CreateAnonymous(".usda")
