@@ -42,6 +42,15 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
 
+lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
+	@$(PYTHON) -m venv build/lock
+	@build/lock/bin/python -m pip install --quiet --disable-pip-version-check uv
+	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --no-annotate \
+	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file constraints.txt pyproject.toml
+
+hooks: $(READY) ## Run the checks at each commit
+	$(BIN)/pre-commit install
+
 clean: ## Remove the environment, caches and build outputs
 	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find simfoundry tests -name __pycache__ -type d -prune -exec rm -rf {} +
