@@ -6,10 +6,13 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from simfoundry.backends import compile_scene
+from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.backends.artifact import Artifact
 from simfoundry.files import write_atomically
 from simfoundry.scene.model import Scene
+
+
+TARGETS = tuple(sorted(BACKENDS))
 
 
 def build(scene: Scene, targets: Iterable[str], out: Path) -> list[Artifact]:

@@ -1,0 +1,85 @@
+"""The whole flow on one capture: reconstruct, settle, compile for every target, run, compare with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from simfoundry.assets.cache import Cache
+from simfoundry.capture.run import CaptureRun, run_capture
+from simfoundry.capture.truth import Comparison, compare
+from simfoundry.errors import MissingEngineError
+from simfoundry.scene.lower import lower_file
+from simfoundry.scene.model import Scene
+from simfoundry.spec.capture import CaptureSpec
+from simfoundry.spec.load import load_capture
+from simfoundry.worlds import ENGINES, open_world
+from simfoundry.worlds.build import TARGETS, build
+from simfoundry.worlds.rest import Motion, simulate
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Demo:
+    """What the flow gave: the capture's run, entry file by target, motion by engine (or why it did not run), truth."""
+
+    run: CaptureRun
+    worlds: dict[str, Path]
+    motions: dict[str, list[Motion] | str]
+    comparison: list[Comparison]
+    picture: Path
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        return {
+            "scene": str(self.run.scene_file),
+            "picture": str(self.picture),
+            "report": self.run.report,
+            "worlds": {k: str(v) for k, v in self.worlds.items()},
+            "motions": {k: v if isinstance(v, str) else [asdict(m) for m in v] for k, v in self.motions.items()},
+            "truth": [c.to_json() for c in self.comparison],
+        }
+
+
+def own_capture() -> Path | None:
+    """The project's own capture: beside the package in a checkout, inside it where it is installed."""
+    package = Path(__file__).parent.parent
+    places = (package.parent / "specs/captures/desk", package / "data/captures/desk")
+    return next((p for p in places if (p / "capture.yaml").is_file()), None)
+
+
+def run_demo(capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None) -> Demo:
+    """Run the whole flow into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for a capture that cannot."""
+    report = progress or (lambda stage, share: None)
+    run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), Cache.default())
+    scene = lower_file(run.scene_file, Cache.default())
+    report("compile", 0.75)
+    artifacts = build(scene, TARGETS, out / "worlds")
+    motions: dict[str, list[Motion] | str] = {}
+    for k, engine in enumerate(ENGINES):
+        report(f"run in {engine}", 0.8 + 0.1 * k)
+        motions[engine] = _motions(scene, engine)
+    worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
+    return Demo(run, worlds, motions, _truth(capture, scene), out / "scene" / "compare.png")
+
+
+def _motions(scene: Scene, engine: str) -> list[Motion] | str:
+    try:
+        with open_world(scene, engine) as world:
+            return simulate(world)
+    except MissingEngineError as error:
+        return f"did not run: {error}"
+
+
+def _truth(capture: Path, scene: Scene) -> list[Comparison]:
+    """The comparison with the true scene, where the capture names one."""
+    loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
+    assert isinstance(loaded.spec, CaptureSpec)
+    if loaded.spec.truth is None:
+        return []
+    truth = lower_file(loaded.file(loaded.spec.truth), Cache.default())
+    camera = next((c for c in truth.cameras if c.name in loaded.spec.frames), None)
+    return [] if camera is None else compare(truth, camera, scene, scene.cameras[0])

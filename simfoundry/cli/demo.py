@@ -1,0 +1,67 @@
+"""``simfoundry demo``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from simfoundry.cli.output import CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.settle import settle_table
+
+
+@click.command()
+@click.argument("capture", type=click.Path(path_type=Path, exists=True), required=False)
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/demo"), show_default=True)
+@click.option("--frame", help="The frame to reconstruct; default: the first.")
+@json_option
+@reporting
+def command(capture: Path | None, out: Path, frame: str | None, as_json: bool) -> None:
+    """Capture, compile and run: from one picture to four simulators.
+
+    CAPTURE is a folder with capture.yaml; without it, the project's own desk, for which the truth is known.
+    """
+    from simfoundry.capture.demo import own_capture, run_demo
+
+    folder = capture or own_capture()
+    if folder is None:
+        raise CannotError("the project's own capture is not installed here; give a capture folder")
+    with progress_bar(as_json) as progress:
+        demo = run_demo(folder, out, frame, progress)
+    if as_json:
+        print_json(demo.to_json())
+        return
+    click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
+    click.echo(settle_table(demo.run.settled.to_json()["objects"]))
+    if demo.comparison:
+        click.echo("\nrecovered against true values")
+        click.echo(_truth_table([c.to_json() for c in demo.comparison]))
+    click.echo("\nwhat 2 s of simulation move")
+    for engine, motions in demo.motions.items():
+        if isinstance(motions, str):
+            click.echo(f"{engine:<9} {motions}")
+        else:
+            worst = max(motions, key=lambda m: m.moved)
+            turned = max(m.turned_deg for m in motions)
+            click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
+    click.echo("\ncompiled")
+    for target, path in demo.worlds.items():
+        click.echo(f"{target:<9} {path}")
+    click.echo(f"\nscene     {demo.run.scene_file}\npicture   {demo.picture}")
+
+
+def _truth_table(rows: list[dict[str, Any]]) -> str:
+    lines = [f"{'true':<10}{'recovered as':<16}{'position':>9}  {'size, true -> recovered [cm]':<36}{'mass [kg]':<16}{'F1@1cm':>6}"]
+    for r in rows:
+        if not r["recovered"]:
+            lines.append(f"{r['name']:<10}not found")
+            continue
+        sizes = f"{_cm(r['size_true'])} -> {_cm(r['size'])}"
+        masses = f"{r['mass_true']:.2g} -> {r['mass']:.2g}"
+        lines.append(f"{r['name']:<10}{r['recovered']:<16}{r['position'] * 1000:>6.1f} mm  {sizes:<36}{masses:<16}{r['f1']:>6.2f}")
+    return "\n".join(lines)
+
+
+def _cm(size: list[float]) -> str:
+    return " ".join(f"{100 * v:.1f}" for v in size)
