@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.merge import compact, join_hidden, join_hanging, merge_smooth, renamed
+from simfoundry.capture.hidden import fill_bottoms, join_containers, join_hidden
+from simfoundry.capture.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
 from simfoundry.capture.noise import depth_sigma, valid_depth
-from simfoundry.capture.regions import Labels, Relief, cut, flood, relief_of
+from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, relief_of
 from simfoundry.capture.stacking import below, carriers, parts_of
 from simfoundry.scene.frames import Array
 
 LOWEST = 0.006  # [m] above the support, below which nothing is told from it
 TALLEST = 0.6  # [m]
 MARGIN = 0.03  # [m] that an object may stick out over the seen outline
+EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the support appear
 SMALLEST = 1.5e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
@@ -63,7 +65,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
     """The capture's own masks, without specks and without what is not on the support."""
     import cv2
 
-    on_it = _within(support.outline, points_W[..., :2]) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    on_it = _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
     out = np.zeros(instances.shape, np.int32)
     for k in np.unique(instances[instances > 0]):
         mask = instances == k
@@ -89,10 +91,11 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
     regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
     regions = merge_smooth(regions, scene.depth, reach)
     regions = _without_specks(regions, scene)
+    regions = join_containers(regions, scene.depth, scene.points_W, reach)
     regions = join_hidden(regions, scene.depth, scene.points_W, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)
-    regions = _without_strangers(regions, scene)
+    regions = fill_bottoms(_without_strangers(regions, scene, support.outline), scene.points_W)
     labels[scene.window] = regions
     return labels
 
@@ -100,7 +103,7 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
 def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene | None:
     """Crop to what stands on the support; None if nothing does."""
     height = points_W[..., 2]
-    near = _within(support.outline, points_W[..., :2]) & (height > -0.02) & (height < TALLEST)
+    near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
     high = near & (height > np.maximum(LOWEST, depth_sigma(depth)))
     if high.sum() < FEWEST_PIXELS:
         return None
@@ -121,16 +124,17 @@ def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:
     return slice(max(0, int(used[0]) - pad), min(size, int(used[-1]) + pad + 1))
 
 
-def _within(outline: Array, xy: Array) -> NDArray[np.bool_]:
-    """Whether world points, shape (..., 2) [m], lie on the support or up to ``MARGIN`` beside it; False for NaN."""
+def _within(outline: Array, xy: Array, margin: float) -> NDArray[np.bool_]:
+    """Whether world points, shape (..., 2) [m], lie on the support or up to ``margin`` [m] beside it; False for NaN."""
     import cv2
 
     cell = 0.005
-    corner = outline.min(axis=0) - 2 * MARGIN
-    columns, rows = (np.ceil((np.ptp(outline, axis=0) + 4 * MARGIN) / cell).astype(int) + 1).tolist()
+    corner = outline.min(axis=0) - 2 * abs(margin)
+    columns, rows = (np.ceil((np.ptp(outline, axis=0) + 4 * abs(margin)) / cell).astype(int) + 1).tolist()
     plan = cv2.fillPoly(np.zeros((rows, columns), np.uint8), [np.round((outline - corner) / cell).astype(np.int32)], 1)
-    size = 2 * round(MARGIN / cell) + 1
-    plan = cv2.dilate(plan, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+    size = 2 * round(abs(margin) / cell) + 1
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    plan = cv2.dilate(plan, disk) if margin > 0 else cv2.erode(plan, disk)
     index = np.round((np.nan_to_num(xy, nan=-1e6) - corner) / cell)
     inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)
     index = np.where(inside[..., None], index, 0).astype(int)
@@ -148,15 +152,18 @@ def _without_specks(labels: Labels, scene: _Scene) -> Labels:
     return compact(flood(np.where(keep[labels], labels, 0).astype(np.int32), labels > 0, scene.relief.edge))
 
 
-def _without_strangers(labels: Labels, scene: _Scene) -> Labels:
-    """Drop what nothing carries though its foot would be seen, or though the picture's border cuts it off."""
+def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
+    """Drop what does not stand on the support: the wall at its end, a chair behind it, what hangs over it."""
     parts = parts_of(labels, scene.points_W, scene.depth, scene.K)
     on = carriers(parts)
     hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
+    graph = borders(labels, scene.depth, scene.relief.reach).values()
+    touched = {k for b in graph if abs(b.jump) < TOUCHING for k in (b.a, b.b)}
     parent = {}
     for part in parts:
-        if part.is_grounded or on[part.label]:
-            continue
-        if part.bottom > 0.05 and hidden[part.label] < 0.3:
-            parent[part.label] = 0
+        k = part.label
+        beside = _within(outline, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
+        floats = not part.is_grounded and not on[k] and part.bottom > 0.05
+        if (beside and not on[k]) or (floats and hidden[k] < 0.3 and k not in touched):
+            parent[k] = 0
     return renamed(labels, parent)

@@ -11,6 +11,7 @@ from simfoundry.capture.stacking import below, carriers, parts_of
 from simfoundry.scene.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
+TOUCHING = 3.0  # jump along a border up to which two regions may touch
 FEW_PAIRS = 60  # a shorter border says nothing
 
 
@@ -67,63 +68,6 @@ def compact(labels: np.ndarray) -> Labels:
     return table[labels]
 
 
-def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
-    """Join regions that lie in one plane and are parted by something in front of both."""
-    graph = borders(labels, depth, reach)
-    behind: dict[int, set[int]] = {}
-    for border in graph.values():
-        if abs(border.jump) > EDGE and abs(border.jump) > border.bend:
-            front, back = (border.b, border.a) if border.jump > 0 else (border.a, border.b)
-            behind.setdefault(front, set()).add(back)
-    count = int(labels.max())
-    points = {k: _thinned(points_W[labels == k]) for k in range(1, count + 1)}
-    parent: dict[int, int] = {}
-    for front in sorted(behind):
-        backs = sorted(behind[front])
-        for i, a in enumerate(backs):
-            for b in backs[i + 1 :]:
-                low, high = sorted((_root(parent, a), _root(parent, b)))
-                if low != high and (low, high) not in graph and _one_plane(points[a], points[b]):
-                    parent[high] = low
-    return renamed(labels, parent)
-
-
-def _root(parent: dict[int, int], k: int) -> int:
-    while k in parent:
-        k = parent[k]
-    return k
-
-
-def _thinned(points: Array) -> Array:
-    return points[:: max(1, len(points) // 1500)]
-
-
-def _one_plane(a: Array, b: Array) -> bool:
-    """Whether the main face of each of two point sets [m] goes on in the other, and is not level (tops are alike)."""
-    if min(len(a), len(b)) < 30:
-        return False
-    share = []
-    for one, other in ((a, b), (b, a)):
-        center, normal = main_plane(one)
-        if abs(normal[2]) > 0.9:
-            return False
-        share.append(float(np.mean(np.abs((other - center) @ normal) < 0.008)))
-    return min(share) > 0.5
-
-
-def main_plane(points: Array) -> tuple[Array, Array]:
-    """Centre and normal of the plane through most of ``points`` [m], shape (n, 3)."""
-    rng = np.random.default_rng(0)
-    triples = points[rng.integers(len(points), size=(200, 3))]
-    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12
-    offsets = np.einsum("ij,ij->i", normals, triples[:, 0])
-    best = int(np.argmax((np.abs(points @ normals.T - offsets) < 0.005).sum(axis=0)))
-    inliers = points[np.abs(points @ normals[best] - offsets[best]) < 0.006]
-    center = inliers.mean(axis=0)
-    return center, np.linalg.eigh(np.cov((inliers - center).T))[1][:, 0]
-
-
 def join_hanging(labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int) -> Labels:
     """Join what hangs in the air, like the handle of a mug, to what it touches most."""
     parts = parts_of(labels, points_W, depth, K)
@@ -133,10 +77,27 @@ def join_hanging(labels: Labels, depth: Array, K: Array, points_W: Array, down: 
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         if part.is_grounded or on[part.label] or hidden[part.label] > 0.5:
             continue
-        touching = [b for b in graph.values() if part.label in (b.a, b.b) and abs(b.jump) < 3.0]
+        # A handle is far smaller than its mug, and no farther off than its rim is wide.
+        size = {p.label: p.area for p in parts}
+        touching = [
+            b
+            for b in graph.values()
+            if part.label in (b.a, b.b) and abs(b.jump) < TOUCHING and part.area < 0.35 * size[_other(b, part.label)]
+        ]
         if touching:
             most = max(touching, key=lambda b: b.pairs)
-            other = _root(parent, most.a if most.b == part.label else most.b)
+            other = root(parent, _other(most, part.label))
             if other != part.label:
                 parent[part.label] = other
     return renamed(labels, parent)
+
+
+def _other(border: Border, label: int) -> int:
+    return border.a if border.b == label else border.b
+
+
+def root(parent: dict[int, int], k: int) -> int:
+    """What ``k`` has become after all joins."""
+    while k in parent:
+        k = parent[k]
+    return k
