@@ -13,13 +13,17 @@ from simfoundry.capture.hidden import fill_bottoms, join_containers, join_hidden
 from simfoundry.capture.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
 from simfoundry.capture.noise import depth_sigma, valid_depth
 from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, relief_of
-from simfoundry.capture.stacking import below, carriers, parts_of
+from simfoundry.capture.stacking import below, carriers, parts_of, sinking
 from simfoundry.scene.frames import Array
 
 LOWEST = 0.006  # [m] above the support, below which nothing is told from it
 TALLEST = 0.6  # [m]
 MARGIN = 0.03  # [m] that an object may stick out over the seen outline
 EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the support appear
+LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
+BORDER_BAND = 0.025  # of the picture's shorter side
+LOW = 0.02  # [m] the highest that an error of the sensor rises
+WORKING_WIDTH = 640  # [px]
 SMALLEST = 1.5e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
@@ -29,6 +33,7 @@ class _Scene:
     """The part of the picture around what stands on the support; all of shape (h, w, ...) of the ``window``."""
 
     window: tuple[slice, slice]
+    whole: tuple[int, int]
     depth: Array
     K: Array
     points_W: Array
@@ -82,10 +87,23 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
 
 
 def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
-    scene = _scene(depth, K, points_W, support)
-    labels = np.zeros(depth.shape, np.int32)
-    if scene is None:
-        return labels
+    """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
+    step = max(1, round(depth.shape[1] / WORKING_WIDTH))
+    small = np.array(K, dtype=np.float64)
+    small[:2] /= step
+    coarse = np.zeros(depth[::step, ::step].shape, np.int32)
+    scene = _scene(depth[::step, ::step], small, points_W[::step, ::step], support)
+    if scene is not None:
+        coarse[scene.window] = _instances(scene, support)
+    if step == 1:
+        return coarse
+    labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
+    labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
+    return np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
+
+
+def _instances(scene: _Scene, support: Support) -> Labels:
+    """The passes, in order: regions, what is smooth across, what is one by shape, what cannot be alone, what is left."""
     reach = scene.relief.reach
     regions = cut(scene.mask, scene.relief)
     regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
@@ -95,9 +113,8 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
     regions = join_hidden(regions, scene.depth, scene.points_W, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)
-    regions = fill_bottoms(_without_strangers(regions, scene, support.outline), scene.points_W)
-    labels[scene.window] = regions
-    return labels
+    regions = _without_strangers(regions, scene, support.outline)
+    return fill_bottoms(regions, scene.points_W)
 
 
 def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene | None:
@@ -117,7 +134,7 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     gravity = support.X_WC.rotation.T @ np.array([0.0, 0.0, -1.0])
     # How the picture moves when a point at the optical axis falls.
     down = gravity[:2] / max(1e-9, float(np.linalg.norm(gravity[:2])))
-    return _Scene(window, depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1])))
+    return _Scene(window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1])))
 
 
 def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:
@@ -157,13 +174,46 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
     parts = parts_of(labels, scene.points_W, scene.depth, scene.K)
     on = carriers(parts)
     hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
+    sunk = sinking(labels, scene.points_W, scene.down, scene.relief.reach)
     graph = borders(labels, scene.depth, scene.relief.reach).values()
     touched = {k for b in graph if abs(b.jump) < TOUCHING for k in (b.a, b.b)}
     parent = {}
     for part in parts:
         k = part.label
         beside = _within(outline, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
-        floats = not part.is_grounded and not on[k] and part.bottom > 0.05
-        if (beside and not on[k]) or (floats and hidden[k] < 0.3 and k not in touched):
+        floats = not part.is_grounded and not on[k]
+        seen_past = floats and part.bottom > 0.05 and hidden[k] < 0.3 and k not in touched
+        along_border = _on_border(labels == k, scene)
+        if (
+            (beside and not on[k])
+            or seen_past
+            or along_border > LONG_BORDER
+            or (along_border > 0 and floats and k not in touched)
+            or sunk[k] > 0.3
+            or _is_warp(labels == k, part.top, scene)
+        ):
             parent[k] = 0
     return renamed(labels, parent)
+
+
+def _on_border(mask: NDArray[np.bool_], scene: _Scene) -> float:
+    """How much of the whole picture's border the region takes, as a share of the picture's shorter side."""
+    rows, columns = scene.window
+    h, w = scene.whole
+    band = round(BORDER_BAND * min(h, w))  # sensors often leave the outermost pixels empty
+    top, left = band - rows.start, band - columns.start
+    bottom, right = h - band - rows.start, w - band - columns.start
+    length = int(mask[: max(0, top)].any(axis=0).sum()) + int(mask[max(0, bottom) :].any(axis=0).sum())
+    length += int(mask[:, : max(0, left)].any(axis=1).sum()) + int(mask[:, max(0, right) :].any(axis=1).sum())
+    return length / min(h, w)
+
+
+def _is_warp(mask: NDArray[np.bool_], top: float, scene: _Scene) -> bool:
+    """Whether a low region fades into the support without an edge: an error of the sensor, not a thing."""
+    import cv2
+
+    if top > LOW:
+        return False
+    rim = (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & ~mask
+    edge = scene.relief.edge[rim & np.isfinite(scene.depth)]
+    return len(edge) > 0 and float(np.mean(edge)) < 0.8

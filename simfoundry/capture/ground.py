@@ -12,9 +12,11 @@ from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.noise import depth_sigma, valid_depth
 from simfoundry.capture.outline import Plan, plan_of, polygon_of
 from simfoundry.capture.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
+from simfoundry.capture.relief import normals_of, tangents
 from simfoundry.scene.frames import Array, Pose
 
 TALLEST = 0.5  # [m] above a plane, what still counts as standing on it
+CROSSING = 0.6  # cosine of the angle between surface and plane from which on it crosses rather than joins
 SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
 
 
@@ -81,7 +83,15 @@ def _measured(frame: Frame, rough: _Surface) -> Support:
 
 
 def _on_plane(frame: Frame, plane: Plane) -> NDArray[np.bool_]:
-    return np.asarray(np.abs(plane.height(frame.points)) < TOLERANCE * depth_sigma(frame.depth))
+    """Pixels within the noise of the plane, except where a surface clearly crosses it, as the back of a chair does."""
+    import cv2
+
+    radius = max(2, round(frame.depth.shape[1] / 160))
+    with np.errstate(invalid="ignore"):
+        normals = normals_of(tangents(frame.depth, radius, 1 + (radius - 1) // 3), frame.K)
+    dense = cv2.blur(np.isfinite(frame.depth).astype(np.float32), (2 * radius + 1, 2 * radius + 1)) > 0.9
+    crossing = dense & (np.abs(normals @ plane.normal) < CROSSING)
+    return np.asarray((np.abs(plane.height(frame.points)) < TOLERANCE * depth_sigma(frame.depth)) & ~crossing)
 
 
 def world_on(plane: Plane) -> Pose:

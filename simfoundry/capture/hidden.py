@@ -8,7 +8,9 @@ from simfoundry.capture.merge import EDGE, renamed, root
 from simfoundry.capture.regions import Labels, borders
 from simfoundry.scene.frames import Array
 
-IN_PLANE = 0.007  # [m]
+IN_PLANE = 0.006  # [m]
+SAME_TOP = 0.012  # [m]
+WIDEST = 0.25  # [m] radius of a container
 RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
 
 
@@ -68,6 +70,8 @@ def one_box(a: Array, b: Array) -> bool:
     """Whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
     if min(len(a), len(b)) < 30:
         return False
+    if abs(np.quantile(a[:, 2], 0.98) - np.quantile(b[:, 2], 0.98)) > SAME_TOP:
+        return False
     both = np.concatenate([a, b])
     upright = _main_plane(both, level=False)
     if upright is not None and min(_share(a, upright), _share(b, upright)) > 0.4:
@@ -76,7 +80,7 @@ def one_box(a: Array, b: Array) -> bool:
     if top is None or min(_share(a, top), _share(b, top)) < 0.4:
         return False
     widths = [_short_side(p[_distance(p, top) < IN_PLANE]) for p in (a, b, both)]
-    return widths[2] < 1.25 * max(widths[:2]) + 0.005
+    return widths[2] < 1.15 * min(widths[:2]) + 0.008
 
 
 def one_rim(front: Array, back: Array) -> bool:
@@ -91,12 +95,15 @@ def one_rim(front: Array, back: Array) -> bool:
     system = np.column_stack([2 * xy, np.ones(len(xy))])
     solution = np.linalg.lstsq(system, (xy**2).sum(axis=1), rcond=None)[0]
     center, radius = solution[:2], float(np.sqrt(max(1e-9, solution[2] + solution[:2] @ solution[:2])))
-    off = np.abs(np.linalg.norm(xy - center, axis=1) - radius)
+    # A lid or a box top would fill the disc; a rim, front and back, keeps to the circle.
+    round_enough = all(
+        np.quantile(np.abs(np.linalg.norm(rim - center, axis=1) - radius), 0.8) < 0.003 + 0.07 * radius for rim in rims
+    )
     turn = np.arctan2(*(xy - center).T[::-1])
     seen = len(np.unique(np.floor((turn + np.pi) / (2 * np.pi) * 11.999).astype(int)))
     facing = float((rims[0].mean(axis=0) - center) @ (rims[1].mean(axis=0) - center))
     inside = float(np.mean(np.linalg.norm(back[:, :2] - center, axis=1) < 1.08 * radius + 0.004))
-    return bool(np.median(off) < 0.004 + 0.05 * radius and seen >= 8 and facing < 0 and inside > 0.85)
+    return bool(round_enough and radius < WIDEST and seen >= 8 and facing < 0 and inside > 0.85)
 
 
 def _occlusions(labels: Labels, depth: Array, reach: int) -> list[tuple[int, int]]:

@@ -108,7 +108,7 @@ class Border:
     @property
     def edge(self) -> float:
         """How much the two are separated: 1 is a likely border of two objects, negative a convex edge of one."""
-        return max(self.bend, abs(self.jump))
+        return max(self.bend, 0.8 * abs(self.jump))
 
 
 def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], Border]:

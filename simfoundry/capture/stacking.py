@@ -102,3 +102,24 @@ def below(labels: Labels, depth: Array, down: tuple[float, float], reach: int) -
     counts = np.bincount(own[lower_edge], minlength=int(labels.max()) + 1)
     shares = np.bincount(own[lower_edge], hidden[lower_edge], minlength=int(labels.max()) + 1)
     return {k: float(shares[k] / max(1, counts[k])) for k in range(1, int(labels.max()) + 1)}
+
+
+def sinking(labels: Labels, points_W: Array, down: tuple[float, float], reach: int) -> dict[int, float]:
+    """For each region, the share of its lower edge below which its own surface goes on, under the support's level.
+
+    ``down`` is the picture direction (u, v) of gravity. What stands on the support ends there; what stands behind it
+    on the floor does not.
+    """
+    h, w = labels.shape
+    du, dv = (round(x * (reach + 2)) for x in down)
+    v, u = np.nonzero(labels > 0)
+    inside = (u + du >= 0) & (u + du < w) & (v + dv >= 0) & (v + dv < h)
+    v, u = v[inside], u[inside]
+    edge = labels[v + dv, u + du] == 0
+    v, u = v[edge], u[edge]
+    here, there = points_W[v, u], points_W[v + dv, u + du]
+    goes_on = (there[:, 2] < -0.008) & (np.linalg.norm(there - here, axis=1) < 0.04)
+    own = labels[v, u]
+    counts = np.bincount(own, minlength=int(labels.max()) + 1)
+    shares = np.bincount(own, goes_on, minlength=int(labels.max()) + 1)
+    return {k: float(shares[k] / max(1, counts[k])) for k in range(1, int(labels.max()) + 1)}
