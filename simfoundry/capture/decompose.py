@@ -1,0 +1,219 @@
+"""One picture of a tabletop, taken apart into objects, by geometry alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.errors import CaptureError
+from simfoundry.capture.frame import Frame, Segmentation, Support
+from simfoundry.capture.hidden import fill_bottoms, join_containers, join_hidden
+from simfoundry.capture.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
+from simfoundry.capture.noise import depth_sigma, valid_depth
+from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, relief_of
+from simfoundry.capture.stacking import below, carriers, parts_of, sinking
+from simfoundry.scene.frames import Array
+
+LOWEST = 0.006  # [m] above the support, below which nothing is told from it
+TALLEST = 0.6  # [m]
+MARGIN = 0.03  # [m] that an object may stick out over the seen outline
+EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the support appear
+LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
+BORDER_BAND = 0.025  # of the picture's shorter side
+LOW = 0.02  # [m] the highest that an error of the sensor rises
+WORKING_WIDTH = 640  # [px]
+SMALLEST = 1.5e-4  # [m²] of visible area
+FEWEST_PIXELS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """The part of the picture around what stands on the support; all of shape (h, w, ...) of the ``window``."""
+
+    window: tuple[slice, slice]
+    whole: tuple[int, int]
+    depth: Array
+    K: Array
+    points_W: Array
+    relief: Relief
+    mask: NDArray[np.bool_]
+    down: tuple[float, float]
+
+
+def decompose(frame: Frame, support: Support) -> Segmentation:
+    """The objects on ``support``: labels from 1, the largest first in the picture's reading order, and what carries them.
+
+    Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
+    support is cut at depth steps and inward creases; outward bends stay within one object. Parts that an object in
+    front cuts off are joined again if they lie in one plane, and parts that nothing carries are joined to what they
+    touch. Raises :class:`CaptureError` (``no-depth``, ``depth-unit``, ``no-object``).
+    """
+    depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
+    points_W = support.X_WC.apply(Frame(frame.color, depth, frame.K).points)
+    if frame.instances is not None:
+        labels = _given(frame.instances, points_W, support)
+    else:
+        labels = _found(depth, frame.K, points_W, support)
+    if not labels.any():
+        raise CaptureError(
+            "no-object",
+            f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support",
+            "check that the objects are in view with valid depth; glass and dark gloss often have none",
+        )
+    parts = parts_of(labels, points_W, depth, frame.K)
+    return Segmentation(labels, carriers(parts))
+
+
+def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> Labels:
+    """The capture's own masks, without specks and without what is not on the support."""
+    import cv2
+
+    on_it = _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    out = np.zeros(instances.shape, np.int32)
+    for k in np.unique(instances[instances > 0]):
+        mask = instances == k
+        measured = mask & np.isfinite(points_W[..., 2])
+        if measured.sum() < FEWEST_PIXELS or on_it[measured].mean() < 0.5:
+            continue
+        if np.quantile(points_W[..., 2][measured], 0.9) < LOWEST / 2:
+            continue
+        _, pieces, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        keep = stats[:, cv2.CC_STAT_AREA] >= max(20, 0.02 * mask.sum())
+        keep[0] = False
+        out[keep[pieces]] = k
+    return compact(out)
+
+
+def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
+    """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
+    step = max(1, round(depth.shape[1] / WORKING_WIDTH))
+    small = np.array(K, dtype=np.float64)
+    small[:2] /= step
+    coarse = np.zeros(depth[::step, ::step].shape, np.int32)
+    scene = _scene(depth[::step, ::step], small, points_W[::step, ::step], support)
+    if scene is not None:
+        coarse[scene.window] = _instances(scene, support)
+    if step == 1:
+        return coarse
+    labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
+    labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
+    return np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
+
+
+def _instances(scene: _Scene, support: Support) -> Labels:
+    """The passes, in order: regions, what is smooth across, what is one by shape, what cannot be alone, what is left."""
+    reach = scene.relief.reach
+    regions = cut(scene.mask, scene.relief)
+    regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
+    regions = merge_smooth(regions, scene.depth, reach)
+    regions = _without_specks(regions, scene)
+    regions = join_containers(regions, scene.depth, scene.points_W, reach)
+    regions = join_hidden(regions, scene.depth, scene.points_W, reach)
+    regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
+    regions = _without_specks(regions, scene)
+    regions = _without_strangers(regions, scene, support.outline)
+    return fill_bottoms(regions, scene.points_W)
+
+
+def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene | None:
+    """Crop to what stands on the support; None if nothing does."""
+    height = points_W[..., 2]
+    near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
+    high = near & (height > np.maximum(LOWEST, depth_sigma(depth)))
+    if high.sum() < FEWEST_PIXELS:
+        return None
+    rows, columns = np.nonzero(high.any(axis=1))[0], np.nonzero(high.any(axis=0))[0]
+    window = (_padded(rows, depth.shape[0]), _padded(columns, depth.shape[1]))
+    inner = np.array(K, dtype=np.float64)
+    inner[:2, 2] -= window[1].start, window[0].start
+    relief = relief_of(np.where(near, depth, np.nan)[window], inner)
+    smooth = support.X_WC.apply(relief.points)[..., 2]
+    mask = high[window] & (smooth > np.maximum(LOWEST, 1.2 * depth_sigma(depth[window])))
+    gravity = support.X_WC.rotation.T @ np.array([0.0, 0.0, -1.0])
+    # How the picture moves when a point at the optical axis falls.
+    down = gravity[:2] / max(1e-9, float(np.linalg.norm(gravity[:2])))
+    return _Scene(window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1])))
+
+
+def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:
+    return slice(max(0, int(used[0]) - pad), min(size, int(used[-1]) + pad + 1))
+
+
+def _within(outline: Array, xy: Array, margin: float) -> NDArray[np.bool_]:
+    """Whether world points, shape (..., 2) [m], lie on the support or up to ``margin`` [m] beside it; False for NaN."""
+    import cv2
+
+    cell = 0.005
+    corner = outline.min(axis=0) - 2 * abs(margin)
+    columns, rows = (np.ceil((np.ptp(outline, axis=0) + 4 * abs(margin)) / cell).astype(int) + 1).tolist()
+    plan = cv2.fillPoly(np.zeros((rows, columns), np.uint8), [np.round((outline - corner) / cell).astype(np.int32)], 1)
+    size = 2 * round(abs(margin) / cell) + 1
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    plan = cv2.dilate(plan, disk) if margin > 0 else cv2.erode(plan, disk)
+    index = np.round((np.nan_to_num(xy, nan=-1e6) - corner) / cell)
+    inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)
+    index = np.where(inside[..., None], index, 0).astype(int)
+    return np.asarray(inside & (plan[index[..., 1], index[..., 0]] > 0))
+
+
+def _without_specks(labels: Labels, scene: _Scene) -> Labels:
+    """Give regions too small to be an object to the region around them, or to nothing."""
+    pixel_area = scene.depth**2 / (scene.K[0, 0] * scene.K[1, 1])
+    count = int(labels.max()) + 1
+    pixels = np.bincount(labels.ravel(), minlength=count)
+    areas = np.bincount(labels[labels > 0], pixel_area[labels > 0], minlength=count)
+    keep = (pixels >= FEWEST_PIXELS) & (areas >= SMALLEST)
+    keep[0] = False
+    return compact(flood(np.where(keep[labels], labels, 0).astype(np.int32), labels > 0, scene.relief.edge))
+
+
+def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
+    """Drop what does not stand on the support: the wall at its end, a chair behind it, what hangs over it."""
+    parts = parts_of(labels, scene.points_W, scene.depth, scene.K)
+    on = carriers(parts)
+    hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
+    sunk = sinking(labels, scene.points_W, scene.down, scene.relief.reach)
+    graph = borders(labels, scene.depth, scene.relief.reach).values()
+    touched = {k for b in graph if abs(b.jump) < TOUCHING for k in (b.a, b.b)}
+    parent = {}
+    for part in parts:
+        k = part.label
+        beside = _within(outline, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
+        floats = not part.is_grounded and not on[k]
+        seen_past = floats and part.bottom > 0.05 and hidden[k] < 0.3 and k not in touched
+        along_border = _on_border(labels == k, scene)
+        if (
+            (beside and not on[k])
+            or seen_past
+            or along_border > LONG_BORDER
+            or (along_border > 0 and floats and k not in touched)
+            or sunk[k] > 0.3
+            or _is_warp(labels == k, part.top, scene)
+        ):
+            parent[k] = 0
+    return renamed(labels, parent)
+
+
+def _on_border(mask: NDArray[np.bool_], scene: _Scene) -> float:
+    """How much of the whole picture's border the region takes, as a share of the picture's shorter side."""
+    rows, columns = scene.window
+    h, w = scene.whole
+    band = round(BORDER_BAND * min(h, w))  # sensors often leave the outermost pixels empty
+    top, left = band - rows.start, band - columns.start
+    bottom, right = h - band - rows.start, w - band - columns.start
+    length = int(mask[: max(0, top)].any(axis=0).sum()) + int(mask[max(0, bottom) :].any(axis=0).sum())
+    length += int(mask[:, : max(0, left)].any(axis=1).sum()) + int(mask[:, max(0, right) :].any(axis=1).sum())
+    return length / min(h, w)
+
+
+def _is_warp(mask: NDArray[np.bool_], top: float, scene: _Scene) -> bool:
+    """Whether a low region fades into the support without an edge: an error of the sensor, not a thing."""
+    import cv2
+
+    if top > LOW:
+        return False
+    rim = (cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & ~mask
+    edge = scene.relief.edge[rim & np.isfinite(scene.depth)]
+    return len(edge) > 0 and float(np.mean(edge)) < 0.8

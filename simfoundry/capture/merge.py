@@ -1,0 +1,103 @@
+"""Join regions into objects: what is smooth or bent outwards across a border belongs together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from simfoundry.capture.regions import Border, Labels, borders
+from simfoundry.capture.stacking import below, carriers, parts_of
+from simfoundry.scene.frames import Array
+
+EDGE = 0.8  # edge of a border from which it separates two objects
+TOUCHING = 3.0  # jump along a border up to which two regions may touch
+FEW_PAIRS = 60  # a shorter border says nothing
+
+
+def merge_smooth(labels: Labels, depth: Array, reach: int, edge: float = EDGE) -> Labels:
+    """Join neighbours, the least separated first, until every border left is an edge."""
+    graph = borders(labels, depth, reach)
+    parent: dict[int, int] = {}
+    while True:
+        weak = [b for b in graph.values() if b.edge < edge and b.pairs >= FEW_PAIRS]
+        if not weak:
+            return renamed(labels, parent)
+        best = min(weak, key=lambda b: (b.edge, b.a, b.b))
+        parent[best.b] = best.a
+        graph = _joined(graph, best.a, best.b)
+
+
+def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[tuple[int, int], Border]:
+    """The borders after ``gone`` has become part of ``keep``."""
+    out: dict[tuple[int, int], Border] = {}
+    for border in graph.values():
+        a, b = (keep if k == gone else k for k in (border.a, border.b))
+        if a == b:
+            continue
+        moved = replace(border, a=a, b=b) if a < b else replace(border, a=b, b=a, jump=-border.jump)
+        key = moved.a, moved.b
+        out[key] = _sum(out[key], moved) if key in out else moved
+    return out
+
+
+def _sum(one: Border, other: Border) -> Border:
+    n = one.pairs + other.pairs
+    share = one.pairs / n
+    bend = share * one.bend + (1 - share) * other.bend
+    jump = share * one.jump + (1 - share) * other.jump
+    return replace(one, pairs=n, bend=bend, jump=jump)
+
+
+def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
+    """``labels`` after every region in ``parent`` has become its parent, and so on up, numbered 1..n without gaps."""
+    table = np.arange(int(labels.max()) + 1)
+    for region in table:
+        root = int(region)
+        while root in parent:
+            root = parent[root]
+        table[region] = root
+    return compact(table[labels])
+
+
+def compact(labels: np.ndarray) -> Labels:
+    """Number the non-zero labels 1..n in ascending order."""
+    present = np.unique(labels[labels > 0])
+    table = np.zeros(int(labels.max()) + 1, np.int32)
+    table[present] = np.arange(1, len(present) + 1)
+    return table[labels]
+
+
+def join_hanging(labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int) -> Labels:
+    """Join what hangs in the air, like the handle of a mug, to what it touches most."""
+    parts = parts_of(labels, points_W, depth, K)
+    on, hidden = carriers(parts), below(labels, depth, down, reach)
+    graph = borders(labels, depth, reach)
+    parent: dict[int, int] = {}
+    for part in sorted(parts, key=lambda p: (p.area, p.label)):
+        if part.is_grounded or on[part.label] or hidden[part.label] > 0.5:
+            continue
+        # A handle is far smaller than its mug, and no farther off than its rim is wide.
+        size = {p.label: p.area for p in parts}
+        touching = [
+            b
+            for b in graph.values()
+            if part.label in (b.a, b.b) and abs(b.jump) < TOUCHING and part.area < 0.35 * size[_other(b, part.label)]
+        ]
+        if touching:
+            most = max(touching, key=lambda b: b.pairs)
+            other = root(parent, _other(most, part.label))
+            if other != part.label:
+                parent[part.label] = other
+    return renamed(labels, parent)
+
+
+def _other(border: Border, label: int) -> int:
+    return border.a if border.b == label else border.b
+
+
+def root(parent: dict[int, int], k: int) -> int:
+    """What ``k`` has become after all joins."""
+    while k in parent:
+        k = parent[k]
+    return k

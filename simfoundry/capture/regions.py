@@ -1,0 +1,143 @@
+"""Cut what stands above the support into smooth regions, bounded by steps and inward creases, and list their borders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.noise import depth_sigma
+from simfoundry.capture.relief import across, bend_and_jump, edge_strength, normals_of, start_of, tangents
+from simfoundry.scene.frames import Array
+
+SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
+FLAT = 0.5  # edge strength, in units of `Relief.edge`, below which a pixel may seed a region
+Labels = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """What the cut goes by, each of shape (h, w): ``points`` [m] (smoothed, camera frame) and ``normals`` have (h, w, 3).
+
+    ``inward`` and ``step`` are the edge strengths over what the noise explains: 1 is a likely edge.
+    """
+
+    points: Array
+    normals: Array
+    inward: Array
+    step: Array
+    reach: int
+
+    @property
+    def edge(self) -> Array:
+        """The stronger of both edges."""
+        return np.asarray(np.maximum(self.inward, self.step))
+
+
+def relief_of(depth: Array, K: Array) -> Relief:
+    """Smooth a depth picture [m], shape (h, w), NaN where there is none, and find its edges."""
+    focal = float(K[0, 0] + K[1, 1]) / 2
+    reach = int(np.clip(round(SCALE * focal / float(np.nanmedian(depth))), 3, 14))
+    fits = tangents(depth, reach, stride=1 + (reach - 1) // 5)
+    inward, step = edge_strength(fits, reach)
+    noise = noise_of(depth)
+    h, w = depth.shape
+    u, v = np.meshgrid((np.arange(w) - K[0, 2]) / K[0, 0], (np.arange(h) - K[1, 2]) / K[1, 1])
+    z = 1.0 / fits[..., 0]
+    return Relief(np.stack([u * z, v * z, z], axis=-1), normals_of(fits, K), inward / noise, step / noise, reach)
+
+
+def noise_of(depth: Array) -> Array:
+    """The edge strength [m] that smoothed noise reaches, shape (h, w)."""
+    return np.asarray(0.0015 + 0.8 * np.nan_to_num(depth_sigma(depth), nan=1.0))
+
+
+def cut(mask: NDArray[np.bool_], relief: Relief) -> Labels:
+    """Regions 1..n of ``mask``, 0 outside: a watershed of the edge strength from its flat parts."""
+    import cv2
+
+    seeds = np.zeros(mask.shape, np.int32)
+    flat = (mask & (relief.edge < FLAT)).astype(np.uint8)
+    _, islands = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    # A narrow strip along a silhouette makes no region of its own, unless its island would be left with none.
+    for radius in (max(2, relief.reach // 2), 1, 0):
+        kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+        inner = cv2.erode(flat, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        inner[np.isin(islands, np.unique(islands[seeds > 0]))] = 0
+        count, parts, stats, _ = cv2.connectedComponentsWithStats(inner, connectivity=4)
+        sound = stats[:, cv2.CC_STAT_AREA] >= 12
+        sound[0] = False
+        renumber = np.where(sound, np.cumsum(sound) + int(seeds.max()), 0).astype(np.int32)
+        seeds = np.maximum(seeds, renumber[parts])
+    return flood(seeds, mask, relief.edge)
+
+
+def flood(seeds: Labels, mask: NDArray[np.bool_], height: Array) -> Labels:
+    """Grow the regions of ``seeds`` over ``mask``, low ``height`` first, until they meet; parts without seed stay 0."""
+    import cv2
+
+    # float32 holds every label exactly, and OpenCV dilates it; where two regions arrive together the later one wins.
+    labels = np.where(mask, seeds, 0).astype(np.float32)
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    levels = np.append(np.linspace(0.1, 3.0, 30), np.inf)
+    for level in levels:
+        open_ = mask & (height <= level)
+        while True:
+            front = open_ & (labels == 0)
+            grown = np.where(front, cv2.dilate(labels, cross), labels)
+            if np.array_equal(grown, labels):
+                break
+            labels = grown
+    return labels.astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Border:
+    """Where two regions ``a < b`` meet: pixel ``pairs`` seen across it, and means over these in units of the noise.
+
+    ``bend``: positive for an inward crease, negative for an outward one. ``jump``: positive where ``b`` is in front.
+    """
+
+    a: int
+    b: int
+    pairs: float
+    bend: float
+    jump: float
+
+    @property
+    def edge(self) -> float:
+        """How much the two are separated: 1 is a likely border of two objects, negative a convex edge of one."""
+        return max(self.bend, 0.8 * abs(self.jump))
+
+
+def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], Border]:
+    """All borders of regions, keyed (a, b) with a < b, in ascending order.
+
+    The tangent planes are fitted within each region alone, and signed, so that noise cancels along a border.
+    """
+    fits = tangents(np.where(labels > 0, depth, np.nan), reach, 1 + (reach - 1) // 5, labels)
+    noise = noise_of(depth)
+    keys, bends, jumps = [], [], []
+    for r in (reach, max(2, reach // 2)):
+        for middle, a, b in across(labels.shape, r):
+            la, lb = labels[a], labels[b]
+            where = (la != lb) & (la > 0) & (lb > 0)
+            bend, jump = bend_and_jump(fits[a][where], fits[b][where], np.subtract(start_of(b), start_of(a)))
+            scale = np.fmax(noise[a][where], noise[b][where])
+            swap = la[where] > lb[where]
+            keys.append(np.sort(np.stack([la[where], lb[where]], axis=1), axis=1))
+            bends.append(bend / scale)
+            jumps.append(np.where(swap, -jump, jump) / scale)
+            del middle
+    pair = np.concatenate(keys)
+    if not len(pair):
+        return {}
+    unique, index, counts = np.unique(pair, axis=0, return_inverse=True, return_counts=True)
+    limit = 10.0  # so that few far-off pixels do not outvote a long border
+    bend = np.bincount(index.ravel(), np.clip(np.concatenate(bends), -limit, limit)) / counts
+    jump = np.bincount(index.ravel(), np.clip(np.concatenate(jumps), -limit, limit)) / counts
+    return {
+        (int(a), int(b)): Border(int(a), int(b), float(n), float(x), float(y))
+        for (a, b), n, x, y in zip(unique, counts, bend, jump, strict=True)
+    }
