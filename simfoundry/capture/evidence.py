@@ -65,10 +65,14 @@ def gather(
     ``labels`` (int32, shape (h, w)) names the other objects, so that rays that end on them are not taken for misses.
     """
     keep = mask & np.isfinite(frame.depth) & ~flying_pixels(frame.depth)
-    points = support.X_WC.apply(frame.points[keep])
     distance = float(np.median(frame.depth[keep])) if keep.any() else 1.0
     scale = depth_scale(distance)
-    points = points[points[:, 2] > base_z - scale]
+    p_W = support.X_WC.apply(frame.points[keep])
+    connected = main_body(p_W, 0.008 + 0.5 * scale)
+    points = p_W[connected & (p_W[:, 2] > base_z - scale)]
+    stray = np.zeros_like(mask)
+    stray[keep] = ~connected
+    mask, keep = mask & ~stray, keep & ~stray
     rows, cols = _ray_grid(mask)
     directions = np.column_stack(
         [(cols - frame.K[0, 2]) / frame.K[0, 0], (rows - frame.K[1, 2]) / frame.K[1, 1], np.ones(len(rows))]
@@ -85,6 +89,26 @@ def gather(
         scale=scale,
         base_z=base_z,
     )
+
+
+def main_body(points: Array, pitch: float) -> NDArray[np.bool_]:
+    """Which of the points belong to the object rather than to stray background under its mask, bool, shape (n,).
+
+    Points are joined through a grid of ``pitch`` [m]; a part counts if it holds a tenth of the largest part's points,
+    so that an object cut in two by something before it stays whole.
+    """
+    from scipy import ndimage
+
+    if len(points) == 0:
+        return np.zeros(0, dtype=bool)
+    low = np.percentile(points, 1.0, axis=0) - 0.5
+    cell = np.floor((np.clip(points, low, low + 1.5) - low) / pitch).astype(np.int64)
+    cell -= cell.min(axis=0)
+    grid = np.zeros(cell.max(axis=0) + 1, dtype=bool)
+    grid[tuple(cell.T)] = True
+    part = ndimage.label(grid, structure=np.ones((3, 3, 3)))[0][tuple(cell.T)]
+    count = np.bincount(part)
+    return np.asarray(count[part] >= max(1, 0.1 * int(count.max())))
 
 
 def depth_scale(distance: float) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.evidence import Evidence
+from simfoundry.capture.fit_round import search
 from simfoundry.capture.raycast import Agreement, agreement, cast_box
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box
@@ -29,21 +30,12 @@ class BoxFit:
 
 def fit_box(evidence: Evidence) -> BoxFit:
     """The upright box on ``base_z`` that explains the evidence best."""
-    from scipy.optimize import minimize
-
     starts = sorted((_start(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0))), key=lambda s: s[0])
-    best_cost, best = math.inf, starts[0][1]
-    for _, start in _distinct(starts):
-        steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
-        simplex = np.vstack([start, start + np.diag(steps)])
-        found = minimize(
-            lambda x: _cost(evidence, x),
-            start,
-            method="Nelder-Mead",
-            options={"initial_simplex": simplex, "maxfev": 320, "xatol": 2e-4, "fatol": 1e-4},
-        )
-        if found.fun < best_cost:
-            best_cost, best = float(found.fun), np.asarray(found.x)
+    steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
+    tried = [search(lambda x: _cost(evidence, x), start, steps, 260) for _, start in _distinct(starts)]
+    # Nelder-Mead stalls on the ledges that single pixels make: a second start from its own answer, mirrored, frees it.
+    _, best = min(tried, key=lambda found: found[0])
+    _, best = search(lambda x: _cost(evidence, x), best, -0.6 * steps, 260)
     guessed, best = _supply_depth(evidence, best)
     size, X_WO = _unpack(best, evidence.base_z)
     return BoxFit(Box(size), X_WO, agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)), guessed)
