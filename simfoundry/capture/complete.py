@@ -1,0 +1,215 @@
+"""Completion of shapes that no primitive explains: seen surface, mirrored far side, carved by seen free space.
+
+The solid is a stack of horizontal slices. In each slice the near side is what was seen, the far side its mirror image
+across a vertical plane along the object, never beyond where the camera saw through, and never short of what was seen
+further up. Each slice is a star-shaped polygon about its own centre, so the stack is closed and free of
+self-intersection by construction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.capture.evidence import Evidence
+from simfoundry.capture.fit_box import DEPTH_PRIOR
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.raycast import Agreement, agreement, cast_mesh
+from simfoundry.capture.solids import hull_margin, loft_mesh, volume_and_com
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.model import Mesh
+
+LEVELS, SIDES, COLUMNS = 18, 40, 32
+FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
+_THINNEST = 0.003
+_STEPS = 48
+
+
+@dataclass(frozen=True, eq=False)
+class CompletedFit:
+    """A closed mesh (its origin at the centre of its base, z up), where it stands, and what speaks for it."""
+
+    mesh: Mesh
+    X_WO: Pose
+    agreement: Agreement
+
+
+@dataclass(frozen=True, eq=False)
+class _Slices:
+    """Per level ``z`` [m], shape (k,): columns ``t`` across and the ``near`` and ``far`` side along the depth axis [m],
+    each shape (k, COLUMNS), in the axes ``across`` and ``along`` (world xy, shape (2,))."""
+
+    z: Array
+    t: Array
+    near: Array
+    far: Array
+    across: Array
+    along: Array
+
+
+def complete(frame: Frame, support: Support, evidence: Evidence) -> CompletedFit:
+    """The completed solid on ``base_z`` of the points in ``evidence``."""
+    slices = _slice(frame, support, evidence)
+    rings = _smooth(_rings(slices))
+    rings = _stabilise(_stand(rings, evidence.base_z))
+    origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
+    mesh = loft_mesh(rings - origin)
+    hits = cast_mesh(evidence.eye, evidence.rays, np.asarray(mesh.vertices) + origin, np.asarray(mesh.faces))
+    return CompletedFit(mesh, Pose.of(origin), agreement(evidence, hits))
+
+
+def _axes(evidence: Evidence) -> tuple[Array, Array]:
+    """Axes across and along the depth of the object: along its broad side, but within 50 degrees of the view."""
+    view = evidence.view
+    across = np.array([-view[1], view[0]])
+    xy = evidence.points[:, :2] - np.median(evidence.points[:, :2], axis=0)
+    values, vectors = np.linalg.eigh(np.cov(xy.T))
+    if values[1] > 1.5**2 * values[0]:
+        major = vectors[:, 1] * (1.0 if vectors[:, 1] @ across >= 0 else -1.0)
+        if major @ across > math.cos(math.radians(50)):
+            across = major
+    return across, np.array([across[1], -across[0]])
+
+
+def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
+    across, along = _axes(evidence)
+    points = evidence.points
+    t, s, z = points[:, :2] @ across, points[:, :2] @ along, points[:, 2]
+    height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
+    edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.top, LEVELS + 1)
+    levels = (edges[:-1] + edges[1:]) / 2
+    reach = max((edges[1] - edges[0]) / 2, 0.3 * evidence.scale)
+    rows = []
+    for level in levels[::-1]:
+        here = np.abs(z - level) < reach
+        if here.sum() < 12:
+            continue
+        columns = np.linspace(*np.percentile(t[here], [1.0, 99.0]), COLUMNS)
+        near = _envelope(columns, t[here], s[here], 10.0)
+        above = z > level - reach
+        seen = np.maximum(_envelope(columns, t[above], s[above], 92.0), near)
+        far = np.clip(_mirror(columns, near), seen, np.maximum(seen, _free_limit(frame, support, columns, near, level, across, along)))
+        rows.append((level, columns, near, np.maximum(far, near + _THINNEST)))
+    if not rows:
+        columns = np.linspace(*np.percentile(t, [1.0, 99.0]), COLUMNS)
+        near, far = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
+        rows.append((evidence.base_z + height / 2, columns, near, np.maximum(far, near + _THINNEST)))
+    rows.reverse()
+    stacked = [np.array([row[k] for row in rows]) for k in range(4)]
+    return _Slices(stacked[0], stacked[1], stacked[2], stacked[3], across, along)
+
+
+def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
+    """A low or high percentile of ``s`` near each column, interpolated where a column saw nothing."""
+    pitch = max(float(columns[1] - columns[0]), 1e-6)
+    index = np.clip(np.round((t - columns[0]) / pitch).astype(int), 0, len(columns) - 1)
+    out = np.full(len(columns), np.nan)
+    for k in range(len(columns)):
+        here = s[index == k]
+        if len(here) >= 2:
+            out[k] = np.percentile(here, percentile)
+    good = np.isfinite(out)
+    if not good.any():
+        return np.full(len(columns), float(np.percentile(s, percentile)))
+    out = np.interp(columns, columns[good], out[good])
+    padded = np.concatenate([out[:1], out, out[-1:]])
+    return np.asarray(np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0))
+
+
+def _mirror(columns: Array, near: Array) -> Array:
+    """The far side as the mirror image of the near one.
+
+    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width, which gives the mirror plane; a
+    flat front gives none, and the depth prior of boxes takes over.
+    """
+    width = float(columns[-1] - columns[0])
+    front, turned = np.percentile(near, [10.0, 85.0])
+    half = float(np.clip((turned - front) * 2.1, DEPTH_PRIOR / 2 * width, 0.55 * width))
+    return np.asarray(2 * (front + half) - np.minimum(near, front + half))
+
+
+def _free_limit(
+    frame: Frame, support: Support, columns: Array, near: Array, level: float, across: Array, along: Array
+) -> Array:
+    """Per column, how far back a solid may reach before the camera would have seen it in front of what is behind [m]."""
+    width = float(columns[-1] - columns[0])
+    steps = np.linspace(0.0, 1.3 * width + 0.01, _STEPS)
+    s = near[:, None] + steps
+    xy = columns[:, None, None] * across + s[..., None] * along
+    p_C = support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
+    u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
+    v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
+    h, w = frame.depth.shape
+    known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
+    observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
+    free = known & (observed > p_C[..., 2] + 0.01)
+    return np.asarray(near + steps[np.where(free.any(axis=1), np.argmax(free, axis=1), _STEPS - 1)])
+
+
+def _rings(slices: _Slices) -> Array:
+    """Star-shaped outlines about each slice's centre, world [m], shape (k, SIDES, 3), counter-clockwise."""
+    angle = np.arange(SIDES) * (2 * math.pi / SIDES)
+    ray = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = []
+    for level, t, near, far in zip(slices.z, slices.t, slices.near, slices.far, strict=True):
+        depth = far - near
+        ct = float((t * depth).sum() / depth.sum())
+        cs = float(np.interp(ct, t, (near + far) / 2))
+        reach = 1.05 * math.hypot(t[-1] - t[0], far.max() - near.min()) + _THINNEST
+        rho = np.linspace(0.0, reach, 4 * _STEPS)
+        tt, ss = ct + ray[:, :1] * rho, cs + ray[:, 1:] * rho
+        inside = (tt >= t[0]) & (tt <= t[-1]) & (ss >= np.interp(tt, t, near)) & (ss <= np.interp(tt, t, far))
+        first_out = np.where(inside.all(axis=1), len(rho), np.argmin(inside, axis=1))
+        radius = np.maximum(rho[np.maximum(first_out - 1, 0)], _THINNEST / 2)
+        local = np.array([ct, cs]) + ray * radius[:, None]
+        xy = local[:, :1] * slices.across + local[:, 1:] * slices.along
+        rings.append(np.column_stack([xy, np.full(SIDES, level)]))
+    stacked = np.array(rings)
+    if slices.across[0] * slices.along[1] - slices.across[1] * slices.along[0] < 0:
+        stacked = stacked[:, ::-1]
+    return stacked
+
+
+def _smooth(rings: Array) -> Array:
+    """Take out noise: one pass round each ring, one pass up the stack."""
+    round_ = 0.25 * np.roll(rings, 1, axis=1) + 0.5 * rings + 0.25 * np.roll(rings, -1, axis=1)
+    padded = np.concatenate([round_[:1], round_, round_[-1:]])
+    out = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
+    out[..., 2] = rings[..., 2]
+    return np.asarray(out)
+
+
+def _stand(rings: Array, base_z: float) -> Array:
+    """Close the stack: half a level on top, the lowest slice extended straight down to the base."""
+    pitch = float(rings[1, 0, 2] - rings[0, 0, 2]) if len(rings) > 1 else 2 * float(rings[0, 0, 2] - base_z)
+    top, foot = rings[-1:].copy(), rings[:1].copy()
+    top[..., 2] += pitch / 2
+    foot[..., 2] = base_z
+    return np.concatenate([foot, rings, top])
+
+
+def _stabilise(rings: Array) -> Array:
+    """Widen the foot just enough that the centre of mass lies inside it with a margin."""
+    foot = rings[0, :, :2]
+    radius = math.sqrt(max(_area(foot), 1e-8) / math.pi)
+    for _ in range(12):
+        mesh = loft_mesh(rings)
+        _, com = volume_and_com(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        lack = FOOT_MARGIN * radius - hull_margin(rings[0, :, :2], com[:2])
+        if lack <= 0:
+            break
+        towards = com[:2] - rings[0, :, :2].mean(axis=0)
+        towards /= max(float(np.linalg.norm(towards)), 1e-9)
+        ahead = np.maximum((rings[0, :, :2] - rings[0, :, :2].mean(axis=0)) @ towards, 0.0)
+        rings = rings.copy()
+        rings[:2, :, :2] += (1.2 * lack * ahead / max(float(ahead.max()), 1e-9))[:, None] * towards
+    return rings
+
+
+def _area(polygon: Array) -> float:
+    x, y = polygon.T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+

@@ -1,0 +1,105 @@
+"""Upright boxes: yaw, place and extents by searching for the box that explains the rays best."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.capture.evidence import Evidence
+from simfoundry.capture.fit_round import search
+from simfoundry.capture.raycast import Agreement, agreement, cast_box
+from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.scene.model import Box
+
+SMALLEST = 0.004
+DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
+_FACE_SHARE = 0.06  # of the points: with fewer, a face does not measure how far the box extends along it
+
+
+@dataclass(frozen=True, eq=False)
+class BoxFit:
+    """A box in the world and what speaks for it; ``guessed_depth`` if the prior had to supply one extent."""
+
+    box: Box
+    X_WO: Pose
+    agreement: Agreement
+    guessed_depth: bool
+
+
+def fit_box(evidence: Evidence) -> BoxFit:
+    """The upright box on ``base_z`` that explains the evidence best."""
+    starts = sorted((_start(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0))), key=lambda s: s[0])
+    steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
+    tried = [search(lambda x: _cost(evidence, x), start, steps, 260) for _, start in _distinct(starts)]
+    # Nelder-Mead stalls on the ledges that single pixels make: a second start from its own answer, mirrored, frees it.
+    _, best = min(tried, key=lambda found: found[0])
+    _, best = search(lambda x: _cost(evidence, x), best, -0.6 * steps, 260)
+    guessed, best = _supply_depth(evidence, best)
+    size, X_WO = _unpack(best, evidence.base_z)
+    return BoxFit(Box(size), X_WO, agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)), guessed)
+
+
+def _start(evidence: Evidence, yaw: float) -> tuple[float, Array]:
+    """The box around the points at one yaw, as (cost, parameters)."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    local = evidence.points[:, :2] @ np.array([[c, -s], [s, c]])
+    low, high = np.percentile(local, [1.0, 99.0], axis=0)
+    centre = np.array([[c, -s], [s, c]]) @ ((low + high) / 2)
+    extents = np.maximum(high - low, SMALLEST)
+    x = np.array([*centre, yaw, *extents, max(evidence.top - evidence.base_z, SMALLEST)])
+    return _cost(evidence, x), x
+
+
+def _distinct(starts: list[tuple[float, Array]], count: int = 2) -> list[tuple[float, Array]]:
+    """The cheapest starts whose yaws differ by more than 10 degrees (modulo a quarter turn)."""
+    chosen: list[tuple[float, Array]] = []
+    for start in starts:
+        turns = [abs((start[1][2] - other[1][2] + math.pi / 4) % (math.pi / 2) - math.pi / 4) for other in chosen]
+        if all(turn > math.radians(10) for turn in turns):
+            chosen.append(start)
+        if len(chosen) == count:
+            break
+    return chosen
+
+
+def _unpack(x: Array, base_z: float) -> tuple[Array, Pose]:
+    """Full extents [m] and pose of parameters (x, y, yaw, three extents)."""
+    size = np.maximum(x[3:6], SMALLEST)
+    yaw = float(x[2])
+    return frozen_array(size), Pose.of((x[0], x[1], base_z + size[2] / 2), (math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)))
+
+
+def _cost(evidence: Evidence, x: Array) -> float:
+    size, X_WO = _unpack(x, evidence.base_z)
+    small = float(np.maximum(SMALLEST - x[3:6], 0).sum()) / evidence.scale
+    return agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)).cost + small
+
+
+def _supply_depth(evidence: Evidence, x: Array) -> tuple[bool, Array]:
+    """Extend a box that shows only one upright face away from the camera by the prior, as far as free space allows.
+
+    An extent is measured if enough points lie on a face along it; a box that faces the camera shows none for its depth.
+    """
+    size, X_WO = _unpack(x, evidence.base_z)
+    local = X_WO.inverse().apply(evidence.points)
+    face = np.argmin(np.abs(np.abs(local) - size / 2), axis=1)
+    for axis in (0, 1):
+        across = 1 - axis
+        on_sides = float(np.mean(face != axis))  # the top and the other pair of faces measure this extent
+        if on_sides >= _FACE_SHARE or size[axis] > DEPTH_PRIOR * size[across]:
+            continue
+        wanted = DEPTH_PRIOR * min(size[across], max(size[2], 0.03))
+        direction = X_WO.rotation[:2, axis] * np.sign(X_WO.rotation[:2, axis] @ evidence.view)
+        before = agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)).intrusion
+        while wanted > size[axis]:
+            longer = x.copy()
+            longer[3 + axis] = wanted
+            longer[:2] += direction * (wanted - size[axis]) / 2
+            trial, X_trial = _unpack(longer, evidence.base_z)
+            now = agreement(evidence, cast_box(evidence.eye, evidence.rays, trial, X_trial)).intrusion
+            if now <= before + 0.02:
+                return True, longer
+            wanted *= 0.85
+    return False, x

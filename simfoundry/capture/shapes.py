@@ -1,0 +1,153 @@
+"""From the visible points of one object to the closed solid that explains them and stands on its support."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.complete import complete
+from simfoundry.capture.errors import CaptureError
+from simfoundry.capture.evidence import Evidence, gather
+from simfoundry.capture.fit_box import fit_box
+from simfoundry.capture.fit_lathe import LatheFit, fit_hollow, fit_lathe
+from simfoundry.capture.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.raycast import Agreement
+from simfoundry.capture.solids import lathe_mesh
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
+
+MIN_POINTS = 12
+FEW_POINTS = 50
+
+# What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
+# follows the points, the less its lower cost says.
+PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.05, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
+
+
+@dataclass(frozen=True, eq=False)
+class FittedShape:
+    """A solid fitted to one object.
+
+    ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the centre of the
+    bounding box for primitives and at the centre of the base, z up, for meshes; ``fit_m`` the median distance of the
+    object's visible points from the surface [m]; ``confidence`` in [0, 1], see :func:`confidence`; ``hollow`` says that
+    it is an open container modelled with its cavity.
+    """
+
+    geometry: Geometry
+    X_WO: Pose
+    fit_m: float
+    confidence: float
+    hollow: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One family's best solid; ``guessed`` if a prior supplied an extent that was not seen."""
+
+    family: str
+    geometry: Geometry
+    X_WO: Pose
+    agreement: Agreement
+    guessed: bool = False
+
+    @property
+    def cost(self) -> float:
+        """The cost that candidates compete by."""
+        return self.agreement.cost + PRIOR[self.family]
+
+
+def fit_shape(
+    frame: Frame,
+    support: Support,
+    mask: NDArray[np.bool_],
+    base_z: float,
+    *,
+    labels: NDArray[np.int32] | None = None,
+) -> FittedShape:
+    """Fit the solid that explains the object under ``mask`` (bool, shape (h, w)) best.
+
+    It stands on ``base_z`` [m], the height of the surface below it in the world. ``labels`` (int32, shape (h, w)) marks
+    all objects of the picture: pixels of the others are then unknown, where they have no depth, rather than free.
+    Raises :class:`CaptureError` if fewer than ``MIN_POINTS`` pixels have depth.
+    """
+    if mask.shape != frame.depth.shape:
+        raise ValueError(f"a mask of shape {mask.shape} does not match a picture of shape {frame.depth.shape}")
+    if int((mask & np.isfinite(frame.depth)).sum()) < MIN_POINTS:
+        raise _too_few(int((mask & np.isfinite(frame.depth)).sum()))
+    evidence = gather(frame, support, mask, base_z, labels)
+    if len(evidence.points) < MIN_POINTS:
+        raise _too_few(len(evidence.points))
+    best = min(candidates(frame, support, evidence), key=lambda c: c.cost)
+    return FittedShape(
+        geometry=best.geometry,
+        X_WO=best.X_WO,
+        fit_m=best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale,
+        confidence=confidence(best, evidence),
+        hollow=best.family == "hollow",
+    )
+
+
+def candidates(frame: Frame, support: Support, evidence: Evidence) -> list[Candidate]:
+    """The best solid of every family that the evidence can carry; few points carry boxes and cylinders only."""
+    box, cylinder = fit_box(evidence), fit_cylinder(evidence)
+    found = [
+        Candidate("box", box.box, box.X_WO, box.agreement, box.guessed_depth),
+        Candidate("cylinder", cylinder.shape, cylinder.X_WO, cylinder.agreement),
+    ]
+    if len(evidence.points) < FEW_POINTS:
+        return found
+    for family, fit in (("lying", fit_lying_cylinder(evidence)), ("sphere", fit_sphere(evidence))):
+        found.append(Candidate(family, fit.shape, fit.X_WO, fit.agreement))
+    found.append(_turned("lathe", fit_lathe(evidence)))
+    hollow = fit_hollow(evidence)
+    if hollow is not None:
+        found.append(_turned("hollow", hollow))
+    completed = complete(frame, support, evidence)
+    found.append(Candidate("completed", completed.mesh, completed.X_WO, completed.agreement))
+    return found
+
+
+def _turned(family: str, fit: LatheFit) -> Candidate:
+    return Candidate(family, lathe_mesh(fit.profile), fit.X_WO, fit.agreement)
+
+
+def confidence(candidate: Candidate, evidence: Evidence) -> float:
+    """How far to trust a fit, in [0, 1]: the product of five shares.
+
+    The share of measured pixels explained within the noise scale; the share of rays without intrusion into free space;
+    ``exp(-fit / (5 % of the size))``; ``min(1, sqrt(points / 400))``; and 0.6 if a prior supplied an unseen extent, 0.7
+    for a completed shape, whose far side is a guess throughout, else 1.
+    """
+    result = candidate.agreement
+    size = float(np.ptp(evidence.points, axis=0).max())
+    fit = math.exp(-result.fit / max(0.05 * size, 1e-6)) if math.isfinite(result.fit) else 0.0
+    unseen = 0.6 if candidate.guessed else 0.7 if candidate.family == "completed" else 1.0
+    enough = min(1.0, math.sqrt(len(evidence.points) / 400))
+    value = result.explained * max(0.0, 1.0 - result.intrusion) * fit * enough * unseen
+    return float(min(1.0, max(0.0, value)))
+
+
+def size_of(geometry: Geometry) -> tuple[float, float, float]:
+    """Extents of a geometry's bounding box in its own frame [m]."""
+    if isinstance(geometry, Box):
+        return float(geometry.size[0]), float(geometry.size[1]), float(geometry.size[2])
+    if isinstance(geometry, Sphere):
+        return (2 * geometry.radius,) * 3
+    if isinstance(geometry, Mesh):
+        extent = np.ptp(geometry.vertices, axis=0)
+        return float(extent[0]), float(extent[1]), float(extent[2])
+    height = geometry.height if isinstance(geometry, Cylinder) else geometry.height + 2 * geometry.radius
+    return 2 * geometry.radius, 2 * geometry.radius, height
+
+
+def _too_few(count: int) -> CaptureError:
+    return CaptureError(
+        "capture-few-points",
+        f"an object has depth at {count} pixels only; a shape needs {MIN_POINTS}",
+        "give it a mask by hand, take the picture from nearer, or leave the object out",
+    )

@@ -1,0 +1,183 @@
+"""Colour of a captured object: one robust colour, or a mesh whose texture is baked from the picture.
+
+The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up in
+the picture. What the camera did not see is coloured from the seen point that lies opposite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.evidence import depth_scale
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.shapes import FittedShape
+from simfoundry.capture.solids import as_mesh
+from simfoundry.capture.unwrap import Atlas, face_normals, unwrap
+from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.scene.model import Mesh
+
+_LARGE, _SMALL = 512, 256
+_LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
+_GRAZING = 0.12  # cosine below which a surface is seen too flat to lend its colour
+_NORMAL_WEIGHT = 0.03  # metres that a unit of normal counts when a seen point is looked for
+_TOO_FAR = 0.22  # of the object's size: beyond it, the plain colour is better than a stretched one
+
+
+@dataclass(frozen=True, eq=False)
+class _Texels:
+    """The texels that lie on the surface: ``row`` and ``col``, points [m] and normals in the object frame, (n, 3)."""
+
+    row: NDArray[np.intp]
+    col: NDArray[np.intp]
+    points: Array
+    normals: Array
+
+
+def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Robust mean colour of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
+
+    The rim of the mask, where colours mix, and the darkest tenth and lightest fifth, shadows and highlights, are left out.
+    """
+    core = _eroded(mask, 2)
+    pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
+    if len(pixels) == 0:
+        return 0.5, 0.5, 0.5
+    light = pixels @ np.array([0.299, 0.587, 0.114])
+    low, high = np.percentile(light, [10.0, 80.0])
+    r, g, b = pixels[(light >= low) & (light <= high)].mean(axis=0)
+    return float(r), float(g), float(b)
+
+
+def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> Mesh:
+    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG taken from the picture.
+
+    ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
+    if the mask is empty.
+    """
+    if not mask.any():
+        raise ValueError("an empty mask has no colours to make a texture from")
+    mesh = as_mesh(shape.geometry)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
+    texels = _rasterise(atlas, vertices, faces)
+    colors, seen = _look_up(texels, shape, frame, support, mask)
+    colors[~seen] = _unseen(texels, colors, seen, np.array(dominant_color(frame, mask)) * 255.0)
+    picture = _spread(texels, colors, atlas.size)
+    new_faces = atlas.faces.copy()
+    new_faces.setflags(write=False)
+    return Mesh(frozen_array(vertices[atlas.source]), new_faces, frozen_array(atlas.uv), _png(picture))
+
+
+def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texels:
+    """Find the texels inside each face, and the point and normal of the surface at each."""
+    normals = face_normals(vertices, faces)
+    point_map = np.full((atlas.size, atlas.size, 3), np.nan)
+    normal_map = np.zeros((atlas.size, atlas.size, 3))
+    for face, corners in enumerate(atlas.texel[atlas.faces]):
+        low = np.maximum(np.floor(corners.min(axis=0) - 1), 0).astype(int)
+        high = np.minimum(np.ceil(corners.max(axis=0) + 1), atlas.size).astype(int)
+        edges = np.column_stack([corners[1] - corners[0], corners[2] - corners[0]])
+        if abs(np.linalg.det(edges)) < 1e-9:
+            continue
+        x, y = np.meshgrid(np.arange(low[0], high[0]) + 0.5, np.arange(low[1], high[1]) + 0.5)
+        weights = np.linalg.solve(edges, np.stack([x.ravel() - corners[0, 0], y.ravel() - corners[0, 1]]))
+        weights = np.vstack([1.0 - weights.sum(axis=0), weights])
+        # A weight times the height over its edge is a distance [texels]. A texel whose centre just misses the face
+        # belongs to it all the same, or seams would show.
+        sides = np.linalg.norm(corners[[1, 2, 0]] - corners[[2, 0, 1]], axis=1)
+        heights = abs(np.linalg.det(edges)) / np.maximum(sides, 1e-9)
+        near = (weights * heights[:, None]).min(axis=0) > -0.75
+        row, col = (y.ravel()[near] - 0.5).astype(int), (x.ravel()[near] - 0.5).astype(int)
+        empty = np.isnan(point_map[row, col, 0]) | (weights[:, near].min(axis=0) >= 0)
+        row, col = row[empty], col[empty]
+        point_map[row, col] = np.clip(weights[:, near][:, empty], 0, 1).T @ vertices[faces[face]]
+        normal_map[row, col] = normals[face]
+    row, col = np.nonzero(np.isfinite(point_map[..., 0]))
+    return _Texels(row, col, point_map[row, col], normal_map[row, col])
+
+
+def _look_up(
+    texels: _Texels, shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Colours from the picture, shape (n, 3) in [0, 255], and which texels the camera saw."""
+    from scipy import ndimage
+
+    p_W = shape.X_WO.apply(texels.points)
+    n_W = texels.normals @ shape.X_WO.rotation.T
+    ray = p_W - support.X_WC.p
+    cosine = -np.einsum("ij,ij->i", n_W, ray) / np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+    p_C = support.X_WC.inverse().apply(p_W)
+    z = np.maximum(p_C[:, 2], 1e-6)
+    u = p_C[:, 0] / z * frame.K[0, 0] + frame.K[0, 2]
+    v = p_C[:, 1] / z * frame.K[1, 1] + frame.K[1, 2]
+    h, w = mask.shape
+    col, row = np.clip(np.round(u), 0, w - 1).astype(int), np.clip(np.round(v), 0, h - 1).astype(int)
+    core = _eroded(mask, 1)
+    core = core if core.any() else mask
+    gap = frame.depth[row, col] - z
+    in_picture = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1) & (p_C[:, 2] > 0)
+    same_surface = ~(np.abs(gap) > 2.5 * depth_scale(float(np.median(z))))  # no depth is no objection
+    seen = in_picture & core[row, col] & (cosine > _GRAZING) & same_surface
+    filled = _nearest_fill(frame.color.astype(np.float32), core)
+    where = np.stack([v, u])
+    colors = [ndimage.map_coordinates(filled[..., k], where, order=1, mode="nearest") for k in range(3)]
+    return np.stack(colors, axis=1).astype(np.float64), np.asarray(seen)
+
+
+def _unseen(texels: _Texels, colors: Array, seen: NDArray[np.bool_], plain: Array) -> Array:
+    """Colours of the texels that were not seen: those of the seen point opposite, or the plain colour if none is near."""
+    from scipy.spatial import cKDTree
+
+    points, normals = texels.points, texels.normals
+    if seen.sum() < 10:
+        return np.broadcast_to(plain, (int((~seen).sum()), 3))
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = (low + high) / 2
+    key = np.hstack([points - centre, _NORMAL_WEIGHT * normals])
+    tree = cKDTree(key[seen])
+    best = np.full(int((~seen).sum()), np.inf)
+    out = np.tile(plain, (len(best), 1))
+    # A half turn keeps writing readable, so it goes before the mirror images; a point's own surroundings come last.
+    for flip, penalty in (((-1, -1), 0.0), ((-1, 1), 1e-3), ((1, -1), 1e-3), ((1, 1), 4e-3)):
+        turn = np.array([*flip, 1, *flip, 1], dtype=np.float64)
+        distance, index = tree.query(key[~seen] * turn)
+        better = distance + penalty < best
+        best = np.where(better, distance + penalty, best)
+        out[better] = colors[seen][index[better]]
+    out[best > _TOO_FAR * float((high - low).max())] = plain
+    return out
+
+
+def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:
+    """The texture: texels off the surface take the nearest colour on it, so that filtering meets no foreign one."""
+    picture = np.zeros((size, size, 3), dtype=np.float32)
+    on_surface = np.zeros((size, size), dtype=bool)
+    picture[texels.row, texels.col] = colors
+    on_surface[texels.row, texels.col] = True
+    return np.clip(np.round(_nearest_fill(picture, on_surface)), 0, 255).astype(np.uint8)
+
+
+def _nearest_fill(picture: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Give every pixel that is not ``known`` the colour of the nearest one that is."""
+    from scipy import ndimage
+
+    index = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(picture[index[0], index[1]])
+
+
+def _eroded(mask: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
+    from scipy import ndimage
+
+    return np.asarray(ndimage.binary_erosion(mask, iterations=pixels))
+
+
+def _png(picture: NDArray[np.uint8]) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise RuntimeError("the texture could not be written as a PNG")
+    return bytes(data.tobytes())
