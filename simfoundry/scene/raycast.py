@@ -52,10 +52,10 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     depth = np.full(h * w, np.nan)
     objects = np.zeros(h * w, dtype=np.int32)
     normals = np.full((h * w, 3), np.nan)
-    met = hits.triangle >= 0
+    met = np.flatnonzero(hits.triangle >= 0)
     depth[met] = 1.0 / hits.inverse_depth[met]
     objects[met] = surface.object[hits.triangle[met]] + 1
-    normals[met] = _normals(surface, hits, rays, camera)[met]
+    normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
     if samples > 1:
         rays = _pixels(camera, samples)
         hits = _seen(surface, camera, rays)
@@ -92,12 +92,10 @@ def _directions(rays: Rays, camera: Camera) -> Array:
     return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
 
 
-def _normals(surface: Surface, hits: Hits, rays: Rays, camera: Camera) -> Array:
-    """Unit shading normals toward the camera, shape (n, 3); meaningless where nothing is hit."""
+def _normals(surface: Surface, hits: Hits, directions: Array) -> Array:
+    """Unit shading normals toward the camera, shape (n, 3), where every ray along ``directions`` (n, 3) has hit."""
     normals = unit(blend(surface.normals[hits.triangle], hits.weights))
-    away = (
-        dot(area_normals(surface.corners)[hits.triangle], _directions(rays, camera)) > 0
-    )  # the back of an open surface
+    away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
@@ -108,12 +106,12 @@ def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hi
     met = np.flatnonzero(hits.triangle >= 0)
     if not len(met):
         return color
-    some = Hits(hits.triangle[met], hits.inverse_depth[met], hits.weights[met])
+    some, along = hits.at(met), directions[met]
     row, column = np.divmod(met, camera.width * samples)
     at = Points(
-        p=camera.X_WC.p + directions[met] / some.inverse_depth[:, None],
-        normals=_normals(surface, hits, rays, camera)[met],
-        to_eye=-unit(directions[met]),
+        p=camera.X_WC.p + along / some.inverse_depth[:, None],
+        normals=_normals(surface, some, along),
+        to_eye=-unit(along),
         group=row % samples * samples + column % samples,
         groups=samples * samples,
     )

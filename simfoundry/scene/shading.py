@@ -198,8 +198,8 @@ def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -
         if isinstance(item.geometry, Mesh) and item.geometry.texture is not None and item.geometry.uv is not None:
             mine = np.flatnonzero(visual == k)
             if len(mine):
-                some = Hits(hits.triangle[mine], hits.inverse_depth[mine], hits.weights[mine])
-                color[mine] *= _textured(surface, item.geometry.texture, some, facing[mine], focal_squared)
+                texture = item.geometry.texture
+                color[mine] *= _textured(surface, texture, hits.at(mine), facing[mine], focal_squared)
     return color
 
 

@@ -67,6 +67,10 @@ class Hits:
     inverse_depth: Array
     weights: Array
 
+    def at(self, rays: Index) -> Hits:
+        """The hits of some of the rays, by their indices."""
+        return Hits(self.triangle[rays], self.inverse_depth[rays], self.weights[rays])
+
 
 def dot(a: Array, b: Array) -> Array:
     """Dot products of the rows of ``a`` and ``b``, shape (n, 3) or broadcast to it: shape (n,)."""
