@@ -98,8 +98,8 @@ def reconstruct(
         objects=objects,
         cameras={"view": _camera_spec(frame, support)},
         lights={
-            "key": LightSpec(type="distant", direction=(0.4, -0.3, -1.0)),
-            "sky": LightSpec(type="dome", intensity=0.4),
+            "key": LightSpec(type="distant", intensity=0.45, direction=(0.4, -0.3, -1.0)),
+            "sky": LightSpec(type="dome", intensity=0.7),
         },
         relations=relations,
         origin=Origin(capture=name, fit=_metres(support.residual)),
@@ -189,7 +189,6 @@ def _support_spec(capture: str, frame: Frame, support: Support, slab: Thickness)
         shape=PrismShape(prism=Prism(outline=outline, height=slab.value)),
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
-        color=_rgb(dominant_color(frame, support.inliers)),
         pose=PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
         origin=Origin(capture=capture, fit=_metres(support.residual), note=note),
     )

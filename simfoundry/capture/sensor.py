@@ -152,8 +152,8 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
     """Pixels whose depth is uncertain beside a jump of depth, and those of its farther side that are hidden."""
     z = np.where(np.isnan(ray.depth), np.inf, ray.depth)
     # A plane tilted by t changes by z tan(t) / f from one pixel to the next; only more than that is a jump.
-    slope = z * np.tan(np.minimum(np.nan_to_num(tilt), math.radians(85.0))) / min(ray.camera.fx, ray.camera.fy)
-    slack = np.where(np.isinf(z), 0.0, 2 * np.where(np.isinf(z), 0.0, slope))
+    steepness = np.tan(np.minimum(np.nan_to_num(tilt), math.radians(85.0))) / min(ray.camera.fx, ray.camera.fy)
+    slack = 2 * np.nan_to_num(ray.depth) * steepness
     near_side, far_side = np.zeros(z.shape, dtype=np.bool_), np.zeros(z.shape, dtype=np.bool_)
     for axis in (0, 1):
         low, high = (slice(None, -1), slice(1, None))
@@ -168,18 +168,19 @@ def _edges(ray: Raycast, tilt: Array, model: SensorModel) -> tuple[NDArray[np.bo
         far_side[one] |= falls
         near_side[two] |= falls
     uncertain = _grown(near_side | far_side, 1 if model.lateral > 0 else 0)
-    return uncertain, _grown(far_side, model.edge_band - 1) & ~near_side & (model.edge_band > 0)
+    hidden = _grown(far_side & ~near_side, model.edge_band - 1, ~near_side)
+    return uncertain, hidden & (model.edge_band > 0)
 
 
-def _grown(mask: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
-    """The mask with its neighbours up to ``steps`` pixels away (city blocks)."""
+def _grown(mask: NDArray[np.bool_], steps: int, within: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """The mask with its neighbours up to ``steps`` pixels away (city blocks), on a path that stays ``within``."""
     for _ in range(max(0, steps)):
         wide = mask.copy()
         wide[1:] |= mask[:-1]
         wide[:-1] |= mask[1:]
         wide[:, 1:] |= mask[:, :-1]
         wide[:, :-1] |= mask[:, 1:]
-        mask = wide
+        mask = wide if within is None else wide & within
     return mask
 
 

@@ -16,7 +16,7 @@ from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.shading import Points, background, encode_srgb, shade, studio
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.surface import Surface, scene_surface
-from simfoundry.scene.visibility import Hits, Rays, first_hits, pixel_rays
+from simfoundry.scene.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,10 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     depth = np.full(h * w, np.nan)
     objects = np.zeros(h * w, dtype=np.int32)
     normals = np.full((h * w, 3), np.nan)
-    met = hits.triangle >= 0
+    met = np.flatnonzero(hits.triangle >= 0)
     depth[met] = 1.0 / hits.inverse_depth[met]
     objects[met] = surface.object[hits.triangle[met]] + 1
-    normals[met] = _normals(surface, hits, rays, camera)[met]
+    normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
     if samples > 1:
         rays = _pixels(camera, samples)
         hits = _seen(surface, camera, rays)
@@ -77,29 +77,25 @@ def _pixels(camera: Camera, samples: int) -> Rays:
 def _seen(surface: Surface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
     """What each ray meets first. Of closed surfaces only the outside is seen, so the rest is not even tried."""
     alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
-    outward = np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0])
-    faces_camera = ((camera.X_WC.p - surface.corners[:, 0]) * outward).sum(axis=1) > 0
+    faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
     kept = faces_camera | ~surface.closed
     if opaque_only:
         kept &= alpha[surface.visual] >= 1
     index = np.flatnonzero(kept)
-    hits = first_hits(camera.X_WC.inverse().apply(surface.corners[index]), rays)
+    hits = first_hits(turned(camera.X_WC.rotation.T, surface.corners[index] - camera.X_WC.p), rays)
     triangle = np.where(hits.triangle >= 0, index[hits.triangle] if len(index) else -1, -1)
     return Hits(triangle, hits.inverse_depth, hits.weights)
 
 
 def _directions(rays: Rays, camera: Camera) -> Array:
     """Ray directions in the world, shape (n, 3), of length one along the optical axis."""
-    return np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1) @ camera.X_WC.rotation.T
+    return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
 
 
-def _normals(surface: Surface, hits: Hits, rays: Rays, camera: Camera) -> Array:
-    """Unit shading normals toward the camera, shape (n, 3); meaningless where nothing is hit."""
-    normals = (surface.normals[hits.triangle] * hits.weights[..., None]).sum(axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    corners = surface.corners[hits.triangle]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    away = (outward * _directions(rays, camera)).sum(axis=1) > 0  # seen from the back: an open surface
+def _normals(surface: Surface, hits: Hits, directions: Array) -> Array:
+    """Unit shading normals toward the camera, shape (n, 3), where every ray along ``directions`` (n, 3) has hit."""
+    normals = unit(blend(surface.normals[hits.triangle], hits.weights))
+    away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
     return np.asarray(np.where(away[:, None], -normals, normals))
 
 
@@ -110,12 +106,12 @@ def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hi
     met = np.flatnonzero(hits.triangle >= 0)
     if not len(met):
         return color
-    some = Hits(hits.triangle[met], hits.inverse_depth[met], hits.weights[met])
+    some, along = hits.at(met), directions[met]
     row, column = np.divmod(met, camera.width * samples)
     at = Points(
-        p=camera.X_WC.p + directions[met] / some.inverse_depth[:, None],
-        normals=_normals(surface, hits, rays, camera)[met],
-        to_eye=-directions[met] / np.linalg.norm(directions[met], axis=1, keepdims=True),
+        p=camera.X_WC.p + along / some.inverse_depth[:, None],
+        normals=_normals(surface, some, along),
+        to_eye=-unit(along),
         group=row % samples * samples + column % samples,
         groups=samples * samples,
     )

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.model import LightType, Mesh, Scene
 from simfoundry.scene.surface import Surface
-from simfoundry.scene.visibility import NEAREST, Hits, first_hits, scattered_rays
+from simfoundry.scene.visibility import (
+    NEAREST,
+    Hits,
+    area_normals,
+    blend,
+    dot,
+    first_hits,
+    scattered_rays,
+    turned,
+    unit,
+)
 
 SHADOW_BIAS = 2e-4
 """Something that is closer to a point than this along the light [m] is the point's own surface."""
@@ -28,6 +38,9 @@ LAMP_RADIUS = 0.03
 
 SKY_SPOTS = 4
 """How many spots of the sky each sub-pixel looks at."""
+
+KEY_DIRECTION = frozen_array(unit(np.array([-0.16, 0.66, 0.82])))
+"""Where the light of a scene without lights comes from (unit, world)."""
 
 SKY = frozen_array([0.86, 0.93, 1.0])
 GROUND = frozen_array([0.42, 0.39, 0.36])
@@ -57,8 +70,7 @@ class Studio:
 def studio(scene: Scene) -> Studio:
     """The scene's own lights, or daylight from the upper left of a robot that looks along x."""
     if not scene.lights:
-        key = np.array([-0.16, 0.66, 0.82])
-        lamp = Lamp(key / np.linalg.norm(key), True, np.array([0.86, 0.83, 0.78]))
+        lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
         return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
     lamps, dome = [], np.zeros(3)
     for light in scene.lights:
@@ -92,20 +104,18 @@ class Points:
 
 def shade(surface: Surface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
     """Linear colour of the n hits, shape (n, 3); ``focal_squared`` [px^2] says how large a pixel is."""
-    albedo = _albedo(surface, hits, np.abs((at.normals * at.to_eye).sum(axis=1)), focal_squared)
+    albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
     sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
     light = lights.down * (1 - sky) + lights.up * sky * _openness(surface, at)[:, None]
     shine = np.zeros_like(light)
     for lamp in lights.lamps:
         to_lamp = lamp.p if lamp.distant else lamp.p - at.p
-        direction = np.broadcast_to(to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True), at.p.shape)
-        cosine = np.maximum((at.normals * direction).sum(axis=1), 0.0)
+        direction = np.broadcast_to(unit(to_lamp), at.p.shape)
+        cosine = np.maximum(dot(at.normals, direction), 0.0)
         for k in range(at.groups):
             facing = np.flatnonzero((at.group == k) & (cosine > 0))
             cosine[facing[_in_shadow(surface, _spot(lamp, k, at.groups), at.p[facing])]] = 0.0
-        half = direction + at.to_eye
-        half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-30)
-        gloss = 0.10 * np.maximum((at.normals * half).sum(axis=1), 0.0) ** 48
+        gloss = 0.10 * np.maximum(dot(at.normals, unit(direction + at.to_eye)), 0.0) ** 48
         light = light + cosine[:, None] * lamp.rgb
         shine = shine + np.where(cosine > 0, gloss, 0.0)[:, None] * lamp.rgb
     return albedo * light + shine
@@ -118,7 +128,7 @@ def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
     radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
     side = look_at(np.zeros(3), lamp.p).rotation
     p = lamp.p + radius * (np.cos(turn) * side[:, 0] + np.sin(turn) * side[:, 1])
-    return Lamp(p / np.linalg.norm(p), True, lamp.rgb)
+    return Lamp(unit(p), True, lamp.rgb)
 
 
 def _openness(surface: Surface, at: Points) -> Array:
@@ -135,7 +145,7 @@ def _openness(surface: Surface, at: Points) -> Array:
             height, turn = np.sqrt(1 - (spot + 0.5) / total), 2.399963 * spot
             flat = np.sqrt(1 - height**2)
             direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
-            cosine = np.maximum((normals * direction).sum(axis=1), 0.0)
+            cosine = np.maximum(dot(normals, direction), 0.0)
             facing = np.flatnonzero(cosine > 0)
             asked[facing] += cosine[facing]
             cosine[facing[_in_shadow(surface, Lamp(direction, True, SKY), p[facing])]] = 0.0
@@ -156,26 +166,24 @@ def _in_shadow(surface: Surface, lamp: Lamp, points: Array) -> NDArray[np.bool_]
     centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-9
     origin = centre + DISTANT * radius * lamp.p if lamp.distant else lamp.p
     aim = centre if float(np.linalg.norm(centre - origin)) > 1e-6 else origin - np.array([0.0, 0.0, 1.0])
-    X_LW = look_at(origin, aim).inverse()
-    local = X_LW.apply(points)
+    R_LW = look_at(origin, aim).rotation.T
+    local = turned(R_LW, points - origin)
     reached = np.flatnonzero(local[:, 2] > NEAREST)
     if not len(reached):
         return shadow
     x, y, z = local[reached].T
-    corners = surface.corners
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    far_side = ((origin - corners[:, 0]) * outward).sum(axis=1) < 0
+    far_side = dot(origin - surface.corners[:, 0], area_normals(surface.corners)) < 0
     opaque = np.array([v.rgba[3] >= 1 for v in surface.visuals], dtype=np.bool_)[surface.visual]
     casters = opaque & (far_side | ~surface.closed)
     floor = 1.0 / np.maximum(z - SHADOW_BIAS, NEAREST)
-    hits = first_hits(X_LW.apply(corners[casters]), scattered_rays(x / z, y / z), floor)
+    hits = first_hits(turned(R_LW, surface.corners[casters] - origin), scattered_rays(x / z, y / z), floor)
     shadow[reached] = hits.triangle >= 0
     return shadow
 
 
 def background(directions: Array) -> Array:
     """Linear colour of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
-    rise = directions[:, 2:] / np.linalg.norm(directions, axis=1, keepdims=True)
+    rise = unit(directions)[:, 2:]
     up = np.clip(rise, 0, 1) ** 0.6
     down = np.clip(-rise, 0, 1) ** 0.6
     return np.asarray(HORIZON * (1 - up - down) + ZENITH * up + NADIR * down)
@@ -190,8 +198,8 @@ def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -
         if isinstance(item.geometry, Mesh) and item.geometry.texture is not None and item.geometry.uv is not None:
             mine = np.flatnonzero(visual == k)
             if len(mine):
-                some = Hits(hits.triangle[mine], hits.inverse_depth[mine], hits.weights[mine])
-                color[mine] *= _textured(surface, item.geometry.texture, some, facing[mine], focal_squared)
+                texture = item.geometry.texture
+                color[mine] *= _textured(surface, texture, hits.at(mine), facing[mine], focal_squared)
     return color
 
 
@@ -199,12 +207,12 @@ def _textured(surface: Surface, texture: bytes, hits: Hits, facing: Array, focal
     """Texture colour of each hit, shape (n, 3), from the level whose texels are about as large as the pixel."""
     levels = _pyramid(texture)
     uv = surface.uv[hits.triangle]
-    at = (uv * hits.weights[..., None]).sum(axis=1)
+    at = blend(uv, hits.weights)
     height, width = levels[0].shape[:2]
     (du1, dv1), (du2, dv2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
     texels = np.abs(du1 * dv2 - dv1 * du2) * width * height
-    corners = surface.corners[hits.triangle]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normals = area_normals(surface.corners[hits.triangle])
+    area = np.sqrt(dot(normals, normals))
     footprint = 1.0 / (hits.inverse_depth**2 * focal_squared * np.maximum(facing, 0.1))
     scale = texels / np.maximum(area, 1e-30) * footprint  # texels of the finest level under one pixel
     level = np.clip(np.floor(0.5 * np.log2(np.maximum(scale, 1e-30)) + 0.5), 0, len(levels) - 1).astype(np.int64)

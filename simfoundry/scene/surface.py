@@ -13,6 +13,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Geometry, Scene, Visual
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.visibility import area_normals, dot, turned, unit
 
 SEGMENTS = 96
 """How finely round primitives are drawn: the radius of a 5 cm cup is off by at most 27 micrometres."""
@@ -81,7 +82,8 @@ def scene_surface(scene: Scene, state: SceneState | None = None) -> Surface:
 
 
 def _posed(patch: _Patch, X_WG: Pose) -> _Patch:
-    return _Patch(X_WG.apply(patch.corners), patch.normals @ X_WG.rotation.T, patch.uv, patch.closed)
+    R_WG = X_WG.rotation
+    return _Patch(turned(R_WG, patch.corners) + X_WG.p, turned(R_WG, patch.normals), patch.uv, patch.closed)
 
 
 @lru_cache(maxsize=512)
@@ -101,15 +103,14 @@ def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
     start, stop = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     count = int(faces.max()) + 1
     forth, back = np.sort(start * count + stop), np.sort(stop * count + start)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    volume = float((a * np.cross(b, c)).sum())
+    volume = float(dot(corners[:, 0], area_normals(corners)).sum())
     return volume > 0 and bool((forth == back).all()) and bool((np.diff(forth) > 0).all())
 
 
 def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
     """Unit normals, shape (m, 3, 3): the area-weighted mean of the faces at a corner's vertex, creases apart."""
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    unit = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-30)
+    area = area_normals(corners)
+    facet = unit(area)
     vertex = faces.ravel()
     order = np.argsort(vertex, kind="stable")
     size = np.bincount(vertex) if len(vertex) else np.zeros(0, dtype=np.int64)
@@ -118,10 +119,8 @@ def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
     corner = np.repeat(np.arange(len(vertex)), count)
     within = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
     face, other = corner // 3, order[start[vertex[corner]] + within] // 3
-    smooth = (unit[face] * unit[other]).sum(axis=1) > np.cos(np.radians(CREASE_DEG))
-    normals = np.stack(
-        [np.bincount(corner[smooth], weights=area[other[smooth], k], minlength=len(vertex)) for k in range(3)], axis=1
-    )
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat = np.repeat(unit, 3, axis=0)
-    return np.where(length > 1e-30, normals / np.maximum(length, 1e-30), flat).reshape(-1, 3, 3)
+    smooth = dot(facet[face], facet[other]) > np.cos(np.radians(CREASE_DEG))
+    sums = [np.bincount(corner[smooth], weights=area[other[smooth], k], minlength=len(vertex)) for k in range(3)]
+    normals = np.stack(sums, axis=1).astype(np.float64)
+    smoothed = dot(normals, normals)[:, None] > 0
+    return np.where(smoothed, unit(normals), np.repeat(facet, 3, axis=0)).reshape(-1, 3, 3)

@@ -67,6 +67,37 @@ class Hits:
     inverse_depth: Array
     weights: Array
 
+    def at(self, rays: Index) -> Hits:
+        """The hits of some of the rays, by their indices."""
+        return Hits(self.triangle[rays], self.inverse_depth[rays], self.weights[rays])
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Dot products of the rows of ``a`` and ``b``, shape (n, 3) or broadcast to it: shape (n,)."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
+def unit(a: Array) -> Array:
+    """The rows of ``a``, shape (..., 3), at length one; a row of zeros stays."""
+    return np.asarray(a / np.maximum(np.sqrt(dot(a, a)), 1e-30)[..., None])
+
+
+def turned(R_AB: Array, vectors: Array) -> Array:
+    """Vectors in A of ``vectors`` in B, shape (..., 3); without BLAS, whose threads and last bits vary by machine."""
+    x, y, z = vectors[..., 0, None], vectors[..., 1, None], vectors[..., 2, None]
+    return np.asarray(x * R_AB[:, 0] + y * R_AB[:, 1] + z * R_AB[:, 2])
+
+
+def blend(corners: Array, weights: Array) -> Array:
+    """Values at the corners of triangles, shape (n, 3, d), mixed by barycentric ``weights`` (n, 3): shape (n, d)."""
+    a, b, c = weights[:, 0, None], weights[:, 1, None], weights[:, 2, None]
+    return np.asarray(a * corners[:, 0] + b * corners[:, 1] + c * corners[:, 2])
+
+
+def area_normals(corners: Array) -> Array:
+    """Normals of triangles (m, 3, 3), counter-clockwise from outside, as long as twice the area: shape (m, 3)."""
+    return _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
 
 def pixel_rays(width: int, height: int, fx: float, fy: float, cx: float, cy: float, samples: int = 1) -> Rays:
     """Rays through ``samples`` x ``samples`` points in every pixel, in row-major order; pixel centres are integers."""

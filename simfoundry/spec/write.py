@@ -98,11 +98,22 @@ def _entry(head: str, value: Any, indent: int, section: str) -> Iterator[str]:
         yield head
         yield from _block(value, indent + 2, section)
     elif isinstance(value, tuple | list) and value:
-        yield head
-        for item in value:
-            yield f"{' ' * (indent + 2)}- {_flow(item)}"
+        yield from _wrapped(f"{head} [", [_flow(item) for item in value], indent + 2)
     else:
         yield f"{head} {flow}"
+
+
+def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
+    """A long list in brackets, as many items a line as fit."""
+    line = head
+    for k, item in enumerate(items):
+        text = item + ("]" if k == len(items) - 1 else ",")
+        if line != head and len(line) + 1 + len(text) > WIDTH:
+            yield line
+            line = " " * indent + text
+        else:
+            line += text if line == head else f" {text}"
+    yield line
 
 
 def _flow(value: Any) -> str:

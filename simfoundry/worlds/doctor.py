@@ -52,7 +52,7 @@ def examine() -> list[Part]:
         remedy = PYBULLET_REMEDY if name == "pybullet" else f"pip install {name}"
         parts.append(Part(name, _version(name), required, purpose, remedy))
     if sys.platform.startswith("linux"):
-        from simfoundry.worlds.render import working_drivers
+        from simfoundry.worlds.gl import working_drivers
 
         drivers = working_drivers()
         parts.append(Part("offscreen GL", " ".join(drivers), False, "MuJoCo's renderer", GL_REMEDY))

@@ -1,0 +1,74 @@
+"""Which driver draws: found out once, without spoiling the process for the other."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from enum import StrEnum
+from functools import cache
+
+_PROBE = """
+import importlib, mujoco
+gl = importlib.import_module("mujoco.{engine}").GLContext(64, 64)
+gl.make_current()
+mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), mujoco.mjtFontScale.mjFONTSCALE_100)
+print("drawn")
+"""
+
+
+class Engine(StrEnum):
+    """What draws: MuJoCo with one of two GL drivers, our own ray caster, or the first of the three that works."""
+
+    AUTO = "auto"
+    EGL = "egl"
+    OSMESA = "osmesa"
+    RAYCAST = "raycast"
+
+
+class RenderError(Exception):
+    """A picture cannot be drawn as asked; the message says why and what to do."""
+
+
+def choose_engine(engine: Engine | str = Engine.AUTO) -> Engine:
+    """The engine that draws when ``engine`` is asked for. Raises :class:`RenderError` if it does not work here."""
+    try:
+        wanted = Engine(engine)
+    except ValueError:
+        raise RenderError(f"no render engine {engine!r}; there are: {', '.join(Engine)}") from None
+    if wanted is Engine.AUTO:
+        drivers = [Engine.EGL, Engine.OSMESA]
+        preferred = os.environ.get("MUJOCO_GL", "").lower()
+        drivers.sort(key=lambda d: d.value != preferred)
+        return next((d for d in drivers if _obstacle(d) is None), Engine.RAYCAST)
+    if wanted is not Engine.RAYCAST and (reason := _obstacle(wanted)) is not None:
+        raise RenderError(f"{wanted} does not work here ({reason}); use 'raycast', which needs no GL driver")
+    return wanted
+
+
+def working_drivers() -> list[str]:
+    """The GL drivers that MuJoCo can draw with here."""
+    return [engine.value for engine in (Engine.EGL, Engine.OSMESA) if _obstacle(engine) is None]
+
+
+def _obstacle(engine: Engine) -> str | None:
+    """Why MuJoCo cannot draw with this driver in this process, or None if it can."""
+    platform = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    if platform not in ("", engine.value):  # PyOpenGL binds to one driver for the life of a process
+        return f"this process has already chosen the GL driver {platform!r}"
+    return _probe(engine)
+
+
+@cache
+def _probe(engine: Engine) -> str | None:
+    """Try the driver in a process of its own: a failed attempt would spoil this one for the other driver."""
+    own = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "PYOPENGL_PLATFORM")}
+    command = [sys.executable, "-c", _PROBE.format(engine=engine.value)]
+    try:
+        done = subprocess.run(command, env=own, capture_output=True, text=True, timeout=60, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"the trial run failed: {error}"
+    if "drawn" in done.stdout:
+        return None
+    lines = done.stderr.strip().splitlines()
+    return lines[-1] if lines else f"the trial run ended with status {done.returncode}"
