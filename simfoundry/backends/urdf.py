@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.geometry_files import has_texture, obj_with_material, texture_name
@@ -34,8 +35,17 @@ from simfoundry.scene.model import (
 Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
+
+@dataclass(frozen=True)
+class Dialect:
+    """How one reader of URDF wants geometries, those that are seen and those that are felt."""
+
+    shown: Parts
+    felt: Parts
+
+
 _EFFORT, _VELOCITY = "1000", "100"
-"""URDF demands limits of effort and velocity. The scene has none, so these are out of reach [N or N m, m/s or rad/s]."""
+"""URDF demands limits of effort and velocity. The scene has none: these are out of reach [N or N m, m/s or rad/s]."""
 
 _FAR = 1000.0
 """Where a sliding joint without limits ends [m]."""
@@ -44,19 +54,19 @@ _FAR = 1000.0
 def compile_urdf(scene: Scene) -> Artifact:
     """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, capsule_parts)
+    files = urdf_files(scene, Dialect(shown=capsule_parts, felt=capsule_parts))
     poses = {item.name: _manifest(item) for item in scene.objects}
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
     return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
 
 
-def urdf_files(scene: Scene, parts: Parts) -> dict[str, bytes]:
+def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
     """The URDF of every object and the assets that they share, by path."""
     files: dict[str, bytes] = {}
     for item in scene.objects:
         root = ET.Element("robot", name=item.name)
         for link in item.links:
-            _add_link(root, link, parts, files)
+            _add_link(root, link, dialect, files)
         for joint in item.joints:
             _add_joint(root, joint)
         ET.indent(root)
@@ -79,7 +89,7 @@ def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
     yield "_bottom", Sphere(geometry.radius), Pose.of([0.0, 0.0, -geometry.height / 2])
 
 
-def _add_link(root: ET.Element, link: Link, parts: Parts, files: dict[str, bytes]) -> None:
+def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
     element = ET.SubElement(root, "link", name=link.name)
     moments, q = principal_inertia(link.inertia)
     inertial = ET.SubElement(element, "inertial")
@@ -88,13 +98,13 @@ def _add_link(root: ET.Element, link: Link, parts: Parts, files: dict[str, bytes
     ixx, iyy, izz = (number(moment) for moment in moments)
     ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
     for visual in link.visuals:
-        for suffix, geometry, X_GP in parts(visual.geometry):
+        for suffix, geometry, X_GP in dialect.shown(visual.geometry):
             shown = ET.SubElement(element, "visual", name=visual.name + suffix)
             _add_origin(shown, visual.X_LG @ X_GP)
             _add_geometry(shown, geometry, files)
             _add_material(shown, visual)
     for collider in link.colliders:
-        for suffix, geometry, X_GP in parts(collider.geometry):
+        for suffix, geometry, X_GP in dialect.felt(collider.geometry):
             felt = ET.SubElement(element, "collision", name=collider.name + suffix)
             _add_origin(felt, collider.X_LG @ X_GP)
             _add_geometry(felt, geometry, files)

@@ -34,7 +34,7 @@ class PybulletWorld:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.client = -1
-        with quiet_stdout():
+        with quiet_native_output():
             self._bullet = _import_pybullet()
             self.client = self._bullet.connect(self._bullet.DIRECT)
             with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
@@ -185,17 +185,25 @@ def _import_file(path: Path) -> ModuleType:
 
 
 @contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Send what native code prints to standard output nowhere; PyBullet greets and warns there."""
+def quiet_native_output() -> Iterator[None]:
+    """Send what native code prints nowhere; PyBullet greets on standard error and warns on standard output."""
     libc = ctypes.CDLL(None) if sys.platform != "win32" else ctypes.cdll.msvcrt
-    sys.stdout.flush()
-    libc.fflush(None)
-    saved = os.dup(1)
+    _flush(libc)
+    saved = os.dup(1), os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        with Path(os.devnull).open("wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
         yield
     finally:
-        libc.fflush(None)  # else C's buffer would come out later, on the restored stream
-        os.dup2(saved, 1)
-        os.close(saved)
+        _flush(libc)  # else C's buffer would come out later, on the restored streams
+        os.dup2(saved[0], 1)
+        os.dup2(saved[1], 2)
+        for descriptor in (*saved, nowhere):
+            os.close(descriptor)
+
+
+def _flush(libc: ctypes.CDLL) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    libc.fflush(None)

@@ -76,6 +76,8 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(visual, "headlight", own_light)
     default = ET.SubElement(root, "default")
+    # Stiff, so that Coulomb friction holds a joint still; at MuJoCo's default a held drawer creeps 10 mm/s.
+    ET.SubElement(default, "joint", solimpfriction="0.999 0.999 0.001 0.5 2")
     seen = ET.SubElement(default, "default", {"class": "visual"})
     ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
     felt = ET.SubElement(default, "default", {"class": "collider"})

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, product
 
 from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
 from simfoundry.scene.model import JointType, Scene, SceneObject, pair_friction, pair_restitution
@@ -45,10 +45,9 @@ def add_contacts(root: ET.Element, scene: Scene) -> None:
         restitution = pair_restitution(material_a[1], material_b[1])
         if restitution > 0:
             attributes["solref"] = numbers(solref(restitution))
-        for a in group_a:
-            for b in group_b:
-                if a.owner != b.owner and not (a.static and b.static):
-                    ET.SubElement(contact, "pair", {"geom1": a.geom, "geom2": b.geom} | attributes)
+        for one, other in product(group_a, group_b):
+            if one.owner != other.owner and not (one.static and other.static):
+                ET.SubElement(contact, "pair", {"geom1": one.geom, "geom2": other.geom} | attributes)
 
 
 def _surfaces(item: SceneObject) -> Iterator[_Surface]:

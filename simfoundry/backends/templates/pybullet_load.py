@@ -17,8 +17,6 @@ FLAGS = (
     | pybullet.URDF_USE_IMPLICIT_CYLINDER  # else a cylinder becomes a polyhedron
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
-COLLISION_MARGIN = 1e-4
-"""Thickness of the skin around a collision shape [m]."""
 
 
 def load(client: int | None = None) -> dict[str, int]:
@@ -68,7 +66,6 @@ def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> N
         spinningFriction=0,
         linearDamping=0,
         angularDamping=0,
-        collisionMargin=COLLISION_MARGIN,
         physicsClientId=client,
     )
 
