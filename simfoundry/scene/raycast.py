@@ -1,12 +1,12 @@
 """Pictures of a scene without a display, a driver or a GPU: colour, exact depth, object labels and normals.
 
 Made for synthetic captures, for documentation and for machines where no simulator can draw. Colours are shaded in
-linear light (Lambert, a faint highlight, hemispherical ambient light, hard shadows) and returned as sRGB.
+linear light (Lambert, a faint highlight, hemispherical ambient light, shadows) and returned as sRGB.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from simfoundry.scene.shading import Points, background, encode_srgb, shade, stu
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.surface import Surface, scene_surface
 from simfoundry.scene.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
+
+BAND = 1_300_000
+"""How many rays are shaded at once: about 1 GB of memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +43,9 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
 
     Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` of the camera frame, so the centre of the first pixel
     is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Colour is the mean of ``samples`` x ``samples`` rays
-    in each pixel; depth, objects and normals are those of its centre. A visual of alpha 0 is not there; one of alpha
-    below 1 is seen, in all four arrays, and lets the colour behind it through.
+    in each pixel, and the more there are, the softer are its shadows: one ray gives hard shadows and an open sky, from
+    two on corners are darker. Depth, objects and normals are those of the centre. A visual of alpha 0 is not there; one
+    of alpha below 1 is seen, in all four arrays, lets the colour behind it through and casts no shadow.
     """
     if samples < 1:
         raise ValueError(f"a pixel needs at least one ray, got samples={samples}")
@@ -56,18 +60,22 @@ def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, sampl
     depth[met] = 1.0 / hits.inverse_depth[met]
     objects[met] = surface.object[hits.triangle[met]] + 1
     normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
-    if samples > 1:
-        rays = _pixels(camera, samples)
-        hits = _seen(surface, camera, rays)
-    linear = _colors(scene, surface, camera, rays, hits, samples)
-    linear = linear.reshape(h, samples, w, samples, 3).mean(axis=(1, 3))
+    rows = max(1, BAND // (w * samples**2))
     return Raycast(
-        color=encode_srgb(linear),
+        color=np.concatenate([_band(scene, surface, camera, top, rows, samples) for top in range(0, h, rows)]),
         depth=depth.reshape(h, w),
         objects=objects.reshape(h, w),
         normals=normals.reshape(h, w, 3),
         camera=camera,
     )
+
+
+def _band(scene: Scene, surface: Surface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
+    """Colour of ``rows`` rows of the picture from ``top`` on, or of what is left of it: a picture of its own."""
+    band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
+    rays = _pixels(band, samples)
+    linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), samples)
+    return encode_srgb(linear.reshape(band.height, samples, band.width, samples, 3).mean(axis=(1, 3)))
 
 
 def _pixels(camera: Camera, samples: int) -> Rays:

@@ -276,6 +276,14 @@ def test_samples_smooth_the_colour_and_leave_the_rest_alone() -> None:
         raycast(scene, camera, samples=0)
 
 
+def test_a_picture_drawn_in_bands_is_the_picture_drawn_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, camera = tabletop(), skewed_camera()
+    whole = raycast(scene, camera, samples=2).color
+    monkeypatch.setattr("simfoundry.scene.raycast.BAND", 96 * 4 * 11)  # bands of 11 rows, the last of 6
+    banded = raycast(scene, camera, samples=2).color
+    assert (np.abs(whole.astype(int) - banded) > 1).mean() < 1e-3
+
+
 def test_the_far_part_of_a_table_that_reaches_behind_the_camera_is_seen() -> None:
     camera = Camera(
         "eye", 64, 48, 60.0, 60.0, 31.5, 23.5, look_at(np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.2, 0.2]))
