@@ -90,7 +90,11 @@ def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
         near = _envelope(columns, t[here], s[here], 10.0)
         above = z > level - reach
         seen = np.maximum(_envelope(columns, t[above], s[above], 92.0), near)
-        far = np.clip(_mirror(columns, near), seen, np.maximum(seen, _free_limit(frame, support, columns, near, level, across, along)))
+        far = np.clip(
+            _mirror(columns, near),
+            seen,
+            np.maximum(seen, _free_limit(frame, support, columns, near, level, across, along)),
+        )
         rows.append((level, columns, near, np.maximum(far, near + _THINNEST)))
     if not rows:
         columns = np.linspace(*np.percentile(t, [1.0, 99.0]), COLUMNS)
@@ -211,5 +215,3 @@ def _stabilise(rings: Array) -> Array:
 def _area(polygon: Array) -> float:
     x, y = polygon.T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-
-

@@ -70,7 +70,9 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
     """The capture's own masks, without specks and without what is not on the support."""
     import cv2
 
-    on_it = _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    on_it = (
+        _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    )
     out = np.zeros(instances.shape, np.int32)
     for k in np.unique(instances[instances > 0]):
         mask = instances == k
@@ -134,7 +136,9 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     gravity = support.X_WC.rotation.T @ np.array([0.0, 0.0, -1.0])
     # How the picture moves when a point at the optical axis falls.
     down = gravity[:2] / max(1e-9, float(np.linalg.norm(gravity[:2])))
-    return _Scene(window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1])))
+    return _Scene(
+        window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1]))
+    )
 
 
 def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:

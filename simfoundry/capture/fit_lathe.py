@@ -140,7 +140,9 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     limit = np.concatenate([[np.inf], seen, [np.inf]])
     inner_at = np.maximum(np.minimum(outer_at - WALL, np.maximum(limit, outer_at - 4 * WALL)), _MIN_RADIUS)
     floor_radius = float(np.interp(floor, levels, inner_at))
-    inward = np.column_stack([np.concatenate([[floor_radius], inner_at[cavity]]), np.concatenate([[floor], levels[cavity]])])
+    inward = np.column_stack(
+        [np.concatenate([[floor_radius], inner_at[cavity]]), np.concatenate([[floor], levels[cavity]])]
+    )
     outward = np.column_stack([outer_at[::-1], levels[::-1]])
     return np.vstack([[0.0, floor], inward, outward, [0.0, 0.0]])
 

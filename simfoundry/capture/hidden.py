@@ -176,4 +176,3 @@ def _short_side(points: Array) -> float:
 
     inner = points[:, :2].astype(np.float32) * 1000
     return float(min(cv2.minAreaRect(inner)[1])) / 1000
-

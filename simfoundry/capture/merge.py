@@ -68,7 +68,9 @@ def compact(labels: np.ndarray) -> Labels:
     return table[labels]
 
 
-def join_hanging(labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int) -> Labels:
+def join_hanging(
+    labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int
+) -> Labels:
     """Join what hangs in the air, like the handle of a mug, to what it touches most."""
     parts = parts_of(labels, points_W, depth, K)
     on, hidden = carriers(parts), below(labels, depth, down, reach)

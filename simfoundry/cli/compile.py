@@ -21,8 +21,8 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, as_json: bool) -> int:
     """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
     from simfoundry.assets.cache import Cache
-    from simfoundry.worlds.build import build
     from simfoundry.scene.lower import lower_file
+    from simfoundry.worlds.build import build
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))

@@ -10,6 +10,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, convex_parts, hull
+from simfoundry.assets.lathe import checked_profile, lathe_mesh, lathe_parts
 from simfoundry.assets.mesh import MeshError, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
@@ -21,6 +22,7 @@ from simfoundry.spec.base import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
+    LatheShape,
     Material,
     PrismShape,
     SphereShape,
@@ -31,7 +33,7 @@ GREY = (0.7, 0.7, 0.7, 1.0)
 FIXED_DENSITY = 1000.0
 """Density [kg/m^3] of a fixed body that gives none: it never moves, so its mass acts on nothing."""
 
-ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape
+ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
 
 @dataclass
@@ -166,9 +168,19 @@ def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
             outline = checked_outline(np.array(shape.prism.outline))
             vertices, faces = prism_mesh(outline, shape.prism.height)
             pieces = [prism_mesh(p, shape.prism.height) for p in convex_outlines(outline)]
-            whole = Mesh(frozen(vertices), _faces(faces))
-            return whole, mass.mesh(vertices, faces), [Mesh(frozen(v), _faces(f)) for v, f in pieces]
+            return _meshes((vertices, faces), pieces)
+        case LatheShape():
+            profile = checked_profile(np.array(shape.lathe.profile))
+            return _meshes(lathe_mesh(profile), [hull(points) for points in lathe_parts(profile)])
     return geometry, solid, [geometry]
+
+
+def _meshes(
+    whole: tuple[Array, Faces], parts: list[tuple[Array, Faces]]
+) -> tuple[Geometry, mass.Solid, list[Geometry]]:
+    """A shape that simulators know only as a mesh: its surface, its solid, its convex parts."""
+    shown, *touching = (Mesh(frozen(vertices), _faces(faces)) for vertices, faces in (whole, *parts))
+    return shown, mass.mesh(*whole), list(touching)
 
 
 def _faces(faces: Faces) -> Faces:

@@ -116,6 +116,16 @@ class Prism(Model):
     height: Positive = Field(description="Full height [m].")
 
 
+class Lathe(Model):
+    """A profile turned about z: bowls, cups, bottles, plates, rings of any section that reaches the axis."""
+
+    profile: tuple[tuple[NonNegative, Number], ...] = Field(
+        min_length=3,
+        max_length=256,
+        description="Corners as (radius, height) [m] in order, from the axis around the solid back to the axis.",
+    )
+
+
 class BoxShape(Model):
     """A box centred on its frame."""
 
@@ -146,7 +156,13 @@ class PrismShape(Model):
     prism: Prism
 
 
-SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "prism")
+class LatheShape(Model):
+    """A body of revolution about z; its heights are those of the profile."""
+
+    lathe: Lathe
+
+
+SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "prism", "lathe")
 
 
 def _shape_tag(value: Any) -> str:
@@ -159,7 +175,8 @@ Shape = Annotated[
     | Annotated[SphereShape, Tag("sphere")]
     | Annotated[CylinderShape, Tag("cylinder")]
     | Annotated[CapsuleShape, Tag("capsule")]
-    | Annotated[PrismShape, Tag("prism")],
+    | Annotated[PrismShape, Tag("prism")]
+    | Annotated[LatheShape, Tag("lathe")],
     Discriminator(_shape_tag),
 ]
 

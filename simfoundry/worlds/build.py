@@ -11,7 +11,6 @@ from simfoundry.backends.artifact import Artifact
 from simfoundry.files import write_atomically
 from simfoundry.scene.model import Scene
 
-
 TARGETS = tuple(sorted(BACKENDS))
 
 

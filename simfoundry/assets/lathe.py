@@ -1,0 +1,141 @@
+"""Bodies of revolution: a profile turned about z, as one closed mesh and as convex parts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.mesh import MeshError
+
+if TYPE_CHECKING:
+    from shapely.geometry import Polygon
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+SIDES = 48
+"""Sides of the mesh; the radius between two of them is short by 0.2 %."""
+
+SECTORS = 16
+"""Sectors of a ring that is split into convex parts; inside a ring they stand proud by at most 2 % of its radius."""
+
+SAG = 0.0015
+"""Bands of the profile are joined while their hull stays within this distance of them [m]."""
+
+MOST_CORNERS = 64
+"""Corners that a part may have in every engine; see :mod:`simfoundry.assets.convex`."""
+
+
+def checked_profile(profile: Array) -> Array:
+    """The profile [m], shape (n, 2), of (radius, height), from the top down outside; raises :class:`MeshError`.
+
+    It starts and ends on the axis and crosses neither itself nor the axis.
+    """
+    from shapely.geometry import Polygon
+
+    if profile[0, 0] != 0 or profile[-1, 0] != 0:
+        raise MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
+    if (profile[1:-1, 0] <= 0).any():
+        raise MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
+    polygon = Polygon(profile)
+    if not polygon.is_valid or polygon.area < 1e-8:
+        raise MeshError("SF301", "the profile crosses itself or has no area", "list its corners in order around it")
+    return profile[::-1].copy() if polygon.exterior.is_ccw else profile
+
+
+def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
+    """Vertices and outward faces of the closed body of a checked profile."""
+    angle = np.arange(sides) * (2 * math.pi / sides)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [np.column_stack([radius * around, np.full(sides, height)]) for radius, height in profile[1:-1]]
+    vertices = np.concatenate([[[0.0, 0.0, profile[0, 1]]], *rings, [[0.0, 0.0, profile[-1, 1]]]])
+    here = np.arange(sides)
+    after = (here + 1) % sides
+    last = 1 + (len(rings) - 1) * sides
+    faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
+    for ring in range(len(rings) - 1):
+        upper, lower = 1 + ring * sides, 1 + (ring + 1) * sides
+        faces.append(np.column_stack([upper + here, lower + here, lower + after]))
+        faces.append(np.column_stack([upper + here, lower + after, upper + after]))
+    faces.append(np.column_stack([np.full(sides, len(vertices) - 1), last + after, last + here]))
+    return vertices, np.concatenate(faces).astype(np.int32)
+
+
+def lathe_parts(profile: Array) -> list[Array]:
+    """Corner points of convex parts that make up the body of a checked profile.
+
+    The profile is cut into bands at the heights of its corners; neighbouring bands are joined while they stay nearly
+    convex. A band that reaches the axis is one part, a ring is cut into sectors.
+    """
+    return [part for band in _bands(profile) for part in _turned(np.array(band.exterior.coords)[:-1])]
+
+
+def _bands(profile: Array) -> list[Polygon]:
+    from shapely.geometry import Polygon, box
+
+    whole = Polygon(profile)
+    heights = np.unique(np.round(profile[:, 1], 6))
+    reach = float(profile[:, 0].max()) + 1.0
+    bands: list[Polygon] = []
+    for low, high in pairwise(heights):
+        bands += _polygons(whole.intersection(box(-1.0, low, reach, high)))
+    while (pair := next(_joinable(bands), None)) is not None:
+        first, second, union = pair
+        bands[first] = union
+        del bands[second]
+    return bands
+
+
+def _joinable(bands: list[Polygon]) -> Iterator[tuple[int, int, Polygon]]:
+    """Pairs of bands that touch along a line and stay nearly convex together, with their union."""
+    for first, second in combinations(range(len(bands)), 2):
+        if bands[first].intersection(bands[second]).length > 1e-6:
+            union = bands[first].union(bands[second])
+            if _fits(union):
+                yield first, second, union
+
+
+def _polygons(shape: Any) -> list[Polygon]:
+    parts = list(getattr(shape, "geoms", [shape]))
+    return [p for p in parts if p.geom_type == "Polygon" and p.area > 1e-10]
+
+
+def _fits(union: Any) -> bool:
+    """Whether the union is one piece, nearly convex, and stays so when it is turned about the axis."""
+    if union.geom_type != "Polygon" or not _nearly_convex(union):
+        return False
+    corners = np.array(union.exterior.coords)[:-1]
+    return not (corners[:, 0] < 1e-9).any() or _convex_of_revolution(corners)
+
+
+def _convex_of_revolution(corners: Array) -> bool:
+    """Whether a band that reaches the axis is convex as a body: as a polygon joined with its mirror image."""
+    from shapely.geometry import Polygon
+
+    mirrored = Polygon(corners).union(Polygon(corners * [-1.0, 1.0]))
+    return mirrored.geom_type == "Polygon" and _nearly_convex(mirrored)
+
+
+def _nearly_convex(polygon: Polygon) -> bool:
+    return bool(polygon.exterior.hausdorff_distance(polygon.convex_hull.exterior) <= SAG)
+
+
+def _turned(band: Array) -> list[Array]:
+    """The convex parts of one band, each as its corner points [m], shape (k, 3)."""
+    if (band[:, 0] < 1e-9).any() and _convex_of_revolution(band):
+        sides = max(12, min(24, MOST_CORNERS // len(band)))
+        angles = np.arange(sides, dtype=np.float64) * (2 * math.pi / sides)
+        return [_swept(band, angles)]
+    step = 2 * math.pi / SECTORS
+    return [_swept(band, np.array([k * step, (k + 1) * step])) for k in range(SECTORS)]
+
+
+def _swept(band: Array, angles: Array) -> Array:
+    x, y = np.cos(angles)[:, None] * band[:, 0], np.sin(angles)[:, None] * band[:, 0]
+    points = np.stack([x, y, np.broadcast_to(band[:, 1], x.shape)], axis=-1).reshape(-1, 3)
+    return np.unique(np.round(points, 9), axis=0)
