@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.capture.evidence import Evidence
 from simfoundry.capture.fit_box import DEPTH_PRIOR
@@ -25,6 +26,7 @@ LEVELS, SIDES, COLUMNS = 18, 40, 32
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
 _THINNEST = 0.003
 _STEPS = 48
+_SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +77,7 @@ def _axes(evidence: Evidence) -> tuple[Array, Array]:
 
 def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
     across, along = _axes(evidence)
+    space = _Space(frame, support, across, along)
     points = evidence.points
     t, s, z = points[:, :2] @ across, points[:, :2] @ along, points[:, 2]
     height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
@@ -90,8 +93,11 @@ def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
         near = _envelope(columns, t[here], s[here], 10.0)
         above = z > level - reach
         seen = np.maximum(_envelope(columns, t[above], s[above], 92.0), near)
-        far = np.clip(_mirror(columns, near), seen, np.maximum(seen, _free_limit(frame, support, columns, near, level, across, along)))
-        rows.append((level, columns, near, np.maximum(far, near + _THINNEST)))
+        limit = np.maximum(seen, _free_limit(space, columns, near, level))
+        far = np.maximum(np.clip(_mirror(columns, near), seen, limit), near + _THINNEST)
+        if rows:
+            columns, near, far = _extend(space, level, (columns, near, far), rows[-1][1:])
+        rows.append((level, columns, near, far))
     if not rows:
         columns = np.linspace(*np.percentile(t, [1.0, 99.0]), COLUMNS)
         near, far = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
@@ -130,22 +136,56 @@ def _mirror(columns: Array, near: Array) -> Array:
     return np.asarray(2 * (front + half) - np.minimum(near, front + half))
 
 
-def _free_limit(
-    frame: Frame, support: Support, columns: Array, near: Array, level: float, across: Array, along: Array
-) -> Array:
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """Which places the camera saw to be empty, in the axes of the slices."""
+
+    frame: Frame
+    support: Support
+    across: Array
+    along: Array
+
+    def free(self, t: Array, s: Array, level: float) -> NDArray[np.bool_]:
+        """Whether the camera saw past each place (t, s) [m] at the height ``level`` [m]."""
+        frame = self.frame
+        xy = t[..., None] * self.across + s[..., None] * self.along
+        p_C = self.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
+        u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
+        v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
+        h, w = frame.depth.shape
+        known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
+        observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
+        return np.asarray(known & (observed > p_C[..., 2] + _SEEN_PAST))
+
+
+def _free_limit(space: _Space, columns: Array, near: Array, level: float) -> Array:
     """Per column, how far back a solid may reach before the camera would have seen it in front of what is behind [m]."""
-    width = float(columns[-1] - columns[0])
-    steps = np.linspace(0.0, 1.3 * width + 0.01, _STEPS)
+    steps = np.linspace(0.0, 1.3 * float(columns[-1] - columns[0]) + 0.01, _STEPS)
     s = near[:, None] + steps
-    xy = columns[:, None, None] * across + s[..., None] * along
-    p_C = support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
-    u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
-    v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
-    h, w = frame.depth.shape
-    known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
-    observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
-    free = known & (observed > p_C[..., 2] + 0.01)
+    free = space.free(np.broadcast_to(columns[:, None], s.shape), s, level)
     return np.asarray(near + steps[np.where(free.any(axis=1), np.argmax(free, axis=1), _STEPS - 1)])
+
+
+def _extend(
+    space: _Space, level: float, own: tuple[Array, Array, Array], above: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Widen a slice to the columns of the slice above that hang over nothing seen to be free."""
+    columns, near, far = own
+    t, near_above, far_above = above
+    held = ~space.free(t, (near_above + far_above) / 2, level)
+    middle = int(np.argmin(np.abs(t - (columns[0] + columns[-1]) / 2)))
+    first, last = middle, middle
+    while first > 0 and (t[first - 1] >= columns[0] or held[first - 1]):
+        first -= 1
+    while last < len(t) - 1 and (t[last + 1] <= columns[-1] or held[last + 1]):
+        last += 1
+    wide = np.linspace(min(columns[0], t[first]), max(columns[-1], t[last]), COLUMNS)
+    outside = (wide < columns[0]) | (wide > columns[-1])
+    merged = [
+        np.where(outside, np.interp(wide, t, side_above), np.interp(wide, columns, side))
+        for side, side_above in ((near, near_above), (far, far_above))
+    ]
+    return wide, merged[0], merged[1]
 
 
 def _rings(slices: _Slices) -> Array:
