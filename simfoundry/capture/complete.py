@@ -26,6 +26,7 @@ LEVELS, SIDES, COLUMNS = 18, 40, 32
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
 _THINNEST = 0.003
 _STEPS = 48
+_MIN_IN_SLICE = 12
 _SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
 
 
@@ -54,7 +55,7 @@ class _Slices:
 def complete(frame: Frame, support: Support, evidence: Evidence) -> CompletedFit:
     """The completed solid on ``base_z`` of the points in ``evidence``."""
     slices = _slice(frame, support, evidence)
-    rings = _smooth(_rings(slices))
+    rings = _carve(_Space(frame, support, slices.across, slices.along), _smooth(_rings(slices)))
     rings = _stabilise(_stand(rings, evidence.base_z))
     origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
     mesh = loft_mesh(rings - origin)
@@ -78,33 +79,56 @@ def _axes(evidence: Evidence) -> tuple[Array, Array]:
 def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
     across, along = _axes(evidence)
     space = _Space(frame, support, across, along)
-    points = evidence.points
-    t, s, z = points[:, :2] @ across, points[:, :2] @ along, points[:, 2]
-    height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
-    edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.top, LEVELS + 1)
-    levels = (edges[:-1] + edges[1:]) / 2
-    reach = max((edges[1] - edges[0]) / 2, 0.3 * evidence.scale)
-    rows = []
-    for level in levels[::-1]:
-        here = np.abs(z - level) < reach
-        if here.sum() < 12:
-            continue
-        columns = np.linspace(*np.percentile(t[here], [1.0, 99.0]), COLUMNS)
-        near = _envelope(columns, t[here], s[here], 10.0)
-        above = z > level - reach
-        seen = np.maximum(_envelope(columns, t[above], s[above], 92.0), near)
+    fronts = _fronts(evidence, evidence.points[:, :2] @ across, evidence.points[:, :2] @ along)
+    depths = _mirror_depths(fronts)
+    rows: list[tuple[float, Array, Array, Array]] = []
+    for (level, columns, near, seen), middle in zip(fronts, depths, strict=True):
         limit = np.maximum(seen, _free_limit(space, columns, near, level))
-        far = np.maximum(np.clip(_mirror(columns, near), seen, limit), near + _THINNEST)
-        if rows:
-            columns, near, far = _extend(space, level, (columns, near, far), rows[-1][1:])
-        rows.append((level, columns, near, far))
-    if not rows:
-        columns = np.linspace(*np.percentile(t, [1.0, 99.0]), COLUMNS)
-        near, far = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
-        rows.append((evidence.base_z + height / 2, columns, near, np.maximum(far, near + _THINNEST)))
+        mirrored = 2 * middle - np.minimum(near, middle)
+        far = np.maximum(np.clip(mirrored, seen, limit), near + _THINNEST)
+        own = (columns, near, far)
+        rows.append((level, *(_extend(space, level, own, rows[-1][1:]) if rows else own)))
     rows.reverse()
-    stacked = [np.array([row[k] for row in rows]) for k in range(4)]
-    return _Slices(stacked[0], stacked[1], stacked[2], stacked[3], across, along)
+    z, t, near, far = (np.array([row[k] for row in rows]) for k in range(4))
+    return _Slices(z, t, near, far, across, along)
+
+
+def _fronts(evidence: Evidence, t: Array, s: Array) -> list[tuple[float, Array, Array, Array]]:
+    """From the top down: height of each slice, its columns, its near side, how far back it was seen to reach [m]."""
+    z = evidence.points[:, 2]
+    height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
+    edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.base_z + height, LEVELS + 1)
+    reach = max((edges[1] - edges[0]) / 2, 0.3 * evidence.scale)
+    fronts = []
+    for level in ((edges[:-1] + edges[1:]) / 2)[::-1]:
+        here, above = np.abs(z - level) < reach, z > level - reach
+        if here.sum() >= _MIN_IN_SLICE:
+            columns = _columns(t[here])
+            near = _envelope(columns, t[here], s[here], 10.0)
+            fronts.append((float(level), columns, near, np.maximum(_envelope(columns, t[above], s[above], 92.0), near)))
+    if not fronts:
+        columns = _columns(t)
+        near, seen = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
+        fronts.append((float(evidence.base_z + height / 2), columns, near, seen))
+    return fronts
+
+
+def _columns(t: Array) -> Array:
+    low, high = np.percentile(t, [1.0, 99.0])
+    return np.linspace(low, max(high, low + _THINNEST), COLUMNS)
+
+
+def _mirror_depths(fronts: list[tuple[float, Array, Array, Array]]) -> Array:
+    """Where the mirror plane lies in each slice [m].
+
+    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width; a flat front tells nothing, and
+    the depth prior of boxes takes over. Things that stand are symmetric about one plane from foot to cap, so the
+    slices share their median as far as each slice's width allows.
+    """
+    width = np.array([columns[-1] - columns[0] for _, columns, _, _ in fronts])
+    front, turned = np.array([np.percentile(near, [10.0, 85.0]) for _, _, near, _ in fronts]).T
+    own = front + np.clip((turned - front) * 2.1, DEPTH_PRIOR / 2 * width, 0.55 * width)
+    return np.asarray(front + np.clip(np.median(own) - front, DEPTH_PRIOR / 2 * width, 0.6 * width))
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
@@ -122,18 +146,6 @@ def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
     out = np.interp(columns, columns[good], out[good])
     padded = np.concatenate([out[:1], out, out[-1:]])
     return np.asarray(np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0))
-
-
-def _mirror(columns: Array, near: Array) -> Array:
-    """The far side as the mirror image of the near one.
-
-    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width, which gives the mirror plane; a
-    flat front gives none, and the depth prior of boxes takes over.
-    """
-    width = float(columns[-1] - columns[0])
-    front, turned = np.percentile(near, [10.0, 85.0])
-    half = float(np.clip((turned - front) * 2.1, DEPTH_PRIOR / 2 * width, 0.55 * width))
-    return np.asarray(2 * (front + half) - np.minimum(near, front + half))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +171,7 @@ class _Space:
 
 
 def _free_limit(space: _Space, columns: Array, near: Array, level: float) -> Array:
-    """Per column, how far back a solid may reach before the camera would have seen it in front of what is behind [m]."""
+    """Per column, how far back a solid may reach [m] before it stands in front of what the camera saw behind it."""
     steps = np.linspace(0.0, 1.3 * float(columns[-1] - columns[0]) + 0.01, _STEPS)
     s = near[:, None] + steps
     free = space.free(np.broadcast_to(columns[:, None], s.shape), s, level)
@@ -221,6 +233,19 @@ def _smooth(rings: Array) -> Array:
     return np.asarray(out)
 
 
+def _carve(space: _Space, rings: Array) -> Array:
+    """Pull every point that stands in space seen to be free towards its slice's centre, until it does not."""
+    centre = rings[..., :2].mean(axis=1, keepdims=True)
+    out = rings.copy()
+    share = np.ones(rings.shape[:2])
+    for _ in range(8):
+        for k, ring in enumerate(out):
+            free = space.free(ring[:, :2] @ space.across, ring[:, :2] @ space.along, float(ring[0, 2]))
+            share[k] -= np.where(free & (share[k] > 0.3), 0.1, 0.0)
+        out[..., :2] = centre + share[..., None] * (rings[..., :2] - centre)
+    return out
+
+
 def _stand(rings: Array, base_z: float) -> Array:
     """Close the stack: half a level on top, the lowest slice extended straight down to the base."""
     pitch = float(rings[1, 0, 2] - rings[0, 0, 2]) if len(rings) > 1 else 2 * float(rings[0, 0, 2] - base_z)
@@ -251,5 +276,3 @@ def _stabilise(rings: Array) -> Array:
 def _area(polygon: Array) -> float:
     x, y = polygon.T
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
-
-

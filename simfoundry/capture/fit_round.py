@@ -44,7 +44,7 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
-    """A first vertical axis: (xy [m], shape (2,), radius [m]), from the width across the view and the nearest points."""
+    """First vertical axis: (xy [m], shape (2,), radius [m]), from the width across the view and the nearest points."""
     view = evidence.view
     across = np.array([-view[1], view[0]])
     t, s = evidence.points[:, :2] @ across, evidence.points[:, :2] @ view
@@ -76,7 +76,9 @@ def fit_lying_cylinder(evidence: Evidence) -> RoundFit:
 
     def solid(x: Array) -> tuple[Cylinder, Pose]:
         shape = Cylinder(float(max(x[3], SMALLEST)), float(max(x[4], SMALLEST)))
-        along = Pose.of(q=(math.cos(x[2] / 2), 0, 0, math.sin(x[2] / 2))) @ Pose.of(q=(math.sqrt(0.5), 0, math.sqrt(0.5), 0))
+        along = Pose.of(q=(math.cos(x[2] / 2), 0, 0, math.sin(x[2] / 2))) @ Pose.of(
+            q=(math.sqrt(0.5), 0, math.sqrt(0.5), 0)
+        )
         return shape, Pose.of((x[0], x[1], evidence.base_z + shape.radius), along.q)
 
     radius = max((evidence.top - evidence.base_z) / 2, SMALLEST)

@@ -1,7 +1,7 @@
 """Colour of a captured object: one robust colour, or a mesh whose texture is baked from the picture.
 
-The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up in
-the picture. What the camera did not see is coloured from the seen point that lies opposite.
+The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up
+in the picture. What the camera did not see is coloured from the seen point that lies opposite.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class _Texels:
 def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
     """Robust mean colour of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
 
-    The rim of the mask, where colours mix, and the darkest tenth and lightest fifth, shadows and highlights, are left out.
+    Left out are the rim of the mask, where colours mix, and the darkest tenth and lightest fifth: shadows, highlights.
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -53,7 +53,7 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
 
 
 def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> Mesh:
-    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG taken from the picture.
+    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
 
     ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
     if the mask is empty.
@@ -101,8 +101,11 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The picture as the texture needs it: ``colors`` float32, (h, w, 3), free of foreign colours; ``core`` bool, (h, w),
-    the object's pixels without their mixed rim; and how a point of the object comes into it."""
+    """The picture as the texture needs it, and how a point of the object comes into it.
+
+    ``colors`` float32, shape (h, w, 3), free of foreign colours; ``core`` bool, shape (h, w), the object's pixels
+    without their mixed rim.
+    """
 
     shape: FittedShape
     frame: Frame
