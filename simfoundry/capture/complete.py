@@ -27,6 +27,7 @@ FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep fr
 _THINNEST = 0.003
 _STEPS = 48
 _MIN_IN_SLICE = 12
+_PAD = 0.0025  # height of the pad under a solid that would tip over [m]
 _SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
 
 
@@ -256,21 +257,36 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilise(rings: Array) -> Array:
-    """Widen the foot just enough that the centre of mass lies inside it with a margin."""
+    """Put a thin pad under a solid that would tip over: just wide enough for its centre of mass, with a margin."""
     foot = rings[0, :, :2]
-    radius = math.sqrt(max(_area(foot), 1e-8) / math.pi)
+    wanted = FOOT_MARGIN * math.sqrt(max(_area(foot), 1e-8) / math.pi)
+    lack = wanted - _foot_margin(rings)
+    reach = 0.0
     for _ in range(12):
-        mesh = loft_mesh(rings)
-        _, com = volume_and_com(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        lack = FOOT_MARGIN * radius - hull_margin(rings[0, :, :2], com[:2])
         if lack <= 0:
             break
-        towards = com[:2] - rings[0, :, :2].mean(axis=0)
+        reach += 1.2 * lack
+        towards = _com(rings)[:2] - foot.mean(axis=0)
         towards /= max(float(np.linalg.norm(towards)), 1e-9)
-        ahead = np.maximum((rings[0, :, :2] - rings[0, :, :2].mean(axis=0)) @ towards, 0.0)
-        rings = rings.copy()
-        rings[:2, :, :2] += (1.2 * lack * ahead / max(float(ahead.max()), 1e-9))[:, None] * towards
+        ahead = np.maximum((foot - foot.mean(axis=0)) @ towards, 0.0)
+        wide = np.column_stack(
+            [foot + (reach * ahead / max(float(ahead.max()), 1e-9))[:, None] * towards, rings[0, :, 2]]
+        )
+        top_of_pad, above = wide + [0, 0, _PAD], rings[0] + [0, 0, 1.2 * _PAD]
+        padded = np.concatenate([[wide, top_of_pad, above], rings[1:]])
+        lack = wanted - _foot_margin(padded)
+        if lack <= 0 or reach > 0.3:
+            return padded
     return rings
+
+
+def _com(rings: Array) -> Array:
+    mesh = loft_mesh(rings)
+    return volume_and_com(np.asarray(mesh.vertices), mesh.faces)[1]
+
+
+def _foot_margin(rings: Array) -> float:
+    return hull_margin(rings[0, :, :2], _com(rings)[:2])
 
 
 def _area(polygon: Array) -> float:

@@ -17,7 +17,6 @@ from simfoundry.capture.solids import as_mesh, hull_margin, lathe_mesh, loft_mes
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 
-
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))
 BOWL = lathe_mesh(
     np.array([[0, 0.008], [0.03, 0.008], [0.055, 0.03], [0.076, 0.06], [0.08, 0.06], [0.06, 0.03], [0.035, 0], [0, 0]])
@@ -155,7 +154,9 @@ def test_completion_stays_out_of_seen_free_space() -> None:
     rays = np.column_stack([rays, np.ones(len(rows))]) @ support.X_WC.rotation.T
     mesh = world_mesh(shape)
     hits = cast_mesh(support.X_WC.p, rays, mesh.vertices, mesh.faces)
-    intruding = (frame.depth[rows, cols] - hits.depth) > 0.02
+    height = support.X_WC.p[2] + np.where(np.isfinite(hits.depth), hits.depth, 0.0) * rays[:, 2]
+    pad = height < 0.004  # the thing balances on an edge; the pad that keeps it from falling may show
+    intruding = (frame.depth[rows, cols] - hits.depth > 0.02) & ~pad
     assert intruding.sum() < 0.05 * (labels == 1).sum()
 
 
@@ -255,8 +256,8 @@ def test_analytic_ray_casts_agree_with_triangles(kind: str) -> None:
     both = np.isfinite(hits.depth) & np.isfinite(truth.depth)
     assert both.sum() > 80
     assert (np.isfinite(hits.depth) != np.isfinite(truth.depth)).sum() <= 6
-    length = np.linalg.norm(rays, axis=1)
-    close = np.abs(hits.depth - truth.depth)[both] * length[both] < 5e-4
+    length = np.linalg.norm(rays, axis=1)[both]
+    close = np.abs(hits.depth[both] - truth.depth[both]) * length < 5e-4
     assert close.mean() > 0.98
     assert np.abs(hits.slant - truth.slant)[both][close].max() < 0.05 * length.max()
 
