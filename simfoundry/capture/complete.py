@@ -257,27 +257,35 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilise(rings: Array) -> Array:
-    """Put a thin pad under a solid that would tip over: just wide enough for its centre of mass, with a margin."""
-    foot = rings[0, :, :2]
-    wanted = FOOT_MARGIN * math.sqrt(max(_area(foot), 1e-8) / math.pi)
-    lack = wanted - _foot_margin(rings)
-    reach = 0.0
-    for _ in range(12):
-        if lack <= 0:
+    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disc under its centre of mass."""
+    wanted = max(FOOT_MARGIN * math.sqrt(_area(rings[0, :, :2]) / math.pi), 0.003)
+    out = rings
+    for attempt in range(6):
+        if _foot_margin(out) >= wanted:
             break
-        reach += 1.2 * lack
-        towards = _com(rings)[:2] - foot.mean(axis=0)
-        towards /= max(float(np.linalg.norm(towards)), 1e-9)
-        ahead = np.maximum((foot - foot.mean(axis=0)) @ towards, 0.0)
-        wide = np.column_stack(
-            [foot + (reach * ahead / max(float(ahead.max()), 1e-9))[:, None] * towards, rings[0, :, 2]]
-        )
-        top_of_pad, above = wide + [0, 0, _PAD], rings[0] + [0, 0, 1.2 * _PAD]
-        padded = np.concatenate([[wide, top_of_pad, above], rings[1:]])
-        lack = wanted - _foot_margin(padded)
-        if lack <= 0 or reach > 0.3:
-            return padded
-    return rings
+        disc = (1.5 + 0.5 * attempt) * wanted
+        pad = rings[0].copy()
+        pad[:, :2] = _hull_with_disc(rings[0, :, :2], _com(out)[:2], disc)
+        lid, sole = pad.copy(), rings[0].copy()
+        lid[:, 2] += _PAD
+        sole[:, 2] += 1.2 * _PAD
+        out = np.concatenate([[pad, lid, sole], rings[1:]])
+    return out
+
+
+def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
+    """The hull of a foot and a disc, where rays from the foot's middle through its points meet it, shape (SIDES, 2)."""
+    from scipy.spatial import ConvexHull
+
+    angle = np.arange(24) * (2 * math.pi / 24)
+    disc = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    equations = ConvexHull(np.concatenate([foot, disc])).equations
+    middle = foot.mean(axis=0)
+    rays = foot - middle
+    towards = rays @ equations[:, :2].T
+    room = -(equations[:, :2] @ middle + equations[:, 2])
+    reach = np.where(towards > 1e-9, room / np.maximum(towards, 1e-9), np.inf).min(axis=1)
+    return np.asarray(middle + rays * reach[:, None])
 
 
 def _com(rings: Array) -> Array:

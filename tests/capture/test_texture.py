@@ -24,7 +24,9 @@ MUG = lathe_mesh(np.array([[0, 0.006], [0.036, 0.006], [0.036, 0.095], [0.04, 0.
 def decode(png: bytes) -> NDArray[np.uint8]:
     import cv2
 
-    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1], dtype=np.uint8)
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return np.asarray(picture[:, :, ::-1], dtype=np.uint8)
 
 
 def painted(geometry: Geometry, X_WO: Pose) -> tuple[Mesh, FittedShape]:
@@ -42,12 +44,12 @@ def color_of_faces(mesh: Mesh, direction: Array) -> Array:
     facing = face_normals(mesh.vertices, mesh.faces) @ direction > 0.9
     centres = mesh.uv[mesh.faces[facing]].mean(axis=1)
     col, row = (centres[:, 0] * size).astype(int), ((1 - centres[:, 1]) * size).astype(int)
-    return picture[row, col].astype(float).mean(axis=0)
+    return np.asarray(picture[row, col].astype(float).mean(axis=0))
 
 
 def test_visible_faces_of_a_box_get_their_own_colours() -> None:
-    mesh, _ = painted(CARTON, yaw_pose(0.02, 0.01, 0.075, 37))
-    # The camera looks from -x and a little -y: it sees the faces -x, +y (turned by the yaw) and the top.
+    mesh, _ = painted(CARTON, yaw_pose(0.02, 0.01, 0.075, 60))
+    # The camera stands towards (-0.9, -0.4): turned by 60 degrees, the faces -x and +y look at it, and the top.
     top = color_of_faces(mesh, np.array([0.0, 0.0, 1.0]))
     green = color_of_faces(mesh, np.array([-1.0, 0.0, 0.0]))
     blue = color_of_faces(mesh, np.array([0.0, 1.0, 0.0]))
@@ -57,7 +59,7 @@ def test_visible_faces_of_a_box_get_their_own_colours() -> None:
 
 
 def test_hidden_faces_mirror_the_seen_ones() -> None:
-    mesh, _ = painted(CARTON, yaw_pose(0.02, 0.01, 0.075, 37))
+    mesh, _ = painted(CARTON, yaw_pose(0.02, 0.01, 0.075, 60))
     assert np.abs(color_of_faces(mesh, np.array([1.0, 0.0, 0.0])) - PAINT[1]).max() < 6
     assert np.abs(color_of_faces(mesh, np.array([0.0, -1.0, 0.0])) - PAINT[2]).max() < 6
 
