@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.capture.evidence import Evidence
 from simfoundry.capture.fit_box import DEPTH_PRIOR
@@ -25,6 +26,9 @@ LEVELS, SIDES, COLUMNS = 18, 40, 32
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
 _THINNEST = 0.003
 _STEPS = 48
+_MIN_IN_SLICE = 12
+_PAD = 0.0025  # height of the pad under a solid that would tip over [m]
+_SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +56,7 @@ class _Slices:
 def complete(frame: Frame, support: Support, evidence: Evidence) -> CompletedFit:
     """The completed solid on ``base_z`` of the points in ``evidence``."""
     slices = _slice(frame, support, evidence)
-    rings = _smooth(_rings(slices))
+    rings = _carve(_Space(frame, support, slices.across, slices.along), _smooth(_rings(slices)))
     rings = _stabilise(_stand(rings, evidence.base_z))
     origin = np.array([*((rings[0, :, :2].min(axis=0) + rings[0, :, :2].max(axis=0)) / 2), evidence.base_z])
     mesh = loft_mesh(rings - origin)
@@ -75,34 +79,57 @@ def _axes(evidence: Evidence) -> tuple[Array, Array]:
 
 def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
     across, along = _axes(evidence)
-    points = evidence.points
-    t, s, z = points[:, :2] @ across, points[:, :2] @ along, points[:, 2]
-    height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
-    edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.top, LEVELS + 1)
-    levels = (edges[:-1] + edges[1:]) / 2
-    reach = max((edges[1] - edges[0]) / 2, 0.3 * evidence.scale)
-    rows = []
-    for level in levels[::-1]:
-        here = np.abs(z - level) < reach
-        if here.sum() < 12:
-            continue
-        columns = np.linspace(*np.percentile(t[here], [1.0, 99.0]), COLUMNS)
-        near = _envelope(columns, t[here], s[here], 10.0)
-        above = z > level - reach
-        seen = np.maximum(_envelope(columns, t[above], s[above], 92.0), near)
-        far = np.clip(
-            _mirror(columns, near),
-            seen,
-            np.maximum(seen, _free_limit(frame, support, columns, near, level, across, along)),
-        )
-        rows.append((level, columns, near, np.maximum(far, near + _THINNEST)))
-    if not rows:
-        columns = np.linspace(*np.percentile(t, [1.0, 99.0]), COLUMNS)
-        near, far = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
-        rows.append((evidence.base_z + height / 2, columns, near, np.maximum(far, near + _THINNEST)))
+    space = _Space(frame, support, across, along)
+    fronts = _fronts(evidence, evidence.points[:, :2] @ across, evidence.points[:, :2] @ along)
+    depths = _mirror_depths(fronts)
+    rows: list[tuple[float, Array, Array, Array]] = []
+    for (level, columns, near, seen), middle in zip(fronts, depths, strict=True):
+        limit = np.maximum(seen, _free_limit(space, columns, near, level))
+        mirrored = 2 * middle - np.minimum(near, middle)
+        far = np.maximum(np.clip(mirrored, seen, limit), near + _THINNEST)
+        own = (columns, near, far)
+        rows.append((level, *(_extend(space, level, own, rows[-1][1:]) if rows else own)))
     rows.reverse()
-    stacked = [np.array([row[k] for row in rows]) for k in range(4)]
-    return _Slices(stacked[0], stacked[1], stacked[2], stacked[3], across, along)
+    z, t, near, far = (np.array([row[k] for row in rows]) for k in range(4))
+    return _Slices(z, t, near, far, across, along)
+
+
+def _fronts(evidence: Evidence, t: Array, s: Array) -> list[tuple[float, Array, Array, Array]]:
+    """From the top down: height of each slice, its columns, its near side, how far back it was seen to reach [m]."""
+    z = evidence.points[:, 2]
+    height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
+    edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.base_z + height, LEVELS + 1)
+    reach = max((edges[1] - edges[0]) / 2, 0.3 * evidence.scale)
+    fronts = []
+    for level in ((edges[:-1] + edges[1:]) / 2)[::-1]:
+        here, above = np.abs(z - level) < reach, z > level - reach
+        if here.sum() >= _MIN_IN_SLICE:
+            columns = _columns(t[here])
+            near = _envelope(columns, t[here], s[here], 10.0)
+            fronts.append((float(level), columns, near, np.maximum(_envelope(columns, t[above], s[above], 92.0), near)))
+    if not fronts:
+        columns = _columns(t)
+        near, seen = np.full(COLUMNS, np.percentile(s, 2.0)), np.full(COLUMNS, np.percentile(s, 98.0))
+        fronts.append((float(evidence.base_z + height / 2), columns, near, seen))
+    return fronts
+
+
+def _columns(t: Array) -> Array:
+    low, high = np.percentile(t, [1.0, 99.0])
+    return np.linspace(low, max(high, low + _THINNEST), COLUMNS)
+
+
+def _mirror_depths(fronts: list[tuple[float, Array, Array, Array]]) -> Array:
+    """Where the mirror plane lies in each slice [m].
+
+    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width; a flat front tells nothing, and
+    the depth prior of boxes takes over. Things that stand are symmetric about one plane from foot to cap, so the
+    slices share their median as far as each slice's width allows.
+    """
+    width = np.array([columns[-1] - columns[0] for _, columns, _, _ in fronts])
+    front, turned = np.array([np.percentile(near, [10.0, 85.0]) for _, _, near, _ in fronts]).T
+    own = front + np.clip((turned - front) * 2.1, DEPTH_PRIOR / 2 * width, 0.55 * width)
+    return np.asarray(front + np.clip(np.median(own) - front, DEPTH_PRIOR / 2 * width, 0.6 * width))
 
 
 def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
@@ -122,34 +149,56 @@ def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
     return np.asarray(np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0))
 
 
-def _mirror(columns: Array, near: Array) -> Array:
-    """The far side as the mirror image of the near one.
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """Which places the camera saw to be empty, in the axes of the slices."""
 
-    An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width, which gives the mirror plane; a
-    flat front gives none, and the depth prior of boxes takes over.
-    """
-    width = float(columns[-1] - columns[0])
-    front, turned = np.percentile(near, [10.0, 85.0])
-    half = float(np.clip((turned - front) * 2.1, DEPTH_PRIOR / 2 * width, 0.55 * width))
-    return np.asarray(2 * (front + half) - np.minimum(near, front + half))
+    frame: Frame
+    support: Support
+    across: Array
+    along: Array
+
+    def free(self, t: Array, s: Array, level: float) -> NDArray[np.bool_]:
+        """Whether the camera saw past each place (t, s) [m] at the height ``level`` [m]."""
+        frame = self.frame
+        xy = t[..., None] * self.across + s[..., None] * self.along
+        p_C = self.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
+        u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
+        v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
+        h, w = frame.depth.shape
+        known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
+        observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
+        return np.asarray(known & (observed > p_C[..., 2] + _SEEN_PAST))
 
 
-def _free_limit(
-    frame: Frame, support: Support, columns: Array, near: Array, level: float, across: Array, along: Array
-) -> Array:
-    """Per column, how far back a solid may reach before the camera would have seen it in front of what is behind [m]."""
-    width = float(columns[-1] - columns[0])
-    steps = np.linspace(0.0, 1.3 * width + 0.01, _STEPS)
+def _free_limit(space: _Space, columns: Array, near: Array, level: float) -> Array:
+    """Per column, how far back a solid may reach [m] before it stands in front of what the camera saw behind it."""
+    steps = np.linspace(0.0, 1.3 * float(columns[-1] - columns[0]) + 0.01, _STEPS)
     s = near[:, None] + steps
-    xy = columns[:, None, None] * across + s[..., None] * along
-    p_C = support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))
-    u = np.round(p_C[..., 0] / p_C[..., 2] * frame.K[0, 0] + frame.K[0, 2])
-    v = np.round(p_C[..., 1] / p_C[..., 2] * frame.K[1, 1] + frame.K[1, 2])
-    h, w = frame.depth.shape
-    known = (u >= 0) & (v >= 0) & (u < w) & (v < h)
-    observed = frame.depth[np.clip(v, 0, h - 1).astype(int), np.clip(u, 0, w - 1).astype(int)]
-    free = known & (observed > p_C[..., 2] + 0.01)
+    free = space.free(np.broadcast_to(columns[:, None], s.shape), s, level)
     return np.asarray(near + steps[np.where(free.any(axis=1), np.argmax(free, axis=1), _STEPS - 1)])
+
+
+def _extend(
+    space: _Space, level: float, own: tuple[Array, Array, Array], above: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Widen a slice to the columns of the slice above that hang over nothing seen to be free."""
+    columns, near, far = own
+    t, near_above, far_above = above
+    held = ~space.free(t, (near_above + far_above) / 2, level)
+    middle = int(np.argmin(np.abs(t - (columns[0] + columns[-1]) / 2)))
+    first, last = middle, middle
+    while first > 0 and (t[first - 1] >= columns[0] or held[first - 1]):
+        first -= 1
+    while last < len(t) - 1 and (t[last + 1] <= columns[-1] or held[last + 1]):
+        last += 1
+    wide = np.linspace(min(columns[0], t[first]), max(columns[-1], t[last]), COLUMNS)
+    outside = (wide < columns[0]) | (wide > columns[-1])
+    merged = [
+        np.where(outside, np.interp(wide, t, side_above), np.interp(wide, columns, side))
+        for side, side_above in ((near, near_above), (far, far_above))
+    ]
+    return wide, merged[0], merged[1]
 
 
 def _rings(slices: _Slices) -> Array:
@@ -185,6 +234,19 @@ def _smooth(rings: Array) -> Array:
     return np.asarray(out)
 
 
+def _carve(space: _Space, rings: Array) -> Array:
+    """Pull every point that stands in space seen to be free towards its slice's centre, until it does not."""
+    centre = rings[..., :2].mean(axis=1, keepdims=True)
+    out = rings.copy()
+    share = np.ones(rings.shape[:2])
+    for _ in range(8):
+        for k, ring in enumerate(out):
+            free = space.free(ring[:, :2] @ space.across, ring[:, :2] @ space.along, float(ring[0, 2]))
+            share[k] -= np.where(free & (share[k] > 0.3), 0.1, 0.0)
+        out[..., :2] = centre + share[..., None] * (rings[..., :2] - centre)
+    return out
+
+
 def _stand(rings: Array, base_z: float) -> Array:
     """Close the stack: half a level on top, the lowest slice extended straight down to the base."""
     pitch = float(rings[1, 0, 2] - rings[0, 0, 2]) if len(rings) > 1 else 2 * float(rings[0, 0, 2] - base_z)
@@ -195,21 +257,44 @@ def _stand(rings: Array, base_z: float) -> Array:
 
 
 def _stabilise(rings: Array) -> Array:
-    """Widen the foot just enough that the centre of mass lies inside it with a margin."""
-    foot = rings[0, :, :2]
-    radius = math.sqrt(max(_area(foot), 1e-8) / math.pi)
-    for _ in range(12):
-        mesh = loft_mesh(rings)
-        _, com = volume_and_com(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        lack = FOOT_MARGIN * radius - hull_margin(rings[0, :, :2], com[:2])
-        if lack <= 0:
+    """Put a thin pad under a solid that would tip over: the hull of its foot and of a disc under its centre of mass."""
+    wanted = max(FOOT_MARGIN * math.sqrt(_area(rings[0, :, :2]) / math.pi), 0.003)
+    out = rings
+    for attempt in range(6):
+        if _foot_margin(out) >= wanted:
             break
-        towards = com[:2] - rings[0, :, :2].mean(axis=0)
-        towards /= max(float(np.linalg.norm(towards)), 1e-9)
-        ahead = np.maximum((rings[0, :, :2] - rings[0, :, :2].mean(axis=0)) @ towards, 0.0)
-        rings = rings.copy()
-        rings[:2, :, :2] += (1.2 * lack * ahead / max(float(ahead.max()), 1e-9))[:, None] * towards
-    return rings
+        disc = (1.5 + 0.5 * attempt) * wanted
+        pad = rings[0].copy()
+        pad[:, :2] = _hull_with_disc(rings[0, :, :2], _com(out)[:2], disc)
+        lid, sole = pad.copy(), rings[0].copy()
+        lid[:, 2] += _PAD
+        sole[:, 2] += 1.2 * _PAD
+        out = np.concatenate([[pad, lid, sole], rings[1:]])
+    return out
+
+
+def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
+    """The hull of a foot and a disc, where rays from the foot's middle through its points meet it, shape (SIDES, 2)."""
+    from scipy.spatial import ConvexHull
+
+    angle = np.arange(24) * (2 * math.pi / 24)
+    disc = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    equations = ConvexHull(np.concatenate([foot, disc])).equations
+    middle = foot.mean(axis=0)
+    rays = foot - middle
+    towards = rays @ equations[:, :2].T
+    room = -(equations[:, :2] @ middle + equations[:, 2])
+    reach = np.where(towards > 1e-9, room / np.maximum(towards, 1e-9), np.inf).min(axis=1)
+    return np.asarray(middle + rays * reach[:, None])
+
+
+def _com(rings: Array) -> Array:
+    mesh = loft_mesh(rings)
+    return volume_and_com(np.asarray(mesh.vertices), mesh.faces)[1]
+
+
+def _foot_margin(rings: Array) -> float:
+    return hull_margin(rings[0, :, :2], _com(rings)[:2])
 
 
 def _area(polygon: Array) -> float:

@@ -117,7 +117,7 @@ def depth_scale(distance: float) -> float:
 
 
 def flying_pixels(depth: Array) -> NDArray[np.bool_]:
-    """Pixels that hang between a near and a far surface: fewer than three of their eight neighbours are at their depth."""
+    """Pixels that hang between a near and a far surface: fewer than three of eight neighbours are at their depth."""
     padded = np.pad(depth, 1, constant_values=np.nan)
     h, w = depth.shape
     agreeing = np.zeros((h, w), dtype=np.int32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,9 @@ def fit_hollow(evidence: Evidence) -> LatheFit | None:
     return fit if cavity_share(evidence, fit.X_WO.p[:2], rim) >= 0.08 else None
 
 
-def _fit(evidence, axis, radius, profile_of, *, hollow) -> LatheFit:  # type: ignore[no-untyped-def]
+def _fit(
+    evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array], *, hollow: bool
+) -> LatheFit:
     def judge(x: Array) -> Agreement:
         return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile_of(evidence, x), _pose(evidence, x)))
 
@@ -132,24 +135,22 @@ def hollow_profile(evidence: Evidence, axis: Array) -> Array:
     pooled = np.where(np.isfinite(outside), outside, inside + WALL)
     outer = _fill(centres, pooled, rim)
     floor = _floor(r, z, inner, rim, height)
-    outer_at = np.interp(np.concatenate([[0.0], centres, [height]]), centres, outer)
     levels = np.concatenate([[0.0], centres, [height]])
+    outer_at = np.concatenate([outer[:1], outer, [max(outer[-1], rim)]])
     outer_at = np.maximum(outer_at, _MIN_RADIUS + WALL)
     cavity = levels > floor + 1e-6
     seen = np.where(np.isfinite(inside), inside, np.inf)
     limit = np.concatenate([[np.inf], seen, [np.inf]])
     inner_at = np.maximum(np.minimum(outer_at - WALL, np.maximum(limit, outer_at - 4 * WALL)), _MIN_RADIUS)
     floor_radius = float(np.interp(floor, levels, inner_at))
-    inward = np.column_stack(
-        [np.concatenate([[floor_radius], inner_at[cavity]]), np.concatenate([[floor], levels[cavity]])]
-    )
+    inward = np.vstack([[floor_radius, floor], np.column_stack([inner_at, levels])[cavity]])
     outward = np.column_stack([outer_at[::-1], levels[::-1]])
     return np.vstack([[0.0, floor], inward, outward, [0.0, 0.0]])
 
 
 def _rim_radius(r: Array, z: Array, height: float, scale: float) -> float:
     near = r[z > height - max(0.8 * scale, 0.08 * height)]
-    return float(np.percentile(near, 75)) if len(near) >= _MIN_IN_LEVEL else float(np.percentile(r, 95))
+    return float(np.percentile(near, 90)) if len(near) >= _MIN_IN_LEVEL else float(np.percentile(r, 95))
 
 
 def _floor(r: Array, z: Array, inner: NDArray[np.bool_], rim: float, height: float) -> float:

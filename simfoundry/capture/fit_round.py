@@ -44,7 +44,7 @@ def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluatio
 
 
 def start_axis(evidence: Evidence) -> tuple[Array, float]:
-    """A first vertical axis: (xy [m], shape (2,), radius [m]), from the width across the view and the nearest points."""
+    """First vertical axis: (xy [m], shape (2,), radius [m]), from the width across the view and the nearest points."""
     view = evidence.view
     across = np.array([-view[1], view[0]])
     t, s = evidence.points[:, :2] @ across, evidence.points[:, :2] @ view

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.capture.evidence import Evidence
 from simfoundry.scene.frames import Array, Pose
@@ -92,7 +93,7 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> Hits:
     return Hits(best, slant)
 
 
-def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: Array) -> Hits:
+def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> Hits:
     """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
     import trimesh
 

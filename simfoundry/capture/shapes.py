@@ -22,6 +22,7 @@ from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
 
 MIN_POINTS = 12
 FEW_POINTS = 50
+OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
 
 # What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
 # follows the points, the less its lower cost says.
@@ -82,7 +83,9 @@ def fit_shape(
     evidence = gather(frame, support, mask, base_z, labels)
     if len(evidence.points) < MIN_POINTS:
         raise _too_few(len(evidence.points))
-    best = min(candidates(frame, support, evidence), key=lambda c: c.cost)
+    reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
+    found = candidates(frame, support, evidence)
+    best = min([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1], key=lambda c: c.cost)
     return FittedShape(
         geometry=best.geometry,
         X_WO=best.X_WO,

@@ -1,7 +1,7 @@
 """Colour of a captured object: one robust colour, or a mesh whose texture is baked from the picture.
 
-The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up in
-the picture. What the camera did not see is coloured from the seen point that lies opposite.
+The texture is baked in space: every texel knows the point of the surface that it colours, and that point is looked up
+in the picture. What the camera did not see is coloured from the seen point that lies opposite.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from simfoundry.scene.model import Mesh
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
-_GRAZING = 0.12  # cosine below which a surface is seen too flat to lend its colour
+_GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its colour
 _NORMAL_WEIGHT = 0.03  # metres that a unit of normal counts when a seen point is looked for
-_TOO_FAR = 0.22  # of the object's size: beyond it, the plain colour is better than a stretched one
+_LENDERS = 6000
+_TOO_FAR = 0.3  # of the object's size: beyond it, the plain colour is better than a stretched one
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class _Texels:
 def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float, float]:
     """Robust mean colour of the pixels under ``mask`` (bool, shape (h, w)): sRGB in [0, 1].
 
-    The rim of the mask, where colours mix, and the darkest tenth and lightest fifth, shadows and highlights, are left out.
+    Left out are the rim of the mask, where colours mix, and the darkest tenth and lightest fifth: shadows, highlights.
     """
     core = _eroded(mask, 2)
     pixels = frame.color[core if core.sum() >= 20 else mask].astype(np.float64) / 255.0
@@ -52,7 +53,7 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
 
 
 def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> Mesh:
-    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG taken from the picture.
+    """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
 
     ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
     if the mask is empty.
@@ -63,8 +64,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDAr
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
     texels = _rasterise(atlas, vertices, faces)
-    colors, seen = _look_up(texels, shape, frame, support, mask)
-    colors[~seen] = _unseen(texels, colors, seen, np.array(dominant_color(frame, mask)) * 255.0)
+    colors = _paint(texels, _View.of(shape, frame, support, mask), np.array(dominant_color(frame, mask)) * 255.0)
     picture = _spread(texels, colors, atlas.size)
     new_faces = atlas.faces.copy()
     new_faces.setflags(write=False)
@@ -99,56 +99,76 @@ def _rasterise(atlas: Atlas, vertices: Array, faces: NDArray[np.int32]) -> _Texe
     return _Texels(row, col, point_map[row, col], normal_map[row, col])
 
 
-def _look_up(
-    texels: _Texels, shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Colours from the picture, shape (n, 3) in [0, 255], and which texels the camera saw."""
-    from scipy import ndimage
+@dataclass(frozen=True, eq=False)
+class _View:
+    """The picture as the texture needs it, and how a point of the object comes into it.
 
-    p_W = shape.X_WO.apply(texels.points)
-    n_W = texels.normals @ shape.X_WO.rotation.T
-    ray = p_W - support.X_WC.p
-    cosine = -np.einsum("ij,ij->i", n_W, ray) / np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
-    p_C = support.X_WC.inverse().apply(p_W)
-    z = np.maximum(p_C[:, 2], 1e-6)
-    u = p_C[:, 0] / z * frame.K[0, 0] + frame.K[0, 2]
-    v = p_C[:, 1] / z * frame.K[1, 1] + frame.K[1, 2]
-    h, w = mask.shape
-    col, row = np.clip(np.round(u), 0, w - 1).astype(int), np.clip(np.round(v), 0, h - 1).astype(int)
-    core = _eroded(mask, 1)
-    core = core if core.any() else mask
-    gap = frame.depth[row, col] - z
-    in_picture = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1) & (p_C[:, 2] > 0)
-    same_surface = ~(np.abs(gap) > 2.5 * depth_scale(float(np.median(z))))  # no depth is no objection
-    seen = in_picture & core[row, col] & (cosine > _GRAZING) & same_surface
-    filled = _nearest_fill(frame.color.astype(np.float32), core)
-    where = np.stack([v, u])
-    colors = [ndimage.map_coordinates(filled[..., k], where, order=1, mode="nearest") for k in range(3)]
-    return np.stack(colors, axis=1).astype(np.float64), np.asarray(seen)
+    ``colors`` float32, shape (h, w, 3), free of foreign colours; ``core`` bool, shape (h, w), the object's pixels
+    without their mixed rim.
+    """
+
+    shape: FittedShape
+    frame: Frame
+    support: Support
+    core: NDArray[np.bool_]
+    colors: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> _View:
+        core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
+        core = core if core.any() else mask
+        return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))
+
+    def look(self, points: Array, normals: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Colours, shape (n, 3) in [0, 255], of points with normals in the object frame, and which were seen."""
+        from scipy import ndimage
+
+        p_W = self.shape.X_WO.apply(points)
+        n_W = normals @ self.shape.X_WO.rotation.T
+        ray = p_W - self.support.X_WC.p
+        cosine = -np.einsum("ij,ij->i", n_W, ray) / np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+        p_C = self.support.X_WC.inverse().apply(p_W)
+        z, K = np.maximum(p_C[:, 2], 1e-6), self.frame.K
+        u, v = p_C[:, 0] / z * K[0, 0] + K[0, 2], p_C[:, 1] / z * K[1, 1] + K[1, 2]
+        h, w = self.core.shape
+        col, row = np.clip(np.round(u), 0, w - 1).astype(int), np.clip(np.round(v), 0, h - 1).astype(int)
+        gap = self.frame.depth[row, col] - z
+        in_picture = (u >= 0) & (v >= 0) & (u <= w - 1) & (v <= h - 1) & (p_C[:, 2] > 0)
+        same_surface = ~(np.abs(gap) > 2.0 * depth_scale(float(np.median(z))))  # no depth is no objection
+        where = np.stack([v, u])
+        colors = [ndimage.map_coordinates(self.colors[..., k], where, order=1, mode="nearest") for k in range(3)]
+        seen = in_picture & self.core[row, col] & (cosine > _GRAZING) & same_surface
+        return np.stack(colors, axis=1).astype(np.float64), np.asarray(seen)
 
 
-def _unseen(texels: _Texels, colors: Array, seen: NDArray[np.bool_], plain: Array) -> Array:
-    """Colours of the texels that were not seen: those of the seen point opposite, or the plain colour if none is near."""
+def _paint(texels: _Texels, view: _View, plain: Array) -> Array:
+    """Colours of all texels, shape (n, 3): as seen; else as the point opposite; else as the nearest; else ``plain``."""
+    points, normals = texels.points, texels.normals
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    colors, done = np.tile(plain, (len(points), 1)), np.zeros(len(points), dtype=bool)
+    # A half turn keeps writing readable, so it goes before the mirror images.
+    for flip in ((1, 1, 1), (-1, -1, 1), (-1, 1, 1), (1, -1, 1)):
+        todo = np.nonzero(~done)[0]
+        if len(todo) == 0:
+            return colors
+        found, seen = view.look((points[todo] - centre) * flip + centre, normals[todo] * flip)
+        colors[todo[seen]] = found[seen]
+        done[todo[seen]] = True
+    if 10 <= done.sum() < len(done):
+        _borrow(np.hstack([points - centre, _NORMAL_WEIGHT * normals]), colors, done)
+    return colors
+
+
+def _borrow(key: Array, colors: Array, done: NDArray[np.bool_]) -> None:
+    """Fill the colours not ``done`` from the nearest that are, in place; those with none near keep what they have."""
     from scipy.spatial import cKDTree
 
-    points, normals = texels.points, texels.normals
-    if seen.sum() < 10:
-        return np.broadcast_to(plain, (int((~seen).sum()), 3))
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre = (low + high) / 2
-    key = np.hstack([points - centre, _NORMAL_WEIGHT * normals])
-    tree = cKDTree(key[seen])
-    best = np.full(int((~seen).sum()), np.inf)
-    out = np.tile(plain, (len(best), 1))
-    # A half turn keeps writing readable, so it goes before the mirror images; a point's own surroundings come last.
-    for flip, penalty in (((-1, -1), 0.0), ((-1, 1), 1e-3), ((1, -1), 1e-3), ((1, 1), 4e-3)):
-        turn = np.array([*flip, 1, *flip, 1], dtype=np.float64)
-        distance, index = tree.query(key[~seen] * turn)
-        better = distance + penalty < best
-        best = np.where(better, distance + penalty, best)
-        out[better] = colors[seen][index[better]]
-    out[best > _TOO_FAR * float((high - low).max())] = plain
-    return out
+    lenders, todo = np.nonzero(done)[0], np.nonzero(~done)[0]
+    lenders = lenders[:: max(1, len(lenders) // _LENDERS)]
+    reach = _TOO_FAR * float(np.ptp(key[:, :3], axis=0).max())
+    distance, index = cKDTree(key[lenders]).query(key[todo], eps=0.2, distance_upper_bound=reach)
+    near = np.isfinite(distance)
+    colors[todo[near]] = colors[lenders[index[near]]]
 
 
 def _spread(texels: _Texels, colors: Array, size: int) -> NDArray[np.uint8]:

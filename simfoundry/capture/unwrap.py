@@ -17,8 +17,8 @@ _DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1],
 class Atlas:
     """An unwrapped mesh: vertices are repeated where charts meet.
 
-    ``source`` the vertex of the original mesh, shape (n,); ``faces`` into the new vertices, shape (m, 3), in the order of
-    the original faces; ``texel`` positions in the texture [texels, x right, y down], shape (n, 2).
+    ``source`` the vertex of the original mesh, shape (n,); ``faces`` into the new vertices, shape (m, 3), in the order
+    of the original faces; ``texel`` positions in the texture [texels, x right, y down], shape (n, 2).
     """
 
     source: NDArray[np.intp]

@@ -10,7 +10,7 @@ from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, JointType, Mesh, Scene, SceneObject, Sphere
 from simfoundry.spec.base import Estimate
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.scene import ObjectSpec, SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
@@ -66,14 +66,12 @@ def _line(name: str, item: dict[str, Any]) -> str:
 def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any]:
     written = spec.objects[item.name]
     estimate = written.mass if isinstance(written.mass, Estimate) else None
-    kinds = {type(v.geometry).__name__.lower() for link in item.links for v in link.visuals}
     colliders = [c for link in item.links for c in link.colliders]
-    shapes = {type(c.geometry).__name__.lower() for c in colliders} if written.visual else kinds
     joints = [f"{j.name}  {j.type.value}  at {j.position:.3g}" for j in item.joints if j.type is not JointType.FIXED]
     low, high = bounds(item)
     return {
         "category": item.category,
-        "shape": shapes.pop() if len(shapes) == 1 else f"{len(item.links)} links" if len(item.links) > 1 else "mesh",
+        "shape": _kind(written, item),
         "size": [round(float(v), 4) for v in high - low],
         "fixed": item.fixed,
         "mass": float(sum(link.mass for link in item.links)),
@@ -84,6 +82,13 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
         "joints": joints,
         "on": on,
     }
+
+
+def _kind(written: ObjectSpec, item: SceneObject) -> str:
+    """What the spec calls the shape, or how many links an asset has."""
+    if written.shape is not None:
+        return next(iter(type(written.shape).model_fields))
+    return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"
 
 
 def bounds(item: SceneObject) -> tuple[Array, Array]:

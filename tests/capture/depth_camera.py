@@ -1,0 +1,65 @@
+"""A table with solids on it as a depth camera sees them: one-sided, noisy, with flying pixels at the edges."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.solids import as_mesh
+from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
+from simfoundry.scene.model import Geometry
+
+WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
+K = np.array([[FOCAL, 0, 158.7], [0, FOCAL * 1.002, 121.4], [0, 0, 1]])
+NOISE = 0.0015
+EYE = np.array([-0.55, -0.25, 0.48])
+
+Solid = tuple[Geometry, Pose]
+
+
+def yaw_pose(x: float, y: float, z: float, yaw_deg: float) -> Pose:
+    half = np.deg2rad(yaw_deg) / 2
+    return Pose.of((x, y, z), (np.cos(half), 0, 0, np.sin(half)))
+
+
+def see(
+    solids: list[Solid], *, eye: Array = EYE, noise: float = NOISE, face_colors: NDArray[np.uint8] | None = None
+) -> tuple[Frame, Support, NDArray[np.int32]]:
+    """Frame, support and labels (1..n) of solids above the plane z = 0.
+
+    ``face_colors`` uint8, shape (6, 3), paints the first solid by the direction of its surface in its own frame:
+    +x, -x, +y, -y, +z, -z. The table is magenta, which no object may take up.
+    """
+    rng = np.random.default_rng(7)
+    X_WC = look_at(eye, np.array([0.02, 0.01, 0.05]))
+    u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1).reshape(-1, 3)
+    rays = rays @ X_WC.rotation.T
+    origins = np.broadcast_to(X_WC.p, rays.shape)
+    with np.errstate(divide="ignore"):
+        plane = -X_WC.p[2] / rays[:, 2]
+    depth = np.where((plane > 0) & (plane < 1.6), plane, np.nan)
+    labels = np.zeros(len(rays), np.int32)
+    color = np.tile(np.array([255, 0, 255], np.uint8), (len(rays), 1))
+    for number, (geometry, X_WO) in enumerate(solids, 1):
+        mesh = as_mesh(geometry)
+        world = trimesh.Trimesh(X_WO.apply(mesh.vertices), mesh.faces, process=False)
+        points, index, face = world.ray.intersects_location(origins, rays, multiple_hits=False)
+        hit = np.einsum("ij,ij->i", points - X_WC.p, rays[index]) / np.einsum("ij,ij->i", rays[index], rays[index])
+        nearer = ~(depth[index] < hit)
+        index, hit, face = index[nearer], hit[nearer], face[nearer]
+        depth[index], labels[index] = hit, number
+        color[index] = (90, 140, 60)
+        if number == 1 and face_colors is not None:
+            local = world.face_normals[face] @ X_WO.rotation
+            color[index] = face_colors[np.argmax(np.hstack([local, -local])[:, [0, 3, 1, 4, 2, 5]], axis=1)]
+    noisy = (depth + rng.normal(0, noise, depth.shape)).reshape(HEIGHT, WIDTH)
+    picture = labels.reshape(HEIGHT, WIDTH)
+    edge = picture != np.roll(picture, 1, axis=1)
+    flying = edge & (rng.random(edge.shape) < 0.5)
+    noisy[flying] = (0.5 * noisy + 0.5 * np.roll(noisy, 1, axis=1))[flying]
+    outline = frozen_array([[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])
+    frame = Frame(color.reshape(HEIGHT, WIDTH, 3), noisy, K)
+    return frame, Support(X_WC, outline, noise, (picture == 0) & np.isfinite(noisy)), picture
