@@ -24,7 +24,8 @@ LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its bord
 BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
 WORKING_WIDTH = 640  # [px]
-SMALLEST = 1.5e-4  # [m²] of visible area
+FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
+SMALLEST = 2.5e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
 
@@ -186,13 +187,14 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
         k = part.label
         beside = _within(outline, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
         floats = not part.is_grounded and not on[k]
-        seen_past = floats and part.bottom > 0.05 and hidden[k] < 0.3 and k not in touched
+        floats_alone = floats and k not in touched and part.area < FLOATING
+        seen_past = floats_alone and part.bottom > 0.05 and hidden[k] < 0.3
         along_border = _on_border(labels == k, scene)
         if (
             (beside and not on[k])
             or seen_past
             or along_border > LONG_BORDER
-            or (along_border > 0 and floats and k not in touched)
+            or (along_border > 0 and floats_alone)
             or sunk[k] > 0.3
             or _is_warp(labels == k, part.top, scene)
         ):

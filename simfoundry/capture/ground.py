@@ -15,16 +15,28 @@ from simfoundry.capture.planes import TOLERANCE, Plane, candidate_planes, is_lev
 from simfoundry.capture.relief import normals_of, tangents
 from simfoundry.scene.frames import Array, Pose
 
-TALLEST = 0.5  # [m] above a plane, what still counts as standing on it
-CROSSING = 0.6  # cosine of the angle between surface and plane from which on it crosses rather than joins
+TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor
+DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance
+CROSSING = 0.6  # cosine of the angle between a surface and a plane from which on it crosses rather than joins it
 SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
+FEWEST_POINTS = 50
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A depth picture with its points and normals in the camera frame; normals are NaN where depth is sparse."""
+
+    depth: Array
+    K: Array
+    points: Array
+    normals: Array
 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    plane: Plane
     X_WC: Pose
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     plan: Plan
     score: float
 
@@ -36,62 +48,26 @@ def find_support(frame: Frame) -> Support:
     viewing direction along the plane (its up direction if it looks straight down), y is to the left.
 
     Of all planes that could be a table top, the support is the one that has most on it and of it in view, the near
-    counting more than the far (by area rather than by pixels). A box that carries another loses against the table
-    below, because the table carries both; the floor loses because it is far and its things stand higher than objects do.
+    counting more than the far. A box that carries another loses against the table below, because the table carries
+    both; the floor loses because it is far, and the things on a table stand higher above it than objects are tall.
     Raises :class:`CaptureError` (``no-depth``, ``depth-unit``, ``no-plane``).
     """
-    valid = valid_depth(frame.depth)
-    depth = np.where(valid, frame.depth, np.nan)
-    step = max(1, frame.depth.shape[1] // SURVEY_WIDTH)
-    small = Frame(frame.color[::step, ::step], depth[::step, ::step], _reduced(frame.K, step))
+    depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
+    small = _view(depth, frame.K, step=max(1, depth.shape[1] // SURVEY_WIDTH))
     points = small.points[np.isfinite(small.depth)]
-    planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= 50 else []
-    surfaces = [s for plane in planes if (s := _survey(small, plane, finest=0.01)) is not None]
-    if not surfaces:
-        raise CaptureError(
-            "no-plane",
-            "no flat surface is seen from above that objects could stand on",
-            "show at least a hand's breadth of the table top around the objects, with the camera upright above it",
-        )
-    best = max(surfaces, key=lambda s: s.score)
-    return _measured(Frame(frame.color, depth, frame.K), best)
-
-
-def _reduced(K: Array, step: int) -> Array:
-    """Intrinsics of the picture that keeps every ``step``-th pixel."""
-    out = np.array(K, dtype=np.float64)
-    out[:2] /= step
-    return out
-
-
-def _measured(frame: Frame, rough: _Surface) -> Support:
-    """Refine the plane on the pixels of its own connected surface at full resolution, and take its outline there."""
-    plane = rough.plane
-    for _ in range(2):
-        near = _on_plane(frame, plane) & rough.plan.contains(rough.X_WC.apply(frame.points)[..., :2])
-        points = frame.points[near]
-        if len(points) < 10:
-            break
-        plane = refine(plane, points[:: max(1, len(points) // 60000)])
-    surface = _survey(frame, plane, finest=0.005)
-    if surface is None:
-        surface = rough
-    center = np.append(surface.X_WC.apply(frame.points[surface.inliers])[:, :2].mean(axis=0), 0.0)
-    X_WC = Pose.of(surface.X_WC.p - center, surface.X_WC.q)
-    residual = float(np.median(np.abs(plane.height(frame.points[surface.inliers]))))
-    return Support(X_WC, polygon_of(surface.plan) - center[:2], residual, surface.inliers)
-
-
-def _on_plane(frame: Frame, plane: Plane) -> NDArray[np.bool_]:
-    """Pixels within the noise of the plane, except where a surface clearly crosses it, as the back of a chair does."""
-    import cv2
-
-    radius = max(2, round(frame.depth.shape[1] / 160))
-    with np.errstate(invalid="ignore"):
-        normals = normals_of(tangents(frame.depth, radius, 1 + (radius - 1) // 3), frame.K)
-    dense = cv2.blur(np.isfinite(frame.depth).astype(np.float32), (2 * radius + 1, 2 * radius + 1)) > 0.9
-    crossing = dense & (np.abs(normals @ plane.normal) < CROSSING)
-    return np.asarray((np.abs(plane.height(frame.points)) < TOLERANCE * depth_sigma(frame.depth)) & ~crossing)
+    planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= FEWEST_POINTS else []
+    found = [(s.score, plane, s.plan, s.X_WC) for plane in planes if (s := _survey(small, plane, 0.01)) is not None]
+    while found:
+        best = max(range(len(found)), key=lambda i: found[i][0])
+        _, plane, plan, X_WC = found.pop(best)
+        support = _measured(_view(depth, frame.K), plane, plan, X_WC)
+        if support is not None:
+            return support
+    raise CaptureError(
+        "no-plane",
+        "no flat surface is seen from above that objects could stand on",
+        "show at least a hand's breadth of the table top around the objects, with the camera upright above it",
+    )
 
 
 def world_on(plane: Plane) -> Pose:
@@ -107,22 +83,68 @@ def world_on(plane: Plane) -> Pose:
     return Pose.from_matrix(matrix)
 
 
-def _survey(frame: Frame, plane: Plane, finest: float) -> _Surface | None:
+def _view(depth: Array, K: Array, step: int = 1) -> _View:
+    """Every ``step``-th pixel of a depth picture."""
+    import cv2
+
+    small, reduced = depth[::step, ::step], np.array(K, dtype=np.float64)
+    reduced[:2] /= step
+    frame = Frame(np.zeros((*small.shape, 3), np.uint8), small, reduced)
+    radius = max(2, round(small.shape[1] / 160))
+    normals = normals_of(tangents(small, radius, 1 + (radius - 1) // 2), reduced)
+    dense = cv2.blur(np.isfinite(small).astype(np.float32), (2 * radius + 1, 2 * radius + 1)) > 0.9
+    return _View(small, reduced, frame.points, np.where(dense[..., None], normals, np.nan))
+
+
+def _on_plane(view: _View, plane: Plane) -> Mask:
+    """Pixels within the noise of the plane, but for those where a surface clearly crosses it, as a chair's back does."""
+    near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
+    return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
+
+
+def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
     """The surface that ``plane`` has in this picture, and how much speaks for it being the support."""
     X_WC = world_on(plane)
-    points_W = X_WC.apply(frame.points)
-    inliers = _on_plane(frame, plane)
-    tolerance = TOLERANCE * depth_sigma(frame.depth)
-    hidden = ~np.isfinite(frame.depth) | (points_W[..., 2] > tolerance)
-    plan = plan_of(inliers, hidden, X_WC, frame.K, points_W, finest)
+    points_W = X_WC.apply(view.points)
+    inliers = _on_plane(view, plane)
+    tolerance = TOLERANCE * depth_sigma(view.depth)
+    hidden = ~np.isfinite(view.depth) | (points_W[..., 2] > tolerance)
+    plan = plan_of(inliers, hidden, X_WC, view.K, points_W, finest)
     if plan is None:
         return None
     above = plan.contains(points_W[..., :2])
     inliers = inliers & above
-    if inliers.sum() < 10:
+    if inliers.sum() < 10 or _density(inliers, view.depth) < DENSE:
         return None
     carried = above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)
-    # A pixel covers an area that grows with the squared depth; dividing by it once more favours the near.
-    nearness = 1.0 / float(np.median(frame.depth[inliers])) ** 2
+    # Pixels of the near count more: each covers less of the world, and what is filmed on purpose is near.
+    nearness = 1.0 / float(np.median(view.depth[inliers])) ** 2
     score = (float(carried.sum()) + 0.5 * float(inliers.sum())) * nearness * (1.0 if is_level(plane) else 0.3)
-    return _Surface(plane, X_WC, inliers, plan, score)
+    return _Surface(X_WC, inliers, plan, score)
+
+
+def _density(inliers: Mask, depth: Array) -> float:
+    """The mean share of inliers among the valid pixels within 2 px of an inlier."""
+    import cv2
+
+    of_plane = cv2.blur(inliers.astype(np.float32), (5, 5))[inliers]
+    valid = cv2.blur(np.isfinite(depth).astype(np.float32), (5, 5))[inliers]
+    return float(np.mean(of_plane / valid))
+
+
+def _measured(view: _View, plane: Plane, plan: Plan, X_WC: Pose) -> Support | None:
+    """Refine a plane on the pixels of its own connected surface ``plan``, and take the outline, at full resolution."""
+    on_surface = plan.contains(X_WC.apply(view.points)[..., :2])
+    for _ in range(2):
+        points = view.points[_on_plane(view, plane) & on_surface]
+        if len(points) < FEWEST_POINTS:
+            return None
+        plane = refine(plane, points[:: max(1, len(points) // 60000)])
+    surface = _survey(view, plane, finest=0.005)
+    if surface is None:
+        return None
+    points_W = surface.X_WC.apply(view.points[surface.inliers])
+    center = np.append(points_W[:, :2].mean(axis=0), 0.0)
+    residual = float(np.median(np.abs(points_W[:, 2])))
+    X_WC = Pose.of(surface.X_WC.p - center, surface.X_WC.q)
+    return Support(X_WC, polygon_of(surface.plan) - center[:2], residual, surface.inliers)

@@ -12,20 +12,33 @@ from simfoundry.scene.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch
+SMALL_PART = 0.2  # of its neighbour's pixels
+SMALL_PART_PATIENCE = 1.5
 FEW_PAIRS = 60  # a shorter border says nothing
 
 
 def merge_smooth(labels: Labels, depth: Array, reach: int, edge: float = EDGE) -> Labels:
-    """Join neighbours, the least separated first, until every border left is an edge."""
+    """Join neighbours, the least separated first, until every border left is an edge.
+
+    Next to a region many times its size, a small one must be set off more clearly to be a thing of its own: caps,
+    handles and the smeared feet of objects are not.
+    """
     graph = borders(labels, depth, reach)
+    sizes = dict(enumerate(np.bincount(labels.ravel()).tolist()))
     parent: dict[int, int] = {}
     while True:
-        weak = [b for b in graph.values() if b.edge < edge and b.pairs >= FEW_PAIRS]
+        weak = [b for b in graph.values() if b.pairs >= FEW_PAIRS and b.edge < edge * _patience(sizes, b)]
         if not weak:
             return renamed(labels, parent)
         best = min(weak, key=lambda b: (b.edge, b.a, b.b))
         parent[best.b] = best.a
+        sizes[best.a] += sizes.pop(best.b)
         graph = _joined(graph, best.a, best.b)
+
+
+def _patience(sizes: dict[int, int], border: Border) -> float:
+    small, large = sorted((sizes[border.a], sizes[border.b]))
+    return SMALL_PART_PATIENCE if small < SMALL_PART * large else 1.0
 
 
 def _joined(graph: dict[tuple[int, int], Border], keep: int, gone: int) -> dict[tuple[int, int], Border]:

@@ -13,8 +13,8 @@ MOST_PLANES = 8
 HYPOTHESES = 1500
 MOST_POINTS = 6000
 TOLERANCE = 3.0  # in standard deviations of the depth
-STEEPEST_ROLL = 0.7  # tangent of the camera roll beyond which a plane is a wall beside it
-ROLL_SLACK = 0.2  # what a normal may lean sideways however steeply the camera looks down
+STEEPEST_ROLL = 0.47  # tangent of the camera roll beyond which a plane is a wall beside it
+ROLL_SLACK = 0.15  # what a normal may lean sideways however steeply the camera looks down
 SMALLEST_SHARE = 0.01  # of all points
 
 

@@ -116,11 +116,16 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
 
     The tangent planes are fitted within each region alone, and signed, so that noise cancels along a border.
     """
+    rows, columns = np.nonzero((labels > 0).any(axis=1))[0], np.nonzero((labels > 0).any(axis=0))[0]
+    if not len(rows):
+        return {}
+    used = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    labels, depth = labels[used], depth[used]
     fits = tangents(np.where(labels > 0, depth, np.nan), reach, 1 + (reach - 1) // 5, labels)
     noise = noise_of(depth)
     keys, bends, jumps = [], [], []
     for r in (reach, max(2, reach // 2)):
-        for middle, a, b in across(labels.shape, r):
+        for _, a, b in across(labels.shape, r):
             la, lb = labels[a], labels[b]
             where = (la != lb) & (la > 0) & (lb > 0)
             bend, jump = bend_and_jump(fits[a][where], fits[b][where], np.subtract(start_of(b), start_of(a)))
@@ -129,7 +134,6 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
             keys.append(np.sort(np.stack([la[where], lb[where]], axis=1), axis=1))
             bends.append(bend / scale)
             jumps.append(np.where(swap, -jump, jump) / scale)
-            del middle
     pair = np.concatenate(keys)
     if not len(pair):
         return {}

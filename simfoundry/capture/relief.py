@@ -23,26 +23,32 @@ def tangents(depth: Array, radius: int, stride: int = 1, labels: NDArray[np.int3
     do not bend round edges.
     """
     h, w = depth.shape
-    disparity = 1.0 / depth
-    cut = CUT + 3 * depth_sigma(depth)
+    near_depth, disparity = depth.astype(np.float32), (1.0 / depth).astype(np.float32)
+    cut = (CUT + 3 * depth_sigma(depth)).astype(np.float32)
     sums = np.zeros((9, h, w))  # 1, u, v, uu, uv, vv, d, ud, vd
+    row = np.empty((5, h, w), np.float32)  # within one row of the window: 1, u, uu, d, ud
     for dv in range(-radius, radius + 1, stride):
+        row[:] = 0
         for du in range(-radius, radius + 1, stride):
             if du * du + dv * dv > radius * radius:
                 continue
             here, there = _overlap(h, w, du, dv)
-            near = np.abs(depth[there] - depth[here]) < cut[here]  # False for NaN
+            near = np.abs(near_depth[there] - near_depth[here]) < cut[here]  # False for NaN
             if labels is not None:
                 near &= labels[there] == labels[here]
-            delta = np.where(near, disparity[there] - disparity[here], 0.0)
-            weight = near.astype(np.float64)
-            for k, factor in enumerate((1, du, dv, du * du, du * dv, dv * dv)):
-                if factor:
-                    sums[k][here] += factor * weight
-            for k, factor in enumerate((1, du, dv)):
-                if factor:
-                    sums[6 + k][here] += factor * delta
-    return np.where(np.isfinite(depth)[..., None], _solve(sums) + disparity[..., None] * [1, 0, 0], np.nan)
+            delta = np.where(near, disparity[there] - disparity[here], np.float32(0))
+            row[0][here] += near
+            row[3][here] += delta
+            if du:
+                row[1][here] += np.float32(du) * near
+                row[2][here] += np.float32(du * du) * near
+                row[4][here] += np.float32(du) * delta
+        sums[[0, 1, 3, 6, 7]] += row
+        sums[[2, 4, 8]] += dv * row[[0, 1, 3]]
+        sums[5] += dv * dv * row[0]
+    fits = _solve(sums)
+    fits[..., 0] += 1.0 / depth
+    return np.where(np.isfinite(depth)[..., None], fits, np.nan)
 
 
 def _solve(s: Array) -> Array:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from simfoundry.capture.noise import depth_sigma
 from simfoundry.scene.frames import Array
 
+LEANING = 0.02  # [m] between a thing and what it leans on
+HANGING = 0.04  # [m] above the support, from which on a foot is not merely hidden
 CONTACT = 0.015  # [m] between a thing and what carries it
 Labels = NDArray[np.int32]
 
@@ -43,8 +45,29 @@ def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Pa
 
 
 def carriers(parts: list[Part]) -> dict[int, int]:
-    """What each part stands on: the highest part that ends right below it, else 0 for the support."""
-    return {part.label: 0 if part.is_grounded else _carrier(part, parts) for part in parts}
+    """What each part stands on: the highest part that ends right below it, else 0 for the support.
+
+    What does not reach down to the support and has nothing right below it leans on the lower part that it is nearest
+    to, if that is near; else its foot is hidden and it stands on the support.
+    """
+    return {p.label: 0 if p.is_grounded else _carrier(p, parts) or _leant_on(p, parts) for p in parts}
+
+
+def _leant_on(part: Part, parts: list[Part]) -> int:
+    from scipy.spatial import cKDTree
+
+    if part.bottom < HANGING:
+        return 0
+    tree = cKDTree(part.points_W[:: max(1, len(part.points_W) // 2000)])
+    best, nearest = 0, LEANING
+    for other in parts:
+        if other.label == part.label or other.bottom >= part.bottom:
+            continue
+        gaps, _ = tree.query(other.points_W[:: max(1, len(other.points_W) // 1000)])
+        gap = float(np.sort(gaps)[min(5, len(gaps) - 1)])  # not the very nearest: stray points lie between things
+        if gap < nearest:
+            best, nearest = other.label, gap
+    return best
 
 
 def _carrier(part: Part, parts: list[Part]) -> int:
