@@ -42,6 +42,16 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
 
+goldens: $(READY) ## Write the expected texts of the tests anew; review the diff
+	$(BIN)/python -m pytest -n $(WORKERS) --update-goldens
+
+# Each module of tests/corpora is a long run over public data, or over many random scenes, and prints a table.
+PROOFS := $(patsubst tests/corpora/%.py,tests.corpora.%,$(filter-out %/__init__.py %/conftest.py,\
+  $(filter-out tests/corpora/test_%,$(wildcard tests/corpora/*.py))))
+
+proofs: $(READY) ## Long runs that measure what is promised: minutes, and some need data that is not in the repository
+	@set -e; for proof in $(PROOFS); do echo "$(BIN)/python -m $$proof"; $(BIN)/python -m $$proof; done
+
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
 	@$(PYTHON) -m venv build/lock
 	@build/lock/bin/python -m pip install --quiet --disable-pip-version-check uv
