@@ -32,7 +32,7 @@ lint: $(READY) ## Check style, types and the import contract; changes nothing
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m simfoundry.spec.generated --check
 
 format: $(READY) ## Format the code and mend what can be mended by itself
