@@ -18,11 +18,11 @@ $(READY): pyproject.toml constraints.txt
 	  echo "SimFoundry needs Python 3.11 or newer, and \`$(PYTHON)\` is $$($(PYTHON) --version 2>&1 | tail -n 1)."; \
 	  echo "Name another: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
-	@echo "Installing SimFoundry into $(VENV): once, about a minute ..."
+	@echo "Installing SimFoundry into $(VENV): once, and when its dependencies change; about a minute ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, check each in its simulator
+demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, run it
 	@$(BIN)/simfoundry demo
 
 test: $(READY) ## Run the tests
