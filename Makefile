@@ -18,11 +18,11 @@ $(READY): pyproject.toml constraints.txt
 	  echo "SimFoundry needs Python 3.11 or newer, and \`$(PYTHON)\` is $$($(PYTHON) --version 2>&1 | tail -n 1)."; \
 	  echo "Name another: make PYTHON=python3.11 $(MAKECMDGOALS)"; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
-	@echo "Installing SimFoundry into $(VENV): once, about a minute ..."
+	@echo "Installing SimFoundry into $(VENV): once, and when its dependencies change; about a minute ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, check each in its simulator
+demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, run it
 	@$(BIN)/simfoundry demo
 
 test: $(READY) ## Run the tests
@@ -32,7 +32,7 @@ lint: $(READY) ## Check style, types and the import contract; changes nothing
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m simfoundry.spec.generated --check
 
 format: $(READY) ## Format the code and mend what can be mended by itself
@@ -41,6 +41,16 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 
 schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
+
+goldens: $(READY) ## Write the expected texts of the tests anew; review the diff
+	$(BIN)/python -m pytest -n $(WORKERS) --update-goldens
+
+# Each module of tests/corpora is a long run over public data, or over many random scenes, and prints a table.
+PROOFS := $(patsubst tests/corpora/%.py,tests.corpora.%,$(filter-out %/__init__.py %/conftest.py,\
+  $(filter-out tests/corpora/test_%,$(wildcard tests/corpora/*.py))))
+
+proofs: $(READY) ## Long runs that measure what is promised: minutes, and some need data that is not in the repository
+	@set -e; for proof in $(PROOFS); do echo "$(BIN)/python -m $$proof"; $(BIN)/python -m $$proof; done
 
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
 	@$(PYTHON) -m venv build/lock

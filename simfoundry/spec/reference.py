@@ -166,7 +166,7 @@ def _type(field: Schema) -> str:
             return _fixed_list([_type(i) for i in items])
         case {"items": item}:
             return f"list of {_type(item)}{_length(field)}"
-        case {"patternProperties": {**patterns}}:
+        case {"patternProperties": patterns}:
             return f"name → {_type(next(iter(patterns.values())))}"
         case {"pattern": pattern} if pattern == _NAME:
             return "name"
