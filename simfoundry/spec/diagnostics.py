@@ -89,7 +89,9 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     """A hint that names the most similar choice, or lists the choices where none is similar."""
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
-    match = difflib.get_close_matches(_plain(word), plain, n=1, cutoff=0.6)
+    sought = _plain(word)
+    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparing takes its time
+    match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:
         return f"did you mean `{plain[match[0]]}`?"
     if not names:

@@ -16,7 +16,7 @@ from simfoundry.spec.plausible import implausible, volume
 from simfoundry.spec.relations import RelationError, parse_relation
 from simfoundry.spec.scene import Degrees, ObjectSpec, SceneSpec
 from simfoundry.spec.text import Document, YamlError, read
-from simfoundry.spec.validate import sound_part, validate
+from simfoundry.spec.validate import MAX_FINDINGS, sound_part, validate
 
 KINDS: dict[str, type[Model]] = {"scene/1": SceneSpec, "asset/1": AssetSpec, "capture/1": CaptureSpec}
 MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
@@ -124,6 +124,14 @@ def _of_kind(path: Path, model: type[Model], kind: str) -> Loaded:
     return loaded
 
 
+def _kind_of(path: Path) -> type[Model] | None:
+    """The model of the document in a file; None where that cannot be told."""
+    try:
+        return _kind(read(path))[0]
+    except YamlError:
+        return None
+
+
 def _kind(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
     """The model of a document by its first key."""
     data = document.data
@@ -157,6 +165,8 @@ class _Checker:
     def add(
         self, code: str, path: tuple[Any, ...], message: str, hint: str = "", severity: Severity = Severity.ERROR
     ) -> None:
+        if len(self.findings) >= MAX_FINDINGS:
+            return
         line, column = self.document.place(path)
         dotted = ".".join(str(p) for p in path)
         self.findings.append(Diagnostic(code, severity, message, self.document.file, line, column, dotted, hint))
@@ -214,7 +224,7 @@ class _Checker:
     # -- parts --------------------------------------------------------------------------------------------------
 
     def name(self, name: str, choices: Collection[str], path: tuple[Any, ...], what: str) -> None:
-        if name not in choices:
+        if name not in choices and len(self.findings) < MAX_FINDINGS:
             self.add("SF201", path, f"no {what} is called `{name}`", nearest(name, choices) or "none is defined")
 
     def material(self, body: Body, path: tuple[Any, ...]) -> None:
@@ -301,18 +311,15 @@ class _Checker:
                 message = f"`{field_name}` has no effect here: the links of `{item.asset}` have their own"
                 self.add("SF107", (*path, field_name), message, "write it in that document")
         target = self.loaded.file(item.asset)
-        loaded = self.loaded.assets.get(str(target)) or load(self.loaded.shown(item.asset), self.loaded.root)
-        self.loaded.assets[str(target)] = loaded
-        if not isinstance(loaded.spec, AssetSpec):
-            if loaded.spec is not None:
-                self.add(
-                    "SF006",
-                    (*path, "asset"),
-                    f"`{item.asset}` is not an asset document",
-                    "it must start with `simfoundry: asset/1`",
-                )
-            return
-        self.joints(item, loaded.spec, path)
+        if str(target) not in self.loaded.assets:
+            if _kind_of(target) not in (None, AssetSpec):  # a scene, which might even be this one
+                message = f"`{item.asset}` is not an asset document"
+                self.add("SF006", (*path, "asset"), message, "it must start with `simfoundry: asset/1`")
+                return
+            self.loaded.assets[str(target)] = load(self.loaded.shown(item.asset), self.loaded.root)
+        asset = self.loaded.assets[str(target)].spec
+        if isinstance(asset, AssetSpec):
+            self.joints(item, asset, path)
 
     def joints(self, item: ObjectSpec, asset: AssetSpec, path: tuple[Any, ...]) -> None:
         import math

@@ -18,7 +18,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 
 MAX_BYTES = 4 * 2**20
 MAX_DEPTH = 64
-MAX_NODES = 200_000
+MAX_NODES = 150_000
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
