@@ -70,8 +70,10 @@ def to_data(spec: Model) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in sorted(fields, key=lambda n: _RANK.get(n, len(_RANK))):
         value = getattr(spec, name)
-        if name in ("simfoundry", "name") or fields[name].is_required() or value != fields[name].default:
-            out[name] = _data(value)
+        data = _data(value)
+        # As text: what is written like the default would be read as the default, and then not be written again.
+        if name == "simfoundry" or fields[name].is_required() or _flow(data) != _flow(_data(fields[name].default)):
+            out[name] = data
     return out
 
 
