@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import zipfile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.mass import mesh as solid_of
+from simfoundry.assets.mesh import MeshError
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -23,13 +25,19 @@ NEARLY_CONVEX = 0.90
 COACD = {"threshold": 0.05, "max_convex_hull": 32, "mcts_iterations": 100, "seed": 0, "max_ch_vertex": 60}
 
 
-def hull(points: Array) -> Part:
-    """Convex hull of points [m], shape (n, 3), with at most 64 vertices, faces counter-clockwise from outside."""
-    from scipy.spatial import ConvexHull
+def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
+    """Convex hull of points [m], shape (n, 3), with at most ``limit`` vertices, faces counter-clockwise from outside.
 
-    corners = points[np.sort(ConvexHull(points).vertices)]
-    if len(corners) > MAX_HULL_VERTICES:
-        corners = corners[_spread(corners, MAX_HULL_VERTICES)]
+    Raises :class:`MeshError` for points that lie in one plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        corners = points[np.sort(ConvexHull(points).vertices)]
+    except QhullError:
+        raise MeshError("SF301", "the mesh is flat: its points lie in one plane", "give it thickness") from None
+    if len(corners) > limit:
+        corners = corners[_spread(corners, limit)]
     result = ConvexHull(corners)
     faces = result.simplices.astype(np.int32)
     outward = result.equations[:, :3]
@@ -57,14 +65,17 @@ def convex_parts(vertices: Array, faces: Faces, how: str, cache: Cache | None = 
     whole = hull(vertices)
     if how == "hull":
         return (whole,)
-    if how == "auto" and solid_of(vertices, faces).volume >= NEARLY_CONVEX * solid_of(*whole).volume:
-        return (whole,)
+    if how == "auto":
+        filled = solid_of(vertices, faces).volume / solid_of(*hull(vertices, limit=len(vertices))).volume
+        if filled >= NEARLY_CONVEX:
+            return (whole,)
     import coacd
 
     key = key_of("convex 1", repr(sorted(COACD.items())), _version(), vertices.tobytes(), faces.tobytes())
     stored = cache.get(key) if cache is not None else None
-    if stored is not None:
-        return _unpack(stored)
+    kept = _unpack(stored) if stored is not None else ()
+    if kept:
+        return kept
     coacd.set_log_level("error")
     pieces = coacd.run_coacd(coacd.Mesh(vertices, faces), decimate=True, **COACD)
     parts = tuple(hull(np.asarray(v, dtype=np.float64)) for v, _ in pieces if _is_solid(v))
@@ -97,6 +108,10 @@ def _pack(parts: tuple[Part, ...]) -> bytes:
 
 
 def _unpack(data: bytes) -> tuple[Part, ...]:
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        count = len(arrays.files) // 2
-        return tuple((arrays[f"v{k:03d}"], arrays[f"f{k:03d}"]) for k in range(count))
+    """The stored parts; none where the entry is damaged, so that they are computed again."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            count = len(arrays.files) // 2
+            return tuple((arrays[f"v{k:03d}"], arrays[f"f{k:03d}"]) for k in range(count))
+    except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile):
+        return ()

@@ -50,34 +50,47 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
         scene = trimesh.load_scene(path, process=False)
         meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except Exception as error:  # trimesh lets every parser's own exceptions through
-        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {error}", "export it again") from None
+        reason = " ".join(str(error).split())[:120]
+        raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
     if not meshes:
         raise MeshError("SF301", f"{path.name} has no triangles", "export the surface, not only points or curves")
     if sum(len(m.faces) for m in meshes) > MAX_FACES:
         raise MeshError("SF301", f"{path.name} has more than {MAX_FACES} triangles", "decimate it first")
+    if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
+        raise MeshError("SF301", f"{path.name} has triangles whose corners do not exist", "export it again")
     parts = tuple(_part(m, scale, path.suffix.lower() in (".glb", ".gltf")) for m in meshes)
     _check_size(path.name, np.concatenate([p.vertices for p in parts]), scale)
     return parts
 
 
 def _part(mesh: Any, scale: float, y_up: bool) -> MeshPart:
-    vertices = np.array(mesh.vertices, dtype=np.float64) * scale
+    used, faces = np.unique(mesh.faces, return_inverse=True)  # stray points are no part of the surface
+    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * scale
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(mesh)
-    return MeshPart(vertices, np.array(mesh.faces, dtype=np.int32), uv, texture, rgba)
+    if rgba is not None and y_up:  # glTF writes its colours linear, everything else means sRGB
+        rgba = (_srgb(rgba[0]), _srgb(rgba[1]), _srgb(rgba[2]), rgba[3])
+    uv = None if uv is None else uv[used]
+    return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
+
+
+def _srgb(linear: float) -> float:
+    """An sRGB colour value of a linear one, both in [0, 1] (IEC 61966-2-1)."""
+    return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
 def _appearance(mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
-    """Texture coordinates, PNG and colour of a trimesh mesh."""
+    """Texture coordinates, PNG and colour of a trimesh mesh; a texture is multiplied by the colour."""
     visual = mesh.visual
     if visual.kind == "texture" and getattr(visual, "uv", None) is not None:
         material = visual.material
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+        factor = getattr(material, "baseColorFactor", None)
         if image is not None:
-            return np.array(visual.uv, dtype=np.float64)[:, :2], _png(image), None
-        color = getattr(material, "baseColorFactor", None)
-        color = getattr(material, "diffuse", None) if color is None else color
+            tint = None if factor is None else _rgba(np.asarray(factor))
+            return np.array(visual.uv, dtype=np.float64)[:, :2], _png(image), tint
+        color = getattr(material, "diffuse", None) if factor is None else factor
         return None, None, None if color is None else _rgba(np.asarray(color))
     if visual.kind in ("vertex", "face"):
         colors = visual.vertex_colors if visual.kind == "vertex" else visual.face_colors
@@ -112,13 +125,14 @@ def _check_size(name: str, vertices: Array, scale: float) -> None:
 
 
 def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
-    """Join vertices at the same place (texture seams split them) and drop faces without area."""
+    """Join vertices at the same place (texture seams split them), and drop what then is no triangle or on none."""
     tolerance = 1e-7 * max(float(np.ptp(vertices, axis=0).max()), 1e-9)
     cells = np.round((vertices - vertices.min(axis=0)) / tolerance).astype(np.int64)
     _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     joined = inverse.reshape(-1)[faces]
     proper = (joined[:, 0] != joined[:, 1]) & (joined[:, 1] != joined[:, 2]) & (joined[:, 2] != joined[:, 0])
-    return vertices[first], joined[proper].astype(np.int32)
+    used, corners = np.unique(joined[proper], return_inverse=True)
+    return vertices[first][used], corners.reshape(-1, 3).astype(np.int32)
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:

@@ -12,13 +12,16 @@ Faces = NDArray[np.int32]
 
 
 def checked_outline(outline: Array) -> Array:
-    """The outline [m], shape (n, 2), counter-clockwise; raises MeshError where it crosses itself or has no area."""
+    """The outline [m], shape (n, 2), counter-clockwise and without superfluous corners.
+
+    Raises :class:`MeshError` where it crosses itself or has no area.
+    """
     from shapely.geometry import Polygon
 
     polygon = Polygon(outline)
     if not polygon.is_valid or polygon.area < 1e-8:
         raise MeshError("SF301", "the outline crosses itself or has no area", "list its corners in order around it")
-    return outline if polygon.exterior.is_ccw else outline[::-1].copy()
+    return _without_straights(outline if polygon.exterior.is_ccw else outline[::-1])
 
 
 def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
@@ -34,22 +37,21 @@ def prism_mesh(outline: Array, height: float) -> tuple[Array, Faces]:
 
 
 def convex_outlines(outline: Array) -> list[Array]:
-    """Convex polygons that tile a counter-clockwise outline: triangles, joined while the union stays convex."""
-    polygons = [list(map(int, t)) for t in _triangles(outline)]
-    merged = True
-    while merged:
-        merged = False
-        for i in range(len(polygons)):
-            for j in range(i + 1, len(polygons)):
-                union = _joined(polygons[i], polygons[j])
-                if union is not None and _is_convex(outline[union]):
-                    polygons[i] = union
-                    del polygons[j]
-                    merged = True
-                    break
-            if merged:
-                break
-    return [outline[p] for p in polygons]
+    """Convex polygons that tile a counter-clockwise outline: triangles, joined across an edge while they stay convex.
+
+    Whether a joint may go does not depend on those still to come (Hertel and Mehlhorn), so each is looked at once.
+    """
+    polygons = {k: [int(v) for v in t] for k, t in enumerate(_triangles(outline))}
+    owner = {(p[i - 1], p[i]): k for k, p in polygons.items() for i in range(3)}
+    for start, end in sorted(edge for edge in owner if edge[0] < edge[1] and edge[::-1] in owner):
+        kept, gone = owner[start, end], owner[end, start]
+        union = _joined(polygons[kept], polygons[gone], start, end)
+        if _is_convex(outline[union]):
+            moved = polygons[gone]
+            owner |= {(moved[i - 1], moved[i]): kept for i in range(len(moved))}
+            polygons[kept] = union
+            del polygons[gone]
+    return [_without_straights(outline[p]) for p in polygons.values()]
 
 
 def _triangles(outline: Array) -> Faces:
@@ -64,18 +66,27 @@ def _triangles(outline: Array) -> Faces:
     return triangles
 
 
-def _joined(a: list[int], b: list[int]) -> list[int] | None:
-    """The union of two counter-clockwise polygons that share exactly one edge, or None."""
-    for i, start in enumerate(a):
-        end = a[(i + 1) % len(a)]
-        if end in b and start in b and b[(b.index(end) + 1) % len(b)] == start:
-            j = b.index(start)
-            around = b[j + 1 :] + b[: j + 1]  # from after `start` all the way round to it
-            extra = [v for v in around if v not in (start, end)]
-            if set(extra) & set(a):
-                return None
-            return a[: i + 1] + extra + a[i + 1 :]
-    return None
+def _joined(a: list[int], b: list[int], start: int, end: int) -> list[int]:
+    """The union of two counter-clockwise polygons on both sides of the edge from ``start`` to ``end`` in ``a``."""
+    i, j = a.index(end), b.index(start)
+    around_a = a[i:] + a[:i]  # from the end of the edge to its start
+    around_b = b[j:] + b[:j]  # from the start of the edge to its end
+    return around_a + around_b[1:-1]
+
+
+def _without_straights(points: Array) -> Array:
+    """A polygon without repeated corners and corners on a straight line, which no triangle of it would use."""
+    corners = [p for k, p in enumerate(points) if not np.array_equal(p, points[k - 1])]
+    k = 0
+    while k < len(corners) and len(corners) > 3:
+        before, here, after = corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+        (ax, ay), (bx, by) = here - before, after - here
+        if abs(ax * by - ay * bx) <= 1e-12 * (abs(ax) + abs(ay)) * (abs(bx) + abs(by)):
+            del corners[k]
+            k = max(0, k - 1)
+        else:
+            k += 1
+    return np.array(corners)
 
 
 def _is_convex(points: Array) -> bool:

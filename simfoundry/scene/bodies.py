@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, convex_parts, hull
 from simfoundry.assets.lathe import checked_profile, lathe_mesh, lathe_parts
-from simfoundry.assets.mesh import MeshError, open_edges, read_mesh, weld
+from simfoundry.assets.mesh import MeshError, MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.frames import frozen_array as frozen
@@ -30,8 +31,8 @@ from simfoundry.spec.base import (
 )
 
 GREY = (0.7, 0.7, 0.7, 1.0)
-FIXED_DENSITY = 1000.0
-"""Density [kg/m^3] of a fixed body that gives none: it never moves, so its mass acts on nothing."""
+USUAL_DENSITY = 1000.0
+"""Density [kg/m^3] of a piece that gives none, where that is allowed: its body is fixed, or its mass is given."""
 
 ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
@@ -58,7 +59,7 @@ class BodyBuilder:
                 self._collide(name if len(touching) == 1 else f"{name}_{k}", piece, X_LG, part)
         self._weigh(name, solid, X_LG, part)
 
-    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None) -> None:
+    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
         pieces = read_mesh(path, scale)
         for k, piece in enumerate(pieces):
@@ -68,9 +69,9 @@ class BodyBuilder:
                 None if piece.uv is None else frozen(piece.uv),
                 piece.texture,
             )
-            default = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None else piece.rgba
             label = name if len(pieces) == 1 else f"{name}_{k}"
-            self.visuals.append(Visual(label, mesh, self._rgba(part, default), X_LG))
+            if show:
+                self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
         offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
         vertices = np.concatenate([p.vertices for p in pieces])
         faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
@@ -82,28 +83,28 @@ class BodyBuilder:
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
         self._weigh(name, solid, X_LG, part)
 
-    def add_visual(self, name: str, path: Path) -> None:
+    def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
         """Add a mesh file that is only looked at."""
-        for k, piece in enumerate(read_mesh(path)):
+        for k, piece in enumerate(read_mesh(path, scale)):
             uv = None if piece.uv is None else frozen(piece.uv)
-            default = (1.0, 1.0, 1.0, 1.0) if piece.texture is not None else piece.rgba
             mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
-            self.visuals.append(Visual(name if k == 0 else f"{name}_{k}", mesh, self._rgba(None, default), IDENTITY))
+            color = self._rgba(None, _own_color(piece))
+            self.visuals.append(Visual(name if k == 0 else f"{name}_{k}", mesh, color, IDENTITY))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
         """The finished link; raises :class:`MeshError` where it has no mass."""
         total = quantity_value(self.body.mass)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
-        if total is not None:  # only the shares matter: the whole is scaled to the given mass
-            densities = [1.0 if d is None else d for d in densities]
-        elif fixed:
-            densities = [FIXED_DENSITY if d is None else d for d in densities]
+        if total is not None or fixed:  # of a given mass only the shares matter; what is fixed does not move
+            densities = [USUAL_DENSITY if d is None else d for d in densities]
         if any(d is None for d in densities):
             raise MeshError(
                 "SF108", f"`{self.name}` has no mass", "give `mass`, `density` or a material with a density"
             )
         weighed = [(d, s) for d, (_, _, s) in zip(densities, self.solids, strict=True) if d is not None]
+        if not 0 < sum(d * s.volume for d, s in weighed) < math.inf:
+            raise MeshError("SF104", f"`{self.name}` has a mass beyond all numbers", "check its sizes and densities")
         computed, com, inertia = mass.combine(weighed)
         if total is not None:
             inertia = inertia * (total / computed)
@@ -116,7 +117,8 @@ class BodyBuilder:
     def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
         """The solid that carries the mass, and the faces turned outward."""
         if self.body.solid == "hull":
-            return mass.mesh(*hull(vertices)), faces
+            outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
+            return mass.mesh(*hull(vertices, limit=len(vertices))), outward
         gaps = open_edges(faces)
         if gaps:
             hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
@@ -148,6 +150,11 @@ class BodyBuilder:
             if color is not None:
                 return frozen((*color, 1.0)[:4])
         return frozen(GREY)
+
+
+def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
+    """The colour that a mesh brings along; a texture shows as it is."""
+    return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
 
 
 def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:

@@ -32,7 +32,7 @@ from simfoundry.scene.model import (
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.load import Loaded
+from simfoundry.spec.load import Loaded, is_document
 from simfoundry.spec.relations import parse_relation
 from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
@@ -108,7 +108,7 @@ class _Lowering:
         before = len(self.findings)
         category = item.category or name
         joints: tuple[Joint, ...] = ()
-        if item.asset is not None and item.asset.endswith(".asset.yaml"):
+        if item.asset is not None and is_document(item.asset):
             asset = self.loaded.assets[str(self.loaded.file(item.asset))]
             assert isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
@@ -121,22 +121,25 @@ class _Lowering:
 
     def rigid(self, name: str, item: ObjectSpec, spec: SceneSpec) -> list[Link]:
         """The one link of a primitive or of a mesh."""
+        before = len(self.findings)
         builder = BodyBuilder("base", item, spec.materials, self.cache)
         place = ("objects", name)
         with _At(self, self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
                 builder.add_shape("shape", item.shape, Pose.of(), None, show=item.visual is None)
             else:
-                builder.add_mesh("mesh", self.loaded.file(item.asset or ""), item.scale, Pose.of(), None)
+                file, show = self.loaded.file(item.asset or ""), item.visual is None
+                builder.add_mesh("mesh", file, item.scale, Pose.of(), None, show=show)
         if item.visual is not None:
             with _At(self, self.loaded, (*place, "visual")):
-                builder.add_visual("visual", self.loaded.file(item.visual))
-        return self._built(builder, item, self.loaded, place, fixed=item.fixed)
+                builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
+        return self._built(builder, item, self.loaded, place, item.fixed, before)
 
     def articulated(self, asset: Loaded, spec: AssetSpec, item: ObjectSpec) -> tuple[list[Link], tuple[Joint, ...]]:
         """The links of an asset document in topological order, and its joints at the positions the object asks for."""
         links: list[Link] = []
         for name in _topological(spec):
+            before = len(self.findings)
             link = spec.links[name]
             builder = BodyBuilder(name, link, spec.materials, self.cache)
             for part_name, part in link.parts.items():
@@ -145,15 +148,15 @@ class _Lowering:
                         builder.add_shape(part_name, part.shape, pose(part.pose), part)
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
-            links += self._built(builder, link, asset, ("links", name), fixed=False)
+            links += self._built(builder, link, asset, ("links", name), False, before)
         joints = tuple(_joint(name, joint, item.joints.get(name, 0.0)) for name, joint in spec.joints.items())
         return links, joints
 
     def _built(
-        self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool
+        self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool, before: int
     ) -> list[Link]:
-        """The finished link, alone in a list; empty where a finding forbids it."""
-        if any(d.path.startswith(".".join(place)) for d in self.findings):
+        """The finished link, alone in a list; empty where there are more findings than ``before`` it."""
+        if len(self.findings) > before:
             return []
         with _At(self, source, place):
             return [builder.link(fixed, getattr(body, "inertial", None))]

@@ -37,6 +37,8 @@ class Part(Model):
     @model_validator(mode="after")
     def _one_geometry(self) -> Self:
         exclusive(self, "shape", "mesh", needed=True)
+        if self.mesh is None and self.scale != 1.0:
+            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
         return self
 
 
@@ -59,7 +61,7 @@ class LinkSpec(Body):
     def _mass(self) -> Self:
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
-            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it")
+            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it", {"at": "inertial"})
         return self
 
 
@@ -90,15 +92,14 @@ class JointSpec(Model):
             raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in metres")
         if self.type == "revolute" and self.limits_deg is None:
             raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
-        if self.limits is not None and self.type != "prismatic":
-            raise PydanticCustomError("sf107", "`limits` (metres) belong to prismatic joints; use `limits_deg`")
-        if self.limits_deg is not None and self.type != "revolute":
-            raise PydanticCustomError("sf107", "`limits_deg` belong to revolute joints")
-        low, high = self.limits or self.limits_deg or (0.0, 1.0)
-        if low >= high:
-            raise PydanticCustomError("sf104", "the lower limit must lie below the upper one")
-        if self.type != "fixed" and sum(v * v for v in self.axis) < 1e-12:
-            raise PydanticCustomError("sf104", "`axis` must not be zero")
+        for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):
+            if given is not None and self.type != kind:
+                message = f"`{name}` belong to {kind} joints, and this one is {self.type}"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+            if given is not None and given[0] >= given[1]:
+                raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
+        if sum(v * v for v in self.axis) < 1e-12:
+            raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
         return self
 
 
@@ -106,7 +107,7 @@ class AssetSpec(Model):
     """A reusable object of one or more links."""
 
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
-    name: Name
+    name: Name = Field(description="What the asset is called: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="For people.")
     category: Name | None = Field(None, description="What it is, as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")

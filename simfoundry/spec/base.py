@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
@@ -33,7 +34,8 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
     given = [n for n in names if n in model.model_fields_set and getattr(model, n) is not None]
     listed = ", ".join(f"`{n}`" for n in names)
     if len(given) > 1:
-        raise PydanticCustomError("sf107", "give one of {listed}, not {n}", {"listed": listed, "n": len(given)})
+        context = {"listed": listed, "n": len(given), "at": given[1]}
+        raise PydanticCustomError("sf107", "give one of {listed}, not {n}", context)
     if needed and not given:
         raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
 
@@ -52,7 +54,7 @@ class Pose(Model):
     def _one_rotation(self) -> Self:
         exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
         if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
-            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1")
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
         return self
 
 
@@ -69,9 +71,9 @@ class CameraPose(Model):
     def _one_rotation(self) -> Self:
         exclusive(self, "look_at", "quat_wxyz", needed=True)
         if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
-            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1")
-        if self.look_at == self.xyz:
-            raise PydanticCustomError("sf104", "a camera cannot look at its own position")
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
+        if self.look_at is not None and math.dist(self.look_at, self.xyz) < 1e-6:
+            raise PydanticCustomError("sf104", "a camera cannot look at its own position", {"at": "look_at"})
         return self
 
 
@@ -85,7 +87,7 @@ class Estimate(Model):
     @model_validator(mode="after")
     def _inside(self) -> Self:
         if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
-            raise PydanticCustomError("sf104", "`value` lies outside `range`")
+            raise PydanticCustomError("sf104", "`value` lies outside `range`", {"at": "value"})
         return self
 
 

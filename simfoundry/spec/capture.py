@@ -58,7 +58,7 @@ class CaptureSpec(Model):
     """A capture of a real scene."""
 
     simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
-    name: Name
+    name: Name = Field(description="What the capture is called: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="For people.")
     frames: dict[Name, Shot] = Field(
         min_length=1, description="Pictures by name; the first is reconstructed by default."

@@ -43,6 +43,10 @@ CODES = {
 }
 
 
+SHOWN = 160
+"""How many columns of a line are shown."""
+
+
 class Severity(StrEnum):
     """How much a finding matters."""
 
@@ -84,13 +88,21 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
 def nearest(word: str, choices: Iterable[str]) -> str:
     """A hint that names the most similar choice, or lists the choices where none is similar."""
     names = sorted(choices)
-    match = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    plain = {_plain(name): name for name in reversed(names)}
+    sought = _plain(word)
+    similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparing takes its time
+    match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:
-        return f"did you mean `{match[0]}`?"
+        return f"did you mean `{plain[match[0]]}`?"
     if not names:
         return ""
     shown = ", ".join(f"`{n}`" for n in names[:12])
     return f"valid: {shown}" + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+
+
+def _plain(name: str) -> str:
+    """A name without what people confuse: capitals and underscores."""
+    return name.casefold().replace("_", "")
 
 
 def render(diagnostics: Iterable[Diagnostic], sources: dict[str, str] | None = None) -> str:
@@ -102,11 +114,17 @@ def render(diagnostics: Iterable[Diagnostic], sources: dict[str, str] | None = N
         lines = [f"{place}: {d.severity}[{d.code}] {d.message}"]
         text = _line_of(d, sources)
         if text is not None:
-            lines += [f"  {d.line:>5} | {text}", f"        | {' ' * (d.column - 1)}^"]
+            start = max(0, d.column - SHOWN)
+            lines += [f"  {d.line:>5} | {text[start : start + SHOWN]}", f"        | {' ' * (d.column - 1 - start)}^"]
         if d.hint:
             lines.append(f"        = {d.hint}")
-        blocks.append("\n".join(lines))
+        blocks.append("\n".join(_printable(line) for line in lines))
     return "\n".join(blocks)
+
+
+def _printable(line: str) -> str:
+    """A line that cannot steer a terminal: what does not print is written as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
 def _line_of(d: Diagnostic, sources: dict[str, str]) -> str | None:
@@ -117,5 +135,10 @@ def _line_of(d: Diagnostic, sources: dict[str, str]) -> str | None:
             sources[d.file] = Path(d.file).read_text(encoding="utf-8", errors="replace")
         except OSError:
             sources[d.file] = ""
-    lines = sources[d.file].splitlines()
-    return lines[d.line - 1][:200].replace("\t", " ") if d.line <= len(lines) else None
+    lines = sources[d.file].removeprefix("\ufeff").splitlines()
+    return _single(lines[d.line - 1]) if d.line <= len(lines) else None
+
+
+def _single(line: str) -> str:
+    """A line in which every character takes one column, so that the caret stands where it should."""
+    return "".join(c if c.isprintable() else " " for c in line)

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Body, Material, Model
+from simfoundry.spec.base import Body, Material, Model, Shape, quantity_value
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
+from simfoundry.spec.plausible import implausible, volume
 from simfoundry.spec.relations import RelationError, parse_relation
 from simfoundry.spec.scene import Degrees, ObjectSpec, SceneSpec
 from simfoundry.spec.text import Document, YamlError, read
-from simfoundry.spec.validate import validate
+from simfoundry.spec.validate import MAX_FINDINGS, sound_part, validate
 
 KINDS: dict[str, type[Model]] = {"scene/1": SceneSpec, "asset/1": AssetSpec, "capture/1": CaptureSpec}
 MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
+DOCUMENT_SUFFIX = ".asset.yaml"
+OF_LINKS = ("scale", "visual", *Body.model_fields)
+"""Fields of an object that an asset document decides for its links."""
+MAX_PATH = 512
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+
+
+def is_document(reference: str) -> bool:
+    """Whether an object's ``asset`` is an asset document, not a mesh."""
+    return reference.lower().endswith(DOCUMENT_SUFFIX)
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,11 @@ class Loaded:
         """The file that a path in this document means."""
         return (self.path.parent / reference).resolve()
 
+    def shown(self, reference: str) -> Path:
+        """The same file by the path that a person would write, relative where this document's own is."""
+        plain = Path(os.path.normpath(self.path.parent / reference))
+        return plain if plain.resolve() == self.file(reference) else self.file(reference)
+
 
 def project_root(path: Path) -> Path:
     """The folder below which a document's files must lie: the nearest with a ``.git`` or ``simfoundry.yaml``."""
@@ -75,15 +91,16 @@ def load(path: Path, root: Path | None = None) -> Loaded:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding))
     spec, findings = validate(model, document)
+    sound = spec if spec is not None else sound_part(model, document)
     loaded = Loaded(path, root, spec, ())
-    checker = _Checker(document, loaded)
-    match spec:
+    checker = _Checker(document, loaded, whole=spec is not None)
+    match sound:
         case SceneSpec():
-            checker.scene(spec)
+            checker.scene(sound)
         case AssetSpec():
-            checker.asset(spec)
+            checker.asset(sound)
         case CaptureSpec():
-            checker.capture(spec)
+            checker.capture(sound)
     return Loaded(path, root, spec, (*findings, *checker.findings), loaded.assets)
 
 
@@ -107,6 +124,14 @@ def _of_kind(path: Path, model: type[Model], kind: str) -> Loaded:
     return loaded
 
 
+def _kind_of(path: Path) -> type[Model] | None:
+    """The model of the document in a file; None where that cannot be told."""
+    try:
+        return _kind(read(path))[0]
+    except YamlError:
+        return None
+
+
 def _kind(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
     """The model of a document by its first key."""
     data = document.data
@@ -123,15 +148,25 @@ def _kind(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
 
 
 class _Checker:
-    """Checks what types cannot: names and files that a document refers to."""
+    """Checks what types cannot: names and files that a document refers to.
 
-    def __init__(self, document: Document, loaded: Loaded) -> None:
-        self.document, self.loaded = document, loaded
+    Where the document is not ``whole``, the spec lacks its faulty members; their names still count as defined.
+    """
+
+    def __init__(self, document: Document, loaded: Loaded, whole: bool) -> None:
+        self.document, self.loaded, self.whole = document, loaded, whole
         self.findings: list[Diagnostic] = []
+
+    def names(self, section: str) -> list[str]:
+        """The names that a section of the text defines, sound or not."""
+        members = self.document.data.get(section)
+        return list(members) if isinstance(members, dict) else []
 
     def add(
         self, code: str, path: tuple[Any, ...], message: str, hint: str = "", severity: Severity = Severity.ERROR
     ) -> None:
+        if len(self.findings) >= MAX_FINDINGS:
+            return
         line, column = self.document.place(path)
         dotted = ".".join(str(p) for p in path)
         self.findings.append(Diagnostic(code, severity, message, self.document.file, line, column, dotted, hint))
@@ -141,40 +176,39 @@ class _Checker:
     def scene(self, spec: SceneSpec) -> None:
         for name, item in spec.objects.items():
             path = ("objects", name)
-            self.material(item, spec.materials, path)
+            self.material(item, path)
             if item.visual is not None:
                 self.file(item.visual, (*path, "visual"), MESH_SUFFIXES)
             if item.asset is not None:
                 self.object_asset(item, path)
             elif item.joints:
                 self.add("SF201", (*path, "joints"), f"`{name}` is a primitive and has no joints")
-            if item.asset is None or item.asset.endswith(MESH_SUFFIXES):
-                self.mass(item, spec.materials, path, item.fixed)
-        if spec.viewpoint is not None and spec.viewpoint not in spec.cameras:
-            self.add(
-                "SF201",
-                ("viewpoint",),
-                f"no camera is called `{spec.viewpoint}`",
-                nearest(spec.viewpoint, spec.cameras),
-            )
-        for k, text in enumerate(spec.relations):
-            self.relation(text, spec, ("relations", k))
-        used = [i.material for i in spec.objects.values()]
-        self.unused(spec.materials, used)
+            if item.asset is None or not is_document(item.asset):
+                if not item.fixed:
+                    self.mass(item, [item.material], spec.materials, path)
+                self.density(item, path, [item.shape])
+        self.densities(spec.materials)
+        if spec.viewpoint is not None:
+            self.name(spec.viewpoint, self.names("cameras"), ("viewpoint",), "camera")
+        for text, place in self.relations(spec):
+            self.relation(text, spec, place)
+        self.unused(spec.materials, [i.material for i in spec.objects.values()])
 
     def asset(self, spec: AssetSpec) -> None:
         for name, link in spec.links.items():
             path = ("links", name)
-            self.material(link, spec.materials, path)
-            self.mass(link, spec.materials, path, False)
+            self.material(link, path)
+            self.mass(link, [part.material or link.material for part in link.parts.values()], spec.materials, path)
+            self.density(link, path, [part.shape for part in link.parts.values()])
             for part_name, part in link.parts.items():
                 part_path = (*path, "parts", part_name)
                 if part.mesh is not None:
                     self.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
                 if part.material is not None:
-                    self.name(part.material, spec.materials, (*part_path, "material"), "material")
+                    self.name(part.material, self.names("materials"), (*part_path, "material"), "material")
         parts = [p.material for link in spec.links.values() for p in link.parts.values()]
         self.unused(spec.materials, [link.material for link in spec.links.values()] + parts)
+        self.densities(spec.materials)
         self.tree(spec)
 
     def capture(self, spec: CaptureSpec) -> None:
@@ -189,73 +223,114 @@ class _Checker:
 
     # -- parts --------------------------------------------------------------------------------------------------
 
-    def name(self, name: str, choices: dict[str, Any], path: tuple[Any, ...], what: str) -> None:
-        if name not in choices:
-            self.add("SF201", path, f"no {what} is called `{name}`", nearest(name, choices))
+    def name(self, name: str, choices: Collection[str], path: tuple[Any, ...], what: str) -> None:
+        if name not in choices and len(self.findings) < MAX_FINDINGS:
+            self.add("SF201", path, f"no {what} is called `{name}`", nearest(name, choices) or "none is defined")
 
-    def material(self, body: Body, materials: dict[str, Material], path: tuple[Any, ...]) -> None:
+    def material(self, body: Body, path: tuple[Any, ...]) -> None:
         if body.material is not None:
-            self.name(body.material, materials, (*path, "material"), "material")
+            self.name(body.material, self.names("materials"), (*path, "material"), "material")
 
-    def mass(self, body: Body, materials: dict[str, Material], path: tuple[Any, ...], fixed: bool) -> None:
-        material = materials.get(body.material or "")
-        known = body.mass is not None or body.density is not None or (material is not None and material.density)
-        if not known and not fixed and (body.material is None or material is not None):
-            self.add(
-                "SF108", path, f"`{path[-1]}` has no mass", "give `mass`, `density`, or a `material` with a density"
-            )
+    def mass(
+        self, body: Body, made_of: list[str | None], materials: dict[str, Material], path: tuple[Any, ...]
+    ) -> None:
+        """A body has a mass or a density, or else every piece of it is made of something with a density."""
+        if body.mass is not None or body.density is not None:
+            return
+        if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
+            hint = "give `mass`, `density`, or a `material` with a density"
+            self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
+
+    def densities(self, materials: dict[str, Material]) -> None:
+        for name, material in materials.items():
+            if material.density is not None:
+                self.plausible(name, material.density, ("materials", name, "density"))
+
+    def density(self, body: Body, path: tuple[Any, ...], shapes: list[Shape | None]) -> None:
+        """The density that a body is given, or that its mass has over the volume of its primitives."""
+        given, mass = quantity_value(body.density), quantity_value(body.mass)
+        solid = sum(volume(shape) for shape in shapes if shape is not None)
+        if given is not None:
+            self.plausible(path[-1], given, (*path, "density"))
+        elif mass is not None and solid > 0 and None not in shapes:
+            self.plausible(path[-1], mass / solid, (*path, "mass"))
+
+    def plausible(self, name: str, density: float, path: tuple[Any, ...]) -> None:
+        hint = implausible(density)
+        if hint:
+            message = f"`{name}` has a density of {density:.4g} kg/m^3"
+            self.add("SF402", path, message, hint, Severity.WARNING)
 
     def unused(self, materials: dict[str, Material], used: list[str | None]) -> None:
         for name in materials:
-            if name not in used:
+            if self.whole and name not in used:
                 self.add("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it", Severity.WARNING)
 
     def file(self, reference: str, path: tuple[Any, ...], suffixes: tuple[str, ...]) -> bool:
         """Whether ``reference`` is a file below the project root with one of the suffixes."""
-        if "\0" in reference or "\\" in reference:
-            self.add("SF204", path, f"`{reference!r}` is not a portable path", "separate folders with `/`")
+        if "\0" in reference or "\\" in reference or len(reference) > MAX_PATH:
+            hint = f"separate folders with `/`, and use at most {MAX_PATH} characters"
+            self.add("SF204", path, f"`{reference[:MAX_PATH]}` is not a portable path", hint)
             return False
-        target = self.loaded.file(reference)
+        try:
+            return self.reachable(reference, self.loaded.file(reference), path, suffixes)
+        except (OSError, RuntimeError) as error:  # a ring of links, a folder that may not be read, a name too long
+            reason = getattr(error, "strerror", None) or "its links form a ring"
+            self.add("SF203", path, f"`{reference}` cannot be reached: {reason}")
+            return False
+
+    def reachable(self, reference: str, target: Path, path: tuple[Any, ...], suffixes: tuple[str, ...]) -> bool:
+        """Whether the file that ``reference`` means is there, below the project root and of the right kind."""
         if Path(reference).is_absolute() or not target.is_relative_to(self.loaded.root):
-            hint = f"files must lie below {self.loaded.root}; copy it there and give a relative path"
+            hint = f"files must lie below the project, {self.loaded.root}; copy it there and give a relative path"
             self.add("SF204", path, f"`{reference}` leaves the project", hint)
             return False
-        if not target.name.lower().endswith(suffixes):
-            self.add("SF203", path, f"`{reference}` is not one of {', '.join(suffixes)}")
+        if not reference.lower().endswith(suffixes):
+            self.add("SF203", path, f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
             return False
         if not target.is_file():
-            near = [p.name for p in target.parent.iterdir()] if target.parent.is_dir() else []
-            hint = nearest(target.name, near) if near else f"the folder {target.parent.name} does not exist"
+            folder = target.parent
+            near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes)] if folder.is_dir() else []
+            hint = nearest(target.name, near) or f"there is none in the folder `{folder.name}`"
+            if not folder.is_dir():
+                hint = f"there is no folder `{folder.name}`"
             self.add("SF203", path, f"there is no file `{reference}`", hint)
             return False
         return True
 
     def object_asset(self, item: ObjectSpec, path: tuple[Any, ...]) -> None:
         assert item.asset is not None
-        if not self.file(item.asset, (*path, "asset"), (*MESH_SUFFIXES, ".asset.yaml")):
+        if not self.file(item.asset, (*path, "asset"), (*MESH_SUFFIXES, DOCUMENT_SUFFIX)):
             return
-        if not item.asset.endswith(".asset.yaml"):
+        if not is_document(item.asset):
             if item.joints:
                 self.add("SF201", (*path, "joints"), "a mesh has no joints; describe it in an `.asset.yaml`")
             return
+        for field_name in OF_LINKS:
+            if getattr(item, field_name) != ObjectSpec.model_fields[field_name].default:
+                message = f"`{field_name}` has no effect here: the links of `{item.asset}` have their own"
+                self.add("SF107", (*path, field_name), message, "write it in that document")
         target = self.loaded.file(item.asset)
-        loaded = self.loaded.assets.get(str(target)) or load(target, self.loaded.root)
-        self.loaded.assets[str(target)] = loaded
-        if not isinstance(loaded.spec, AssetSpec):
-            if loaded.spec is not None:
-                self.add("SF006", (*path, "asset"), f"`{item.asset}` is not an asset document")
-            return
-        self.joints(item, loaded.spec, path)
+        if str(target) not in self.loaded.assets:
+            if _kind_of(target) not in (None, AssetSpec):  # a scene, which might even be this one
+                message = f"`{item.asset}` is not an asset document"
+                self.add("SF006", (*path, "asset"), message, "it must start with `simfoundry: asset/1`")
+                return
+            self.loaded.assets[str(target)] = load(self.loaded.shown(item.asset), self.loaded.root)
+        asset = self.loaded.assets[str(target)].spec
+        if isinstance(asset, AssetSpec):
+            self.joints(item, asset, path)
 
     def joints(self, item: ObjectSpec, asset: AssetSpec, path: tuple[Any, ...]) -> None:
         import math
 
-        for name, position in item.joints.items():
-            place = (*path, "joints", name)
-            if name not in asset.joints:
-                self.name(name, asset.joints, place, "joint")
+        for name in item.joints:
+            self.name(name, asset.joints, (*path, "joints", name), "joint")
+        for name, joint in asset.joints.items():
+            place, position = (*path, "joints", name), item.joints.get(name, 0.0)
+            if joint.type == "fixed" and name in item.joints:
+                self.add("SF205", place, f"`{name}` is fixed and has no position", "remove it")
                 continue
-            joint = asset.joints[name]
             if isinstance(position, Degrees) and joint.type == "prismatic":
                 self.add("SF103", place, f"`{name}` is prismatic: its position is in metres, not degrees")
                 continue
@@ -266,33 +341,42 @@ class _Checker:
                 value = position.deg if isinstance(position, Degrees) else math.degrees(position)
             if limits is not None and not limits[0] - 1e-9 <= value <= limits[1] + 1e-9:
                 message = f"`{name}` at {value:g} {unit} is outside its limits, {limits[0]:g} to {limits[1]:g} {unit}"
-                self.add("SF205", place, message)
+                self.add("SF205", place, message, "" if name in item.joints else "give its position in `joints`")
+
+    def relations(self, spec: SceneSpec) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """The relations with their places in the text, which may hold faulty ones between them."""
+        texts = self.document.data.get("relations") if spec.relations else ()
+        for k, text in enumerate(texts if isinstance(texts, tuple) else ()):
+            if isinstance(text, str):
+                yield text, ("relations", k)
 
     def relation(self, text: str, spec: SceneSpec, path: tuple[Any, ...]) -> None:
         try:
             _, arguments = parse_relation(text)
         except RelationError as error:
-            self.add("SF202", path, str(error), nearest(error.word, error.choices))
+            hint = nearest(error.word, error.choices) or "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
+            self.add("SF202", path, str(error), hint)
             return
         for argument in arguments:
             name, _, joint = argument.partition(".")
-            if name not in spec.objects:
-                self.add("SF201", path, f"no object is called `{name}`", nearest(name, spec.objects))
-            elif joint:
+            self.name(name, self.names("objects"), path, "object")
+            if joint and name in spec.objects:
                 item = spec.objects[name]
                 asset = self.loaded.assets.get(str(self.loaded.file(item.asset or "")))
                 joints = asset.spec.joints if asset is not None and isinstance(asset.spec, AssetSpec) else {}
-                if asset is None or asset.spec is not None:
+                if not joints and (asset is None or asset.spec is not None):
+                    self.add("SF201", path, f"`{name}` has no joints, so none is called `{joint}`")
+                elif joints:
                     self.name(joint, joints, path, f"joint of `{name}`")
 
     def tree(self, spec: AssetSpec) -> None:
         """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
         parents: dict[str, str] = {}
-        root = next(iter(spec.links))
+        root = self.names("links")[0]
         for name, joint in spec.joints.items():
             path = ("joints", name)
-            self.name(joint.parent, spec.links, (*path, "parent"), "link")
-            self.name(joint.child, spec.links, (*path, "child"), "link")
+            self.name(joint.parent, self.names("links"), (*path, "parent"), "link")
+            self.name(joint.child, self.names("links"), (*path, "child"), "link")
             if joint.child in parents:
                 self.add("SF206", (*path, "child"), f"`{joint.child}` is the child of two joints")
             if joint.child == root:
@@ -300,7 +384,7 @@ class _Checker:
                     "SF206", (*path, "child"), f"`{root}` is the first link, so it is the root and no joint's child"
                 )
             parents[joint.child] = joint.parent
-        for link in spec.links:
+        for link in spec.links if self.whole else ():
             if link != root and link not in parents:
                 self.add("SF206", ("links", link), f"no joint carries `{link}`", "add a joint with it as `child`")
             elif link in set(_ancestors(link, parents)):

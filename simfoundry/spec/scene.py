@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.base import (
     Body,
@@ -59,6 +61,8 @@ class ObjectSpec(Body):
     def _one_geometry(self) -> Self:
         exclusive(self, "shape", "asset", needed=True)
         exclusive(self, "mass", "density")
+        if self.asset is None and self.visual is None and self.scale != 1.0:
+            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
         return self
 
 
@@ -84,12 +88,18 @@ class LightSpec(Model):
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Where a distant light shines to.")
     xyz: Vec3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
 
+    @model_validator(mode="after")
+    def _shines_somewhere(self) -> Self:
+        if math.hypot(*self.direction) < 1e-6:
+            raise PydanticCustomError("sf104", "`direction` must not be zero", {"at": "direction"})
+        return self
+
 
 class SceneSpec(Model):
     """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
-    name: Name
+    name: Name = Field(description="What the scene is called: lower-case letters, digits and `_`.")
     description: str | None = Field(None, description="For people.")
     viewpoint: Name | None = Field(None, description="The camera from which left, right, front and behind are seen.")
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")

@@ -17,8 +17,18 @@ def schemas() -> dict[str, str]:
 
 def schema(kind: str) -> dict[str, Any]:
     """The JSON Schema of one kind of document, as ``scene/1``."""
-    body = KINDS[kind].model_json_schema()
+    body = _closed(KINDS[kind].model_json_schema())
     return {"$schema": DIALECT, "$id": f"simfoundry/{kind}", **body, "title": f"SimFoundry {kind}"}
+
+
+def _closed(body: Any) -> Any:
+    """The same schema, in which a mapping by name takes nothing but names (pydantic leaves other keys open)."""
+    if isinstance(body, list):
+        return [_closed(item) for item in body]
+    if not isinstance(body, dict):
+        return body
+    closed = {key: _closed(item) for key, item in body.items()}
+    return closed | {"additionalProperties": False} if "patternProperties" in closed else closed
 
 
 def _text(kind: str) -> str:

@@ -7,7 +7,7 @@ keys and more than one document are errors. Depth, size and the expansion of ali
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,15 @@ import yaml
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 
-MAX_BYTES = 16 * 2**20
+MAX_BYTES = 4 * 2**20
 MAX_DEPTH = 64
-MAX_NODES = 2_000_000
+MAX_NODES = 150_000
 
 _INT = re.compile(r"[-+]?[0-9]+\Z")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?\Z")
 _RADIX = re.compile(r"0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
+UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What may not stand in a YAML text as it is."""
 _WORDS: dict[str, Any] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
@@ -37,7 +39,10 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(slots=True)
 class Node:
-    """A value with its place (counted from 1); a mapping knows the places of its keys, an unquoted scalar its text."""
+    """A value with its place (counted from 1); a mapping knows the places of its keys, an unquoted scalar its text.
+
+    ``weight`` counts the values in it, each as often as an alias repeats it.
+    """
 
     value: Any
     line: int
@@ -45,6 +50,7 @@ class Node:
     children: dict[str, Node] | list[Node] | None = None
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     plain: str = ""
+    weight: int = 1
 
 
 class YamlError(Exception):
@@ -72,31 +78,48 @@ class Document:
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
         """Line and column of the value at ``path`` (or of its key); of the nearest ancestor where there is none.
 
-        Parts of ``path`` that the data does not have (the tags of a union) are passed over.
+        A mapping is pointed at by its key: its own text starts with a key of something else. Parts of ``path`` that the
+        data does not have (the tags of a union) are passed over.
         """
-        node, place = self.root, (self.root.line, self.root.column)
+        key = leaf = (self.root.line, self.root.column)
+        for _, key, node in self._walk(path):
+            leaf = key if isinstance(node.children, dict) else (node.line, node.column)
+        return key if of_key else leaf
+
+    def known(self, path: Sequence[str | int]) -> Path_:
+        """The parts of ``path`` that the data has."""
+        return tuple(part for part, _, _ in self._walk(path))
+
+    def _walk(self, path: Sequence[str | int]) -> Iterator[tuple[str | int, tuple[int, int], Node]]:
+        """Each part of ``path`` that the data has, with the place of its key (or item) and its value."""
+        node = self.root
         for part in path:
-            if isinstance(node.children, dict) and part in node.children:
-                place = node.keys[str(part)]
-                node = node.children[str(part)]
+            if isinstance(node.children, dict) and isinstance(part, str) and part in node.children:
+                key, node = node.keys[part], node.children[part]
             elif isinstance(node.children, list) and isinstance(part, int) and part < len(node.children):
                 node = node.children[part]
-                place = (node.line, node.column)
+                key = (node.line, node.column)
             else:
                 continue
-            of_leaf = (node.line, node.column)
-        return place if of_key or not path or place == (self.root.line, self.root.column) else of_leaf
+            yield part, key, node
 
 
 def read(path: Path) -> Document:
     """Read a file; raises :class:`YamlError` with a place where the text cannot be read."""
     try:
+        if path.exists() and not path.is_file():
+            raise YamlError("SF001", "this is not a file")
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise YamlError("SF005", f"the file has {size / 2**20:.0f} MiB; at most {MAX_BYTES // 2**20} are read")
-        text = path.read_bytes().decode("utf-8")
+        data = path.read_bytes()
+        text = data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise YamlError("SF001", f"the file is not UTF-8: byte {error.start} is not a character") from None
+        before = data[: error.start].decode("utf-8").splitlines(keepends=True) or [""]
+        fresh = before[-1].endswith(("\n", "\r"))
+        line, column = len(before) + fresh, 1 if fresh else len(before[-1]) + 1
+        message = f"the byte 0x{data[error.start]:02x} is no UTF-8 text"
+        raise YamlError("SF001", message, line, column, "save the file as UTF-8") from None
     except OSError as error:
         raise YamlError("SF001", f"the file cannot be read: {error.strerror or error}") from None
     return parse(text, str(path))
@@ -104,27 +127,58 @@ def read(path: Path) -> Document:
 
 def parse(text: str, file: str = "<text>") -> Document:
     """Read a text; raises :class:`YamlError` with a place where it cannot be read."""
+    odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
+    if odd is not None:
+        before = text[: odd.start()].splitlines(keepends=True)
+        whole = not before or before[-1].endswith(("\n", "\r"))
+        line, column = len(before) + whole, 1 if whole else len(before[-1]) + 1
+        message = f"the character U+{ord(odd.group()):04X} may not stand in a text"
+        raise YamlError("SF002", message, line, column, "remove it, or write it as an escape in double quotes")
     composer = _Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
         for event in yaml.parse(text, Loader=loader):
             composer.feed(event)
     except yaml.YAMLError as error:
-        raise _syntax_error(error) from None
+        raise _syntax_error(error, text) from None
     root = composer.root or Node(None, 1, 1)
     return Document(file, text, root.value, root, tuple(composer.duplicates))
 
 
-def _syntax_error(error: yaml.YAMLError) -> YamlError:
+_SYNTAX = (
+    ("mapping values are not allowed", "a `:` may not stand here", "is a line indented too far, or quotes missing?"),
+    ("could not find expected ':'", "a `:` is missing", "a key is followed by a colon and a space"),
+    ("expected <document start>", "the text does not continue here", "indent all keys of the document alike"),
+    ("expected key", "a key should stand here", "indent it like the keys beside it"),
+    ("expected '-' indicator", "a `-` should stand here", "indent it like the items beside it"),
+    ("expected ',' or ']'", "a `,` or `]` should stand here", "the list that starts in line {start} is not closed"),
+    ("expected ',' or '}'", "a `,` or `}}` should stand here", "the mapping that starts in line {start} is not closed"),
+    ("unexpected end of stream", "these quotes are not closed", ""),
+    ("unknown escape character", "this escape is not known", "in double quotes a backslash is written twice"),
+    ("tab character", "a tab may not stand here", "indent with spaces, not tabs"),
+)
+"""What the parser says, and what a person can do with."""
+
+
+def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
     mark = getattr(error, "problem_mark", None)
     problem = getattr(error, "problem", None) or getattr(error, "reason", None) or str(error)
-    line, column = (mark.line + 1, mark.column + 1) if mark is not None else (0, 0)
-    hint = ""
-    if "tab" in problem or "\\t" in problem:
-        hint = "indent with spaces, not tabs"
-    elif "mapping values are not allowed" in problem:
-        hint = "is there a `:` too many, or a line indented too far?"
-    return YamlError("SF002", problem, line, column, hint)
+    if mark is None:
+        return YamlError("SF002", problem)
+    line, column = mark.line + 1, mark.column + 1
+    opening = getattr(error, "context_mark", None)
+    for said, message, hint in _SYNTAX:
+        if said in problem:
+            start = opening.line + 1 if opening is not None else line
+            if not hint and opening is not None:  # the parser noticed at the end of the text what went wrong here
+                line, column = start, opening.column + 1
+            return YamlError("SF002", message.format(), line, column, hint.format(start=start))
+    if "cannot start any token" in problem:
+        found = text.removeprefix("\ufeff").splitlines()[mark.line][mark.column :][:1]
+        if found == "\t":
+            return YamlError("SF002", "a tab may not stand here", line, column, "indent with spaces, not tabs")
+        return YamlError("SF002", f"a text may not start with `{found}`", line, column, "put it in double quotes")
+    return YamlError("SF002", problem, line, column)
 
 
 class _Composer:
@@ -135,8 +189,8 @@ class _Composer:
         self.root: Node | None = None
         self.documents = 0
         self.nodes = 0
-        self.stack: list[tuple[Node, Any, str | None]] = []  # (collection, pending key event, anchor)
-        self.anchors: dict[str, tuple[Node, int]] = {}
+        self.stack: list[tuple[Node, Any, Any]] = []  # (collection, pending key with its place, start event)
+        self.anchors: dict[str, Node] = {}
         self.duplicates: list[Diagnostic] = []
 
     def feed(self, event: Any) -> None:
@@ -153,7 +207,8 @@ class _Composer:
             case "DocumentStartEvent":
                 self.documents += 1
                 if self.documents > 1:
-                    raise YamlError("SF004", "a second document starts here; a spec is one document", *_mark(event))
+                    message = "a second document starts here; a spec is one document"
+                    raise YamlError("SF004", message, *_mark(event), "write it into a file of its own")
 
     def _start(self, event: Any, mapping: bool) -> None:
         if event.tag is not None:
@@ -163,22 +218,25 @@ class _Composer:
         if self.stack and isinstance(self.stack[-1][0].children, dict) and self.stack[-1][1] is None:
             raise YamlError("SF004", "a key must be a plain word", *_mark(event))
         node = Node({} if mapping else (), *_mark(event), {} if mapping else [])
-        self.stack.append((node, None, event.anchor))
+        self.stack.append((node, None, event))
 
     def _end(self) -> None:
-        node, _, anchor = self.stack.pop()
+        node, _, start = self.stack.pop()
         if isinstance(node.children, dict):
             node.value = {key: child.value for key, child in node.children.items()}
+            node.weight += sum(child.weight for child in node.children.values())
         else:
-            node.children = _rejoined(node.children or [])
+            node.children = _rejoined(node.children or []) if start.flow_style else node.children or []
             node.value = tuple(child.value for child in node.children)
-        self._add(node, anchor, None)
+            node.weight += sum(child.weight for child in node.children)
+        self._add(node, start.anchor, None)
 
     def _alias(self, event: Any) -> None:
         if event.anchor not in self.anchors:
-            raise YamlError("SF002", f"the alias *{event.anchor} has no finished anchor before it", *_mark(event))
-        node, weight = self.anchors[event.anchor]
-        self.nodes += weight
+            message = f"the alias *{event.anchor} has no finished anchor before it"
+            raise YamlError("SF002", message, *_mark(event), "write the value out")
+        node = self.anchors[event.anchor]
+        self.nodes += node.weight
         self._add(node, None, event)
 
     def _add(self, node: Node, anchor: str | None, event: Any) -> None:
@@ -192,10 +250,10 @@ class _Composer:
         else:
             self._add_to_mapping(node, event)
         if anchor is not None:
-            self.anchors[anchor] = (node, _weight(node))
+            self.anchors[anchor] = node
 
     def _add_to_mapping(self, node: Node, event: Any) -> None:
-        parent, key, anchor = self.stack[-1]
+        parent, key, start = self.stack[-1]
         assert isinstance(parent.children, dict)
         if key is None:
             text = getattr(event, "value", None)
@@ -205,7 +263,7 @@ class _Composer:
                 raise YamlError(
                     "SF004", "merge keys (<<) are not YAML 1.2", node.line, node.column, "write the keys out"
                 )
-            self.stack[-1] = (parent, (text, node.line, node.column), anchor)
+            self.stack[-1] = (parent, (text, node.line, node.column), start)
             return
         name, line, column = key
         if name in parent.children:
@@ -216,11 +274,11 @@ class _Composer:
         else:
             parent.children[name] = node
             parent.keys[name] = (line, column)
-        self.stack[-1] = (parent, None, anchor)
+        self.stack[-1] = (parent, None, start)
 
 
 def _rejoined(items: list[Node]) -> list[Node]:
-    """A sequence in which parentheses group, so that ``[OnTop(cup, desk), Closed(box)]`` holds two texts.
+    """A bracketed sequence in which parentheses group, so that ``[OnTop(cup, desk), Closed(box)]`` holds two texts.
 
     Plain YAML splits such a text at its comma. Only plain scalars carry ``plain``; quoted ones stay as they are.
     """
@@ -237,19 +295,6 @@ def _rejoined(items: list[Node]) -> list[Node]:
 
 def _mark(event: Any) -> tuple[int, int]:
     return event.start_mark.line + 1, event.start_mark.column + 1
-
-
-def _weight(node: Node) -> int:
-    """How many values an alias of ``node`` stands for; nodes are counted once each as they were read."""
-    todo, count = [node], 0
-    while todo:
-        current = todo.pop()
-        count += 1
-        if count > MAX_NODES:
-            break
-        children = current.children
-        todo.extend(children.values() if isinstance(children, dict) else children or ())
-    return count
 
 
 def _scalar(event: Any) -> Any:

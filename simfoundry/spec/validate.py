@@ -5,6 +5,7 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, Tag, ValidationError
@@ -14,6 +15,8 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.text import Document
 
 M = TypeVar("M", bound=Model)
+
+MAX_FINDINGS = 200
 
 _CODES = {
     "missing": "SF102",
@@ -30,6 +33,17 @@ _CODES = {
     "string_pattern_mismatch": "SF106",
 }
 
+_EXPECTED = {
+    "model": "a mapping",
+    "dict": "a mapping",
+    "tuple": "a list",
+    "string": "a text",
+    "bool": "`true` or `false`",
+    "int": "a whole number",
+    "float": "a number",
+}
+"""Starts of pydantic's error types, and what a document calls the thing."""
+
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
     """The typed document, or every finding of its text."""
@@ -37,23 +51,59 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
     try:
         spec = model.model_validate(document.data)
     except ValidationError as error:
-        findings += [_finding(model, document, e) for e in error.errors(include_url=False)]
+        errors = error.errors(include_url=False)
+        findings += [_finding(model, document, e) for e in errors[:MAX_FINDINGS]]
+        if len(errors) > MAX_FINDINGS:
+            more = f"{len(errors) - MAX_FINDINGS} more errors are not shown"
+            findings.append(replace(findings[-1], message=more, hint="mend these first"))
         return None, findings
     return (None if findings else spec), findings
+
+
+def sound_part(model: type[M], document: Document) -> M | None:
+    """What a document with errors says without its faulty members, so that the others can be checked further.
+
+    Left out is the whole member of a section (one object, one relation), or else the whole key. None where nothing
+    sound remains.
+    """
+    data = document.data
+    if not isinstance(data, dict):
+        return None
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        faulty = {e["loc"][:2] for e in error.errors(include_url=False)}
+    sound: dict[str, Any] = {"name": "unnamed"} if ("name",) in faulty else {}
+    for key, value in data.items():
+        if (key,) in faulty:
+            continue
+        if isinstance(value, dict):
+            sound[key] = {name: member for name, member in value.items() if (key, name) not in faulty}
+        elif isinstance(value, tuple):
+            sound[key] = tuple(item for k, item in enumerate(value) if (key, k) not in faulty)
+        else:
+            sound[key] = value
+    try:
+        return model.model_validate(sound)
+    except ValidationError:
+        return None
 
 
 def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
     kind: str = error["type"]
     loc = tuple(part for part in error["loc"] if part != "[key]")
-    of_key = "[key]" in error["loc"] or kind == "extra_forbidden"
+    of_key = "[key]" in error["loc"] or kind in ("extra_forbidden", "missing")
     message, hint = _words(model, kind, loc, error)
     code = kind.upper() if kind.startswith("sf") else _CODES.get(kind, "SF103")
-    if kind == "missing" and loc and isinstance(loc[-1], int):
-        code = "SF105"
+    path = document.known(loc)
+    if kind == "missing" and isinstance(loc[-1], int):  # one finding for the list, not one for each absent item
+        code, of_key = "SF105", False
     elif kind == "missing":
-        of_key = True
-    line, column = document.place(loc, of_key=of_key)
-    return Diagnostic(code, Severity.ERROR, message, document.file, line, column, _dotted(loc), hint)
+        path += loc[-1:]
+    elif kind.startswith("sf") and "at" in error.get("ctx", {}):
+        path += (error["ctx"]["at"],)
+    line, column = document.place(path, of_key=of_key)
+    return Diagnostic(code, Severity.ERROR, message, document.file, line, column, _dotted(path), hint)
 
 
 def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
@@ -68,24 +118,48 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
             names = set(SHAPE_KEYS)
         return f"unknown key `{last}`", nearest(str(last), names)
     if kind == "missing" and isinstance(last, int):
-        return f"a value is missing: {len(error['input'])} given", description
+        return f"values are missing: the list has {len(error['input'])}", description
     if kind == "missing":
         if last in SHAPE_KEYS:
             return "a shape is missing", f"give one of {', '.join(f'`{k}`' for k in SHAPE_KEYS)}"
         return f"`{last}` is missing", description
     found = _shown(error["input"])
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
-        suggestion = _as_name(str(error["input"] if kind != "missing" else last))
+        suggestion = _as_name(str(error["input"]))
         rule = "a name is lower-case letters, digits and `_`, and starts with a letter"
-        return f"{found} is not a name", rule + (f": `{suggestion}`" if suggestion else "")
+        return f"{found.removeprefix('the text ')} is not a name", rule + (f": `{suggestion}`" if suggestion else "")
     if kind == "literal_error":
         choices = [c.strip().strip("'") for c in error["ctx"]["expected"].replace(" or ", ", ").split(",")]
-        return f"{found} is not valid here", nearest(str(error["input"]), choices)
-    wording = error["msg"].replace("Input should be", "expected").replace("a valid tuple", "a list")
-    wording = wording.replace("a valid dictionary", "a mapping").replace("Tuple", "the list").replace("a valid ", "a ")
-    if "instance of" in wording:
-        wording = "expected a mapping"
-    return f"{wording}, found {found}", description
+        return f"{found.removeprefix('the text ')} is not valid here", nearest(str(error["input"]), choices)
+    if kind in ("too_long", "too_short", "string_too_long"):
+        bound = error["ctx"].get("max_length") if "long" in kind else error["ctx"]["min_length"]
+        values = "characters" if kind == "string_too_long" else "values"
+        most = "at most" if "long" in kind else "at least"
+        return f"expected {most} {bound} {values}, found {len(error['input'])}", description
+    if kind == "float_type" and isinstance(error["input"], str) and _is_number(error["input"]):
+        description = "remove the quotes"
+    elif kind == "string_type" and isinstance(error["input"], int | float):
+        description = "put it in double quotes"
+    return f"expected {_expected(error)}, found {found}", description
+
+
+def _expected(error: Any) -> str:
+    """What pydantic expected, in the words of a document."""
+    words: str = error["msg"].removeprefix("Input should be ")
+    if error["type"].startswith(("greater", "less")):
+        return f"a number {words}"
+    for kind, name in _EXPECTED.items():
+        if error["type"].startswith(kind):
+            return name
+    return words
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _shown(value: Any) -> str:

@@ -9,10 +9,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from simfoundry.spec.base import Model
-from simfoundry.spec.text import YamlError, parse
+from simfoundry.spec.text import UNPRINTABLE, YamlError, parse
 
 WIDTH = 110
 DIGITS = 6
+LARGE = 1e15
+"""From here on numbers are written with an exponent."""
 
 _RANK = {
     name: rank
@@ -49,6 +51,9 @@ _BLOCKS = ("objects", "links", "frames")
 _PLAIN = re.compile(r"[A-Za-z_/.][A-Za-z0-9_/. ()+-]*\Z")
 
 
+_ESCAPED = re.compile(f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}")
+
+
 def to_yaml(spec: Model, comment: str = "") -> str:
     """The canonical text of a document: fields in the order of the model, defaults left out, six decimals."""
     lines = [f"# {line}".rstrip() for line in comment.splitlines()]
@@ -62,8 +67,10 @@ def to_data(spec: Model) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in sorted(fields, key=lambda n: _RANK.get(n, len(_RANK))):
         value = getattr(spec, name)
-        if name in ("simfoundry", "name") or fields[name].is_required() or value != fields[name].default:
-            out[name] = _data(value)
+        data = _data(value)
+        # As text: what is written like the default would be read as the default, and then not be written again.
+        if name == "simfoundry" or fields[name].is_required() or _flow(data) != _flow(_data(fields[name].default)):
+            out[name] = data
     return out
 
 
@@ -138,8 +145,8 @@ def number(value: float) -> str:
     """A number with at most six decimals, without an exponent where it is of ordinary size."""
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be written in a spec")
-    if value != 0 and abs(value) < 10 ** (2 - DIGITS):
-        return _shortest(f"{value:.3e}")
+    if value != 0 and not 10 ** (2 - DIGITS) <= abs(value) < LARGE:
+        return _shortest(f"{value:.3e}" if abs(value) < 1 else f"{value:.15e}")
     text = f"{value:.{DIGITS}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
@@ -151,12 +158,17 @@ def _shortest(text: str) -> str:
 
 def _string(text: str) -> str:
     """Plain where a reader gets the same string back inside brackets, else in double quotes."""
-    return text if _PLAIN.match(text) and _reads_back(f"[{text}]", (text,)) else json.dumps(text, ensure_ascii=False)
+    return text if _PLAIN.match(text) and _reads_back(f"[{text}]", (text,)) else _quoted(text)
 
 
 def _text(text: str) -> str:
     """An item of a list over several lines: plain where a reader gets the same string back."""
-    return text if _reads_back(f"- {text}", (text,)) else json.dumps(text, ensure_ascii=False)
+    return text if _reads_back(f"- {text}", (text,)) else _quoted(text)
+
+
+def _quoted(text: str) -> str:
+    """In double quotes; what YAML does not allow, or takes for the end of a line, is written as an escape."""
+    return _ESCAPED.sub(lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
 
 
 def _reads_back(text: str, data: tuple[str, ...]) -> bool:

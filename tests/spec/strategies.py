@@ -1,0 +1,195 @@
+"""Random valid documents."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hypothesis import strategies as st
+
+from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec, LinkSpec, Part
+from simfoundry.spec.base import (
+    BoxShape,
+    CameraPose,
+    CapsuleShape,
+    CylinderShape,
+    Estimate,
+    Material,
+    Origin,
+    Pose,
+    Prism,
+    PrismShape,
+    Round,
+    SphereShape,
+)
+from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+
+NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
+    ["true", "null", "on", "no", "y", "e1"]
+)
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=60) | st.sampled_from(
+    [
+        "",
+        " ",
+        "12",
+        "true",
+        "a: b",
+        "# a",
+        "- a",
+        "OnTop(a, b)",
+        "(",
+        "a\n\nb ",
+        "\u2028",
+        "\x85",
+        "\ufeffx",
+        "{",
+        "*a",
+        "...",
+    ]
+)
+NUMBERS = st.floats(-1e4, 1e4) | st.floats(-1e300, 1e300) | st.integers(-99, 99).map(float)
+POSITIVE = st.floats(1e-12, 1e4) | st.floats(1e-3, 1e300)
+FRACTIONS = st.floats(0, 1)
+VEC3 = st.tuples(NUMBERS, NUMBERS, NUMBERS)
+COLORS = st.tuples(FRACTIONS, FRACTIONS, FRACTIONS) | st.tuples(FRACTIONS, FRACTIONS, FRACTIONS, FRACTIONS)
+
+
+def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    return st.none() | strategy
+
+
+def _unit(values: tuple[float, float, float, float]) -> tuple[float, ...]:
+    norm = math.hypot(*values)
+    return tuple(v / norm for v in values)
+
+
+QUATERNIONS = st.tuples(*[st.floats(0.1, 1)] * 4).map(_unit)
+POSES = st.one_of(
+    st.builds(Pose, xyz=VEC3),
+    st.builds(Pose, xyz=VEC3, yaw_deg=NUMBERS),
+    st.builds(Pose, xyz=VEC3, rpy_deg=VEC3),
+    st.builds(Pose, xyz=VEC3, quat_wxyz=QUATERNIONS),
+)
+ROUNDS = st.builds(Round, radius=POSITIVE, height=POSITIVE)
+SHAPES = st.one_of(
+    st.builds(BoxShape, box=st.tuples(POSITIVE, POSITIVE, POSITIVE)),
+    st.builds(SphereShape, sphere=POSITIVE),
+    st.builds(CylinderShape, cylinder=ROUNDS),
+    st.builds(CapsuleShape, capsule=ROUNDS),
+    st.builds(
+        PrismShape,
+        prism=st.builds(
+            Prism,
+            outline=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=3, max_size=30).map(tuple),
+            height=POSITIVE,
+        ),
+    ),
+)
+QUANTITIES = POSITIVE | st.builds(
+    lambda low, middle, high, by: Estimate(value=middle, range=(low, high), by=by),
+    st.floats(1e-9, 1),
+    st.floats(1, 2),
+    st.floats(2, 1e6),
+    TEXTS,
+)
+ORIGINS = st.builds(
+    Origin, capture=maybe(TEXTS), fit=maybe(st.floats(0, 9)), confidence=maybe(FRACTIONS), note=maybe(TEXTS)
+)
+MATERIALS = st.dictionaries(
+    NAMES,
+    st.builds(Material, density=maybe(POSITIVE), friction=st.floats(0, 9), restitution=FRACTIONS, color=maybe(COLORS)),
+    max_size=3,
+)
+BODY: dict[str, st.SearchStrategy[Any]] = {
+    "material": maybe(NAMES),
+    "friction": maybe(st.floats(0, 9)),
+    "restitution": maybe(FRACTIONS),
+    "color": maybe(COLORS),
+    "collision": st.sampled_from(["auto", "hull", "decompose", "none"]),
+    "solid": st.sampled_from(["exact", "hull"]),
+}
+OBJECT = {
+    **BODY,
+    "visual": maybe(TEXTS),
+    "category": maybe(NAMES),
+    "fixed": st.booleans(),
+    "pose": POSES,
+    "joints": st.dictionaries(NAMES, NUMBERS | st.builds(Degrees, deg=NUMBERS), max_size=3),
+    "origin": maybe(ORIGINS),
+}
+OBJECTS = st.one_of(
+    st.builds(ObjectSpec, shape=SHAPES, mass=maybe(QUANTITIES), **OBJECT),
+    st.builds(ObjectSpec, asset=TEXTS, scale=POSITIVE, density=maybe(QUANTITIES), **OBJECT),
+)
+CAMERA_POSES = st.builds(CameraPose, xyz=VEC3, quat_wxyz=QUATERNIONS) | st.just(
+    CameraPose(xyz=(0.1, 0.2, 0.3), look_at=(1.0, 0.0, 0.0))
+)
+PIXELS = st.integers(1, 8192)
+CAMERAS = st.builds(
+    CameraSpec,
+    size=st.tuples(PIXELS, PIXELS),
+    fx=POSITIVE,
+    fy=POSITIVE,
+    cx=maybe(NUMBERS),
+    cy=maybe(NUMBERS),
+    pose=CAMERA_POSES,
+)
+LIGHTS = st.builds(
+    LightSpec,
+    type=st.sampled_from(["distant", "point", "dome"]),
+    intensity=st.floats(0, 1e6),
+    color=COLORS,
+    direction=st.tuples(NUMBERS, NUMBERS, st.floats(0.1, 1)),
+    xyz=VEC3,
+)
+SCENES = st.builds(
+    SceneSpec,
+    simfoundry=st.just("scene/1"),
+    name=NAMES,
+    description=maybe(TEXTS),
+    viewpoint=maybe(NAMES),
+    gravity=VEC3,
+    materials=MATERIALS,
+    objects=st.dictionaries(NAMES, OBJECTS, max_size=3),
+    cameras=st.dictionaries(NAMES, CAMERAS, max_size=2),
+    lights=st.dictionaries(NAMES, LIGHTS, max_size=2),
+    relations=st.lists(TEXTS, max_size=4).map(tuple),
+    origin=maybe(ORIGINS),
+)
+PARTS = st.one_of(
+    st.builds(Part, shape=SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
+    st.builds(Part, mesh=TEXTS, scale=POSITIVE, pose=POSES),
+)
+LINKS = st.builds(
+    LinkSpec,
+    parts=st.dictionaries(NAMES, PARTS, min_size=1, max_size=2),
+    mass=QUANTITIES,
+    inertial=maybe(st.builds(Inertial, com=VEC3, inertia=st.tuples(*[NUMBERS] * 6))),
+    **BODY,
+)
+LIMITS = st.tuples(st.floats(-360, -1e-3), st.floats(1e-3, 360))
+JOINT: dict[str, st.SearchStrategy[Any]] = {
+    "parent": NAMES,
+    "child": NAMES,
+    "pose": POSES,
+    "axis": st.tuples(NUMBERS, st.floats(0.1, 1), NUMBERS),
+    "damping": st.floats(0, 1e6),
+    "friction": st.floats(0, 1e-3),
+    "armature": st.floats(0, 9),
+}
+JOINTS = st.one_of(
+    st.builds(JointSpec, type=st.sampled_from(["fixed", "continuous"]), **JOINT),
+    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, **JOINT),
+    st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, **JOINT),
+)
+ASSETS = st.builds(
+    AssetSpec,
+    simfoundry=st.just("asset/1"),
+    name=NAMES,
+    description=maybe(TEXTS),
+    category=maybe(NAMES),
+    materials=MATERIALS,
+    links=st.dictionaries(NAMES, LINKS, min_size=1, max_size=2),
+    joints=st.dictionaries(NAMES, JOINTS, max_size=2),
+    origin=maybe(ORIGINS),
+)
