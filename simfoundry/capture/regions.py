@@ -35,10 +35,14 @@ class Relief:
         return np.asarray(np.maximum(self.inward, self.step))
 
 
-def relief_of(depth: Array, K: Array) -> Relief:
-    """Smooth a depth picture [m], shape (h, w), NaN where there is none, and find its edges."""
-    focal = float(K[0, 0] + K[1, 1]) / 2
-    reach = int(np.clip(round(SCALE * focal / float(np.nanmedian(depth))), 3, 14))
+def reach_of(depth: Array, K: Array) -> float:
+    """How many pixels the scale of edges takes at the median depth."""
+    return SCALE * float(K[0, 0] + K[1, 1]) / 2 / float(np.nanmedian(depth))
+
+
+def relief_of(depth: Array, K: Array, scale: float) -> Relief:
+    """Smooth a depth picture [m], shape (h, w), NaN where there is none, and find its edges, at ``scale`` [px]."""
+    reach = int(np.clip(round(scale), 3, 14))
     fits = tangents(depth, reach, stride=1 + (reach - 1) // 5)
     inward, step = edge_strength(fits, reach)
     noise = noise_of(depth)
