@@ -23,9 +23,9 @@ EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the
 LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
 BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
-WORKING_REACH = 7.0  # [px] over which edges are judged; finer pictures are reduced to it
+WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
 FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
-SMALLEST = 2.5e-4  # [m²] of visible area
+SMALLEST = 4e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
 
@@ -44,7 +44,7 @@ class _Scene:
 
 
 def decompose(frame: Frame, support: Support) -> Segmentation:
-    """The objects on ``support``: labels from 1, the largest first in the picture's reading order, and what carries them.
+    """The objects on ``support``, numbered from 1, and what each of them stands on.
 
     Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
     support is cut at depth steps and inward creases; outward bends stay within one object. Parts that an object in
@@ -71,7 +71,9 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
     """The capture's own masks, without specks and without what is not on the support."""
     import cv2
 
-    on_it = _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    on_it = (
+        _within(support.outline, points_W[..., :2], MARGIN) & (points_W[..., 2] > -0.02) & (points_W[..., 2] < TALLEST)
+    )
     out = np.zeros(instances.shape, np.int32)
     for k in np.unique(instances[instances > 0]):
         mask = instances == k
@@ -107,7 +109,7 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
 
 
 def _instances(scene: _Scene, support: Support) -> Labels:
-    """The passes, in order: regions, what is smooth across, what is one by shape, what cannot be alone, what is left."""
+    """The passes in order: cut; join what is smooth across, one by shape, or hanging; drop what is no object."""
     reach = scene.relief.reach
     regions = cut(scene.mask, scene.relief)
     regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
@@ -139,7 +141,9 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     gravity = support.X_WC.rotation.T @ np.array([0.0, 0.0, -1.0])
     # How the picture moves when a point at the optical axis falls.
     down = gravity[:2] / max(1e-9, float(np.linalg.norm(gravity[:2])))
-    return _Scene(window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1])))
+    return _Scene(
+        window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1]))
+    )
 
 
 def _standing(depth: Array, points_W: Array, outline: Array) -> NDArray[np.bool_]:

@@ -97,7 +97,7 @@ def _view(depth: Array, K: Array, step: int = 1) -> _View:
 
 
 def _on_plane(view: _View, plane: Plane) -> Mask:
-    """Pixels within the noise of the plane, but for those where a surface clearly crosses it, as a chair's back does."""
+    """Pixels within the noise of the plane, but for those where a surface crosses it, as a chair's back does."""
     near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
     return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
 
