@@ -12,7 +12,7 @@ from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.hidden import fill_bottoms, join_containers, join_hidden
 from simfoundry.capture.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
 from simfoundry.capture.noise import depth_sigma, valid_depth
-from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, relief_of
+from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
 from simfoundry.capture.stacking import below, carriers, parts_of, sinking
 from simfoundry.scene.frames import Array
 
@@ -23,9 +23,9 @@ EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the
 LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
 BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
-WORKING_WIDTH = 640  # [px]
+WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
 FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
-SMALLEST = 2.5e-4  # [m²] of visible area
+SMALLEST = 4e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
 
@@ -44,7 +44,7 @@ class _Scene:
 
 
 def decompose(frame: Frame, support: Support) -> Segmentation:
-    """The objects on ``support``: labels from 1, the largest first in the picture's reading order, and what carries them.
+    """The objects on ``support``, numbered from 1, and what each of them stands on.
 
     Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
     support is cut at depth steps and inward creases; outward bends stay within one object. Parts that an object in
@@ -91,7 +91,10 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
 
 def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
     """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
-    step = max(1, round(depth.shape[1] / WORKING_WIDTH))
+    standing = _standing(depth, points_W, support.outline)
+    if not standing.any():
+        return np.zeros(depth.shape, np.int32)
+    step = max(1, round(reach_of(depth[standing], K) / WORKING_REACH))
     small = np.array(K, dtype=np.float64)
     small[:2] /= step
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
@@ -106,7 +109,7 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
 
 
 def _instances(scene: _Scene, support: Support) -> Labels:
-    """The passes, in order: regions, what is smooth across, what is one by shape, what cannot be alone, what is left."""
+    """The passes in order: cut; join what is smooth across, one by shape, or hanging; drop what is no object."""
     reach = scene.relief.reach
     regions = cut(scene.mask, scene.relief)
     regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
@@ -124,14 +127,15 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     """Crop to what stands on the support; None if nothing does."""
     height = points_W[..., 2]
     near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
-    high = near & (height > np.maximum(LOWEST, depth_sigma(depth)))
+    high = _standing(depth, points_W, support.outline)
     if high.sum() < FEWEST_PIXELS:
         return None
     rows, columns = np.nonzero(high.any(axis=1))[0], np.nonzero(high.any(axis=0))[0]
     window = (_padded(rows, depth.shape[0]), _padded(columns, depth.shape[1]))
     inner = np.array(K, dtype=np.float64)
     inner[:2, 2] -= window[1].start, window[0].start
-    relief = relief_of(np.where(near, depth, np.nan)[window], inner)
+    reach = reach_of(depth[high], K)
+    relief = relief_of(np.where(near, depth, np.nan)[window], inner, reach)
     smooth = support.X_WC.apply(relief.points)[..., 2]
     mask = high[window] & (smooth > np.maximum(LOWEST, 1.2 * depth_sigma(depth[window])))
     gravity = support.X_WC.rotation.T @ np.array([0.0, 0.0, -1.0])
@@ -140,6 +144,13 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     return _Scene(
         window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1]))
     )
+
+
+def _standing(depth: Array, points_W: Array, outline: Array) -> NDArray[np.bool_]:
+    """Pixels clearly above the support."""
+    height = points_W[..., 2]
+    tall = (height > np.maximum(LOWEST, depth_sigma(depth))) & (height < TALLEST)
+    return np.asarray(tall & _within(outline, points_W[..., :2], MARGIN))
 
 
 def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:

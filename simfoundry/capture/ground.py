@@ -97,7 +97,7 @@ def _view(depth: Array, K: Array, step: int = 1) -> _View:
 
 
 def _on_plane(view: _View, plane: Plane) -> Mask:
-    """Pixels within the noise of the plane, but for those where a surface clearly crosses it, as a chair's back does."""
+    """Pixels within the noise of the plane, but for those where a surface crosses it, as a chair's back does."""
     near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
     return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
 
@@ -117,10 +117,18 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
     if inliers.sum() < 10 or _density(inliers, view.depth) < DENSE:
         return None
     carried = above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)
-    # Pixels of the near count more: each covers less of the world, and what is filmed on purpose is near.
-    nearness = 1.0 / float(np.median(view.depth[inliers])) ** 2
-    score = (float(carried.sum()) + 0.5 * float(inliers.sum())) * nearness * (1.0 if is_level(plane) else 0.3)
-    return _Surface(X_WC, inliers, plan, score)
+    return _Surface(X_WC, inliers, plan, _score(int(carried.sum()), view.depth[inliers], plane))
+
+
+def _score(carried: int, depths: Array, plane: Plane) -> float:
+    """How likely a plane with ``carried`` pixels above it and own pixels at ``depths`` [m] is the support.
+
+    What it carries counts, and then its own area, if it carries something: a floor that fills the picture but has
+    nothing on it is no support. Near pixels count more: what is filmed on purpose is near.
+    """
+    area = len(depths)
+    amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area
+    return amount / float(np.median(depths)) ** 2 * (1.0 if is_level(plane) else 0.3)
 
 
 def _density(inliers: Mask, depth: Array) -> float:

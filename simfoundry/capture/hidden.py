@@ -10,6 +10,7 @@ from simfoundry.scene.frames import Array
 
 IN_PLANE = 0.006  # [m]
 SAME_TOP = 0.012  # [m]
+SLIVER = 0.1  # of the other's points
 WIDEST = 0.25  # [m] radius of a container
 RIM = 0.012  # [m] height of the band below the highest point that is taken for the rim of a container
 
@@ -17,9 +18,9 @@ RIM = 0.012  # [m] height of the band below the highest point that is taken for 
 def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
     """Join regions that are faces of one box behind the same occluder, and give that box what lies between them."""
     behind: dict[int, set[int]] = {}
+    points = _points(labels, points_W, every=4)
     for front, back in _occlusions(labels, depth, reach):
         behind.setdefault(front, set()).add(back)
-    points = _points(labels, points_W)
     parent: dict[int, int] = {}
     for front in sorted(behind):
         backs = sorted(behind[front])
@@ -34,7 +35,7 @@ def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> La
 
 def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
     """Join the outside of a bowl or mug with the inside that is seen behind its near rim."""
-    points = _points(labels, points_W)
+    points = {k: _thinned(p) for k, p in _points(labels, points_W).items()}
     parent: dict[int, int] = {}
     for front, back in _occlusions(labels, depth, reach):
         if root(parent, front) != root(parent, back) and one_rim(points[front], points[back]):
@@ -68,8 +69,13 @@ def fill_bottoms(labels: Labels, points_W: Array) -> Labels:
 
 def one_box(a: Array, b: Array) -> bool:
     """Whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
-    if min(len(a), len(b)) < 30:
+    small, large = sorted((a, b), key=len)
+    if len(small) < 20:
         return False
+    if len(small) < SLIVER * len(large):  # a sliver shows no top of its own
+        face = _main_plane(large, level=False)
+        if face is not None and _share(large, face) > 0.3 and _share(small, face) > 0.6:
+            return True
     if abs(np.quantile(a[:, 2], 0.98) - np.quantile(b[:, 2], 0.98)) > SAME_TOP:
         return False
     both = np.concatenate([a, b])
@@ -108,15 +114,16 @@ def one_rim(front: Array, back: Array) -> bool:
 
 def _occlusions(labels: Labels, depth: Array, reach: int) -> list[tuple[int, int]]:
     """Pairs (front, back) of regions that meet at a depth step."""
-    out = []
-    for border in borders(labels, depth, reach).values():
-        if abs(border.jump) > EDGE and abs(border.jump) > border.bend:
-            out.append((border.b, border.a) if border.jump > 0 else (border.a, border.b))
-    return out
+    return [
+        (border.b, border.a) if border.jump > 0 else (border.a, border.b)
+        for border in borders(labels, depth, reach).values()
+        if abs(border.jump) > max(EDGE, border.bend)
+    ]
 
 
-def _points(labels: Labels, points_W: Array) -> dict[int, Array]:
-    return {k: _thinned(points_W[labels == k]) for k in range(1, int(labels.max()) + 1)}
+def _points(labels: Labels, points_W: Array, every: int = 1) -> dict[int, Array]:
+    """The points of each region, evenly thinned, so that their numbers stay in proportion to the regions' sizes."""
+    return {k: points_W[labels == k][::every] for k in range(1, int(labels.max()) + 1)}
 
 
 def _thinned(points: Array) -> Array:

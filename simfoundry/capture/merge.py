@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.capture.regions import Border, Labels, borders
 from simfoundry.capture.stacking import below, carriers, parts_of
@@ -73,12 +75,12 @@ def renamed(labels: Labels, parent: dict[int, int]) -> Labels:
     return compact(table[labels])
 
 
-def compact(labels: np.ndarray) -> Labels:
+def compact(labels: NDArray[np.integer[Any]]) -> Labels:
     """Number the non-zero labels 1..n in ascending order."""
     present = np.unique(labels[labels > 0])
     table = np.zeros(int(labels.max()) + 1, np.int32)
     table[present] = np.arange(1, len(present) + 1)
-    return table[labels]
+    return np.asarray(table[labels], dtype=np.int32)
 
 
 def join_hanging(

@@ -1,4 +1,4 @@
-"""Cut what stands above the support into smooth regions, bounded by steps and inward creases, and list their borders."""
+"""Cut what stands above the support into smooth regions, bounded by steps and inward creases; list their borders."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Labels = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """What the cut goes by, each of shape (h, w): ``points`` [m] (smoothed, camera frame) and ``normals`` have (h, w, 3).
+    """What the cut goes by: smoothed ``points`` [m] and ``normals`` in the camera frame, (h, w, 3), and edges, (h, w).
 
     ``inward`` and ``step`` are the edge strengths over what the noise explains: 1 is a likely edge.
     """
@@ -35,10 +35,14 @@ class Relief:
         return np.asarray(np.maximum(self.inward, self.step))
 
 
-def relief_of(depth: Array, K: Array) -> Relief:
-    """Smooth a depth picture [m], shape (h, w), NaN where there is none, and find its edges."""
-    focal = float(K[0, 0] + K[1, 1]) / 2
-    reach = int(np.clip(round(SCALE * focal / float(np.nanmedian(depth))), 3, 14))
+def reach_of(depth: Array, K: Array) -> float:
+    """How many pixels the scale of edges takes at the median depth."""
+    return SCALE * float(K[0, 0] + K[1, 1]) / 2 / float(np.nanmedian(depth))
+
+
+def relief_of(depth: Array, K: Array, scale: float) -> Relief:
+    """Smooth a depth picture [m], shape (h, w), NaN where there is none, and find its edges, at ``scale`` [px]."""
+    reach = int(np.clip(round(scale), 3, 14))
     fits = tangents(depth, reach, stride=1 + (reach - 1) // 5)
     inward, step = edge_strength(fits, reach)
     noise = noise_of(depth)
@@ -65,7 +69,7 @@ def cut(mask: NDArray[np.bool_], relief: Relief) -> Labels:
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
         inner = cv2.erode(flat, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
         inner[np.isin(islands, np.unique(islands[seeds > 0]))] = 0
-        count, parts, stats, _ = cv2.connectedComponentsWithStats(inner, connectivity=4)
+        _, parts, stats, _ = cv2.connectedComponentsWithStats(inner, connectivity=4)
         sound = stats[:, cv2.CC_STAT_AREA] >= 12
         sound[0] = False
         renumber = np.where(sound, np.cumsum(sound) + int(seeds.max()), 0).astype(np.int32)

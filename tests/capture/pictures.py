@@ -45,7 +45,7 @@ class Setup:
     noise: float = 0.3  # of the sensor's usual noise
 
     @property
-    def X_TC(self) -> Pose:  # noqa: N802
+    def X_TC(self) -> Pose:
         """The camera in the table's frame."""
         turn = Pose.of(q=(np.cos(self.roll / 2), 0.0, 0.0, np.sin(self.roll / 2)))
         return look_at(np.array(self.eye), np.array(self.target)) @ turn

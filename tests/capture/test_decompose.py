@@ -138,13 +138,13 @@ def test_noisy_scenes_of_household_objects() -> None:
 def test_bottle_before_a_window() -> None:
     _, frame, entry = next(pictures("m3t_desk"))
     support, found = segment(frame)
-    bottle = next(o for o in entry["objects"] if o["name"] == "shampoo_bottle")  # type: ignore[attr-defined]
+    bottle = next(o for o in entry["objects"] if o["name"] == "shampoo_bottle")
     X_CB = np.array(bottle["T_cam_obj"])
     label = int(found.labels[tuple(np.round((frame.K @ X_CB[:3, 3] / X_CB[2, 3])[[1, 0]]).astype(int))])
     assert label > 0
     seen_W = support.X_WC.apply(frame.points[found.labels == label])
-    p_WB = support.X_WC.apply(X_CB[:3, 3])
+    bottle_W = support.X_WC.apply(X_CB[:3, 3])
     lo, hi = np.quantile(seen_W[:, 2], [0.02, 0.98])
     assert hi == pytest.approx(0.192, abs=0.02) and lo < 0.03, "the bottle is 19.2 cm tall"
     # The camera sees one side of a bottle 3.4 x 7.5 cm wide.
-    assert np.linalg.norm(np.median(seen_W[:, :2], axis=0) - p_WB[:2]) < 0.025
+    assert np.linalg.norm(np.median(seen_W[:, :2], axis=0) - bottle_W[:2]) < 0.025

@@ -160,6 +160,6 @@ def test_the_largest_plane_is_not_always_the_support() -> None:
 @pytest.mark.skipif(not available("m3t_desk"), reason="needs ../shared/data/m3t_desk")
 def test_sparse_depth_of_a_chequered_desk() -> None:
     _, frame, entry = next(pictures("m3t_desk"))
-    block = next(o for o in entry["objects"] if o["name"] == "triangle_block")  # type: ignore[attr-defined]
-    p_WB = find_support(frame).X_WC.apply(np.array(block["T_cam_obj"])[:3, 3])
-    assert 0.0 < p_WB[2] < 0.02, "the middle of a block 12 mm high that lies on the desk"
+    block = next(o for o in entry["objects"] if o["name"] == "triangle_block")
+    block_W = find_support(frame).X_WC.apply(np.array(block["T_cam_obj"])[:3, 3])
+    assert 0.0 < block_W[2] < 0.02, "the middle of a block 12 mm high that lies on the desk"

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,26 +37,35 @@ def available(folder: str) -> bool:
     return (DATA / folder / "capture.json").is_file()
 
 
-def pictures(folder: str) -> Iterator[tuple[str, Frame, dict[str, object]]]:
+def pictures(folder: str) -> Iterator[tuple[str, Frame, dict[str, Any]]]:
     """Name, frame and index entry of each picture of a capture set, its depth in metres and registered to colour."""
     import cv2
 
     for entry in json.loads((DATA / folder / "capture.json").read_text())["frames"]:
-        color = cv2.imread(str(DATA / folder / entry["rgb"]))[..., ::-1]
-        raw = cv2.imread(str(DATA / folder / entry["depth"]), cv2.IMREAD_UNCHANGED)
-        depth = raw * float(entry["depth_scale_to_m"])
+        color = _image(DATA / folder / entry["rgb"], cv2.IMREAD_COLOR)[..., ::-1].astype(np.uint8)
+        raw = _image(DATA / folder / entry["depth"], cv2.IMREAD_UNCHANGED)
+        depth = raw.astype(np.float64) * float(entry["depth_scale_to_m"])
         depth[np.isin(raw, entry["depth_invalid"])] = np.nan
         K = np.array(entry["K"], dtype=np.float64)
         if "depth_K" in entry:
-            X = Pose.from_matrix(np.array(entry["T_color_depth"]))
-            depth = registered(depth, np.array(entry["depth_K"], dtype=np.float64), X, K, color.shape[:2])
+            sensor = Frame(np.zeros((*depth.shape, 3), np.uint8), depth, np.array(entry["depth_K"], dtype=np.float64))
+            depth = registered(sensor, Pose.from_matrix(np.array(entry["T_color_depth"])), K, color.shape[:2])
         yield entry["rgb"].split("-color")[0].split(".")[0], Frame(np.ascontiguousarray(color), depth, K), entry
 
 
-def registered(depth: Array, depth_K: Array, X_CD: Pose, K: Array, shape: tuple[int, int]) -> Array:
+def _image(path: Path, mode: int) -> NDArray[np.integer[Any]]:
+    import cv2
+
+    picture = cv2.imread(str(path), mode)
+    if picture is None:
+        raise FileNotFoundError(path)
+    return np.asarray(picture)
+
+
+def registered(sensor: Frame, X_CD: Pose, K: Array, shape: tuple[int, ...]) -> Array:
     """Depth [m] of a separate sensor as the colour camera would see it; each reading covers its pixel's whole area."""
-    v, u = np.nonzero(np.isfinite(depth))
-    z = depth[v, u]
+    v, u = np.nonzero(np.isfinite(sensor.depth))
+    z, depth_K = sensor.depth[v, u], sensor.K  # noqa: N806
     out = np.full(shape, np.inf)
     for du in (-0.34, 0.0, 0.34):
         for dv in (-0.34, 0.0, 0.34):
@@ -98,7 +108,7 @@ def mosd_scores() -> list[Score]:
 
     out = []
     for name, frame, entry in pictures("mosd_dev"):
-        raw = cv2.imread(str(DATA / "mosd_dev" / str(entry["label_image"])), cv2.IMREAD_UNCHANGED).astype(np.int32)
+        raw = _image(DATA / "mosd_dev" / str(entry["label_image"]), cv2.IMREAD_UNCHANGED).astype(np.int32)
         truth = np.where(raw >= 20, raw // 10 - 1, 0).astype(np.int32)
         start = time.perf_counter()
         _, found = segment(frame)
