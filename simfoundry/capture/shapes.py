@@ -26,7 +26,7 @@ OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece
 
 # What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
 # follows the points, the less its lower cost says.
-PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.05, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
+PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
