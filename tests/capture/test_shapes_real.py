@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,7 @@ def component_at(frame: Frame, support: Support, u: int, v: int) -> NDArray[np.b
     return np.asarray(part == np.argmax(np.bincount(near[near > 0])))
 
 
+@functools.cache
 def posecnn(index: int, u: int, v: int) -> tuple[FittedShape, Frame, Support, NDArray[np.bool_]]:
     frame, _ = load("posecnn_demo", index)
     frame = Frame(frame.color, np.where(frame.depth > 1.6, np.nan, frame.depth), frame.K)
@@ -172,7 +174,7 @@ def warped(entry: dict[str, Any]) -> Frame:
     points = points @ X_CD[:3, :3].T + X_CD[:3, 3]
     z_C: Array = points[:, 2]
     color, K = read(DATA / "m3t_desk" / entry["rgb"])[:, :, ::-1].copy(), np.array(entry["K"], float)
-    depth = np.full(color.shape[:2], np.inf)
+    depth: Array = np.full(color.shape[:2], np.inf)
     for du, dv in [(a, b) for a in (-0.6, 0.0, 0.6) for b in (-0.6, 0.0, 0.6)]:
         u = np.round(points[:, 0] / points[:, 2] * K[0, 0] + K[0, 2] + du).astype(int)
         v = np.round(points[:, 1] / points[:, 2] * K[1, 1] + K[1, 2] + dv).astype(int)
