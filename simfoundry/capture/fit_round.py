@@ -66,7 +66,20 @@ def fit_cylinder(evidence: Evidence) -> RoundFit:
         shape = Cylinder(float(max(x[2], SMALLEST)), float(max(x[3], SMALLEST)))
         return shape, Pose.of((x[0], x[1], evidence.base_z + shape.height / 2))
 
-    start = np.array([*axis, radius, evidence.top - evidence.base_z])
+    # Where another object hides one side, the width seen is too small and its middle off the axis.
+    across = np.array([-evidence.view[1], evidence.view[0]])
+    sideways = [(1.0, 0.0), (1.3, -0.3), (1.3, 0.3), (1.3, 0.0), (1.7, -0.7), (1.7, 0.7)]
+    starts = [
+        np.array(
+            [
+                *(axis + radius * (shift * across + (growth - 1) * evidence.view)),
+                growth * radius,
+                evidence.top - evidence.base_z,
+            ]
+        )
+        for growth, shift in sideways
+    ]
+    start = min(starts, key=lambda x: _cylinder_agreement(evidence, *solid(x)).cost)
     steps = np.array([0.25 * radius, 0.25 * radius, 0.12 * radius, 0.008])
     return _fit_cylinder(evidence, solid, start, steps)
 

@@ -8,6 +8,7 @@ the surface [m].
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,17 +96,49 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> Hits:
 
 def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> Hits:
     """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
+    face = _first_face(eye, rays, vertices, faces)
+    hit = face >= 0
+    chosen, n = rays[hit], normal[face[hit]]
+    slope = np.einsum("ij,ij->i", n, chosen)
+    slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+    depth, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
+    depth[hit] = np.einsum("ij,ij->i", n, a[face[hit]] - eye) / slope
+    slant[hit] = np.abs(slope)
+    return Hits(depth, slant)
+
+
+def _first_face(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The face that each ray meets first, -1 for none: by embree where it is installed, else by plain arithmetic."""
+    if find_spec("embreex") is None:
+        return first_face_by_hand(eye, rays, vertices, faces)
     import trimesh
 
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    points, index, face = mesh.ray.intersects_location(
-        np.broadcast_to(eye, rays.shape), rays / np.linalg.norm(rays, axis=1, keepdims=True), multiple_hits=False
-    )
-    depth, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
-    chosen = rays[index]
-    depth[index] = np.einsum("ij,ij->i", points - eye, chosen) / np.einsum("ij,ij->i", chosen, chosen)
-    slant[index] = np.abs(np.einsum("ij,ij->i", mesh.face_normals[face], chosen))
-    return Hits(depth, slant)
+    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.asarray(mesh.ray.intersects_first(np.broadcast_to(eye, rays.shape), unit), dtype=np.int64)
+
+
+def first_face_by_hand(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The face that each ray meets first, -1 for none, shape (m,): every ray against every triangle, in blocks."""
+    a = vertices[faces[:, 0]]
+    edge1, edge2, to_eye = vertices[faces[:, 1]] - a, vertices[faces[:, 2]] - a, eye - a
+    normal, across = np.cross(edge1, edge2), np.einsum("ij,ij->i", to_eye, np.cross(edge1, edge2))
+    out = np.full(len(rays), -1, dtype=np.int64)
+    for start in range(0, len(rays), 256):
+        block = rays[start : start + 256]
+        slope = -block @ normal.T
+        slope = np.where(np.abs(slope) < 1e-15, 1e-15, slope)
+        depth = across / slope
+        turned = np.cross(to_eye[None], block[:, None])
+        u = np.einsum("kij,ij->ki", turned, edge2) / slope
+        v = -np.einsum("kij,ij->ki", turned, edge1) / slope
+        depth = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (depth > 1e-9), depth, np.inf)
+        nearest = np.argmin(depth, axis=1)
+        out[start : start + 256] = np.where(np.isfinite(depth.min(axis=1)), nearest, -1)
+    return out
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,12 @@ from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
 
 MIN_POINTS = 12
 FEW_POINTS = 50
+LATHE_SIDES = 32
 OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
 
 # What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
 # follows the points, the less its lower cost says.
-PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.05, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
+PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,7 @@ def candidates(frame: Frame, support: Support, evidence: Evidence) -> list[Candi
 
 
 def _turned(family: str, fit: LatheFit) -> Candidate:
-    return Candidate(family, lathe_mesh(fit.profile), fit.X_WO, fit.agreement)
+    return Candidate(family, lathe_mesh(fit.profile, LATHE_SIDES), fit.X_WO, fit.agreement)
 
 
 def confidence(candidate: Candidate, evidence: Evidence) -> float:
