@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -9,9 +10,11 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import simfoundry
+from simfoundry.capture.raycast import cast_mesh
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.spec.generated import generated, main, stale
@@ -169,6 +172,39 @@ def test_every_dependency_is_fixed_and_mujoco_is_not_the_faulty_one() -> None:
     fixed = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / "constraints.txt").read_text(), re.MULTILINE))
     assert names <= set(fixed)
     assert fixed["mujoco"] != "4.0.0"
+
+
+def test_every_imported_library_is_a_dependency() -> None:
+    named = {"cv2": "opencv-python-headless", "PIL": "pillow", "pxr": "usd-core", "yaml": "pyyaml"}
+    needed = {re.split(r"[<>=!; ]", entry)[0].lower() for entry in PYPROJECT["project"]["dependencies"]}
+    code = [path for path in (ROOT / "simfoundry").rglob("*.py") if "templates" not in path.parts]
+    imported = {
+        name.partition(".")[0]
+        for path in code
+        for node in ast.walk(ast.parse(path.read_text()))
+        for name in _imported(node)
+    }
+    foreign = {named.get(n, n.replace("_", "-")).lower() for n in imported - {"simfoundry"} - sys.stdlib_module_names}
+    assert {"numpy", "usd-core"} <= foreign
+    # pydantic_core is pydantic's own, pinned by it
+    assert foreign - needed == {"pydantic-core"}
+
+
+def _imported(node: ast.AST) -> list[str]:
+    match node:
+        case ast.Import():
+            return [alias.name for alias in node.names]
+        case ast.ImportFrom(module=str(module), level=0):
+            return [module]
+    return []
+
+
+def test_the_environment_casts_rays_at_meshes() -> None:
+    """What trimesh needs for it is not among trimesh's own dependencies."""
+    corners = np.array([[-1.0, -1.0, 2.0], [2.0, -1.0, 2.0], [-1.0, 2.0, 2.5]])
+    hits = cast_mesh(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), corners, np.array([[0, 1, 2]]))
+    assert hits.depth[0] == pytest.approx(2 + 0.5 / 3, abs=1e-5)
+    assert np.isinf(hits.depth[1])
 
 
 def test_the_reference_is_fresh() -> None:
