@@ -83,13 +83,13 @@ def _srgb(linear: float) -> float:
 def _appearance(mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
     """Texture coordinates, PNG and colour of a trimesh mesh; a texture is multiplied by the colour."""
     visual = mesh.visual
-    if visual.kind == "texture" and getattr(visual, "uv", None) is not None:
-        material = visual.material
+    if visual.kind == "texture":
+        material, uv = visual.material, getattr(visual, "uv", None)
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         factor = getattr(material, "baseColorFactor", None)
-        if image is not None:
+        if image is not None and uv is not None:
             tint = None if factor is None else _rgba(np.asarray(factor))
-            return np.array(visual.uv, dtype=np.float64)[:, :2], _png(image), tint
+            return np.array(uv, dtype=np.float64)[:, :2], _png(image), tint
         color = getattr(material, "diffuse", None) if factor is None else factor
         return None, None, None if color is None else _rgba(np.asarray(color))
     if visual.kind in ("vertex", "face"):

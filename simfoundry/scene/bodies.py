@@ -111,6 +111,7 @@ class BodyBuilder:
         if inertial is not None:
             com, inertia = np.array(inertial.com), _tensor(inertial.inertia)
         value = total if total is not None else computed
+        inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
         _check_inertia(self.name, inertia)
         return Link(self.name, value, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
 

@@ -157,10 +157,10 @@ class _Checker:
         self.document, self.loaded, self.whole = document, loaded, whole
         self.findings: list[Diagnostic] = []
 
-    def names(self, section: str) -> list[str]:
+    def names(self, section: str) -> dict[str, Any]:
         """The names that a section of the text defines, sound or not."""
         members = self.document.data.get(section)
-        return list(members) if isinstance(members, dict) else []
+        return members if isinstance(members, dict) else {}
 
     def add(
         self, code: str, path: tuple[Any, ...], message: str, hint: str = "", severity: Severity = Severity.ERROR
@@ -372,7 +372,7 @@ class _Checker:
     def tree(self, spec: AssetSpec) -> None:
         """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
         parents: dict[str, str] = {}
-        root = self.names("links")[0]
+        root = next(iter(self.names("links")))
         for name, joint in spec.joints.items():
             path = ("joints", name)
             self.name(joint.parent, self.names("links"), (*path, "parent"), "link")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import re
@@ -67,9 +68,12 @@ def to_data(spec: Model) -> dict[str, Any]:
     out: dict[str, Any] = {}
     for name in sorted(fields, key=lambda n: _RANK.get(n, len(_RANK))):
         value = getattr(spec, name)
+        needed = name == "simfoundry" or fields[name].is_required()
+        if not needed and value == fields[name].default:
+            continue
         data = _data(value)
         # As text: what is written like the default would be read as the default, and then not be written again.
-        if name == "simfoundry" or fields[name].is_required() or _flow(data) != _flow(_data(fields[name].default)):
+        if needed or _flow(data) != _flow(_data(fields[name].default)):
             out[name] = data
     return out
 
@@ -156,6 +160,7 @@ def _shortest(text: str) -> str:
     return f"{mantissa.rstrip('0').rstrip('.')}e{int(exponent)}"
 
 
+@functools.lru_cache(maxsize=4096)
 def _string(text: str) -> str:
     """Plain where a reader gets the same string back inside brackets, else in double quotes."""
     return text if _PLAIN.match(text) and _reads_back(f"[{text}]", (text,)) else _quoted(text)

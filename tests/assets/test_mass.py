@@ -80,14 +80,14 @@ def test_random_meshes_agree_with_trimesh(seed: int) -> None:
 def test_moving_the_mesh_moves_the_solid(seed: int) -> None:
     rng = np.random.default_rng(seed)
     vertices, faces = blob(rng)
-    R, p = rotation(rng), rng.uniform(-2, 2, 3)
-    moved = mass.mesh(vertices @ R.T + p, faces)
-    assert_same(mass.mesh(vertices, faces).moved(R, p), moved, 1e-9)
+    R_AB, p = rotation(rng), rng.uniform(-2, 2, 3)
+    moved = mass.mesh(vertices @ R_AB.T + p, faces)
+    assert_same(mass.mesh(vertices, faces).moved(R_AB, p), moved, 1e-9)
 
 
 def test_far_from_the_origin_nothing_is_lost() -> None:
     vertices, faces = block((0.02, 0.03, 0.05))
-    far = mass.mesh(vertices + [100.0, -200.0, 300.0], faces)
+    far = mass.mesh(vertices + np.array([100.0, -200.0, 300.0]), faces)
     assert_allclose(far.inertia, mass.box(np.array([0.02, 0.03, 0.05])).inertia, rtol=1e-8, atol=1e-18)
 
 
@@ -109,11 +109,11 @@ def test_a_cavity_is_not_filled() -> None:
 
 def test_two_halves_combine_to_the_whole() -> None:
     rng = np.random.default_rng(3)
-    R, p = rotation(rng), np.array([0.3, -0.2, 0.1])
+    R_AB, p = rotation(rng), np.array([0.3, -0.2, 0.1])
     half = np.array([0.1, 0.3, 0.2])
-    low = mass.box(half).moved(np.eye(3), np.array([-0.05, 0, 0])).moved(R, p)
-    high = mass.box(half).moved(np.eye(3), np.array([0.05, 0, 0])).moved(R, p)
-    whole = mass.box(np.array([0.2, 0.3, 0.2])).moved(R, p)
+    low = mass.box(half).moved(np.eye(3), np.array([-0.05, 0, 0])).moved(R_AB, p)
+    high = mass.box(half).moved(np.eye(3), np.array([0.05, 0, 0])).moved(R_AB, p)
+    whole = mass.box(np.array([0.2, 0.3, 0.2])).moved(R_AB, p)
     m, com, inertia = mass.combine([(700.0, low), (700.0, high)])
     assert_allclose(m, 700 * whole.volume)
     assert_allclose(com, whole.com)
