@@ -26,6 +26,8 @@ from simfoundry.spec.base import (
     CameraPose,
     CylinderShape,
     Estimate,
+    Lathe,
+    LatheShape,
     Material,
     Origin,
     Prism,
@@ -197,7 +199,7 @@ def _support_spec(capture: str, frame: Frame, support: Support, slab: Thickness)
 def _object_spec(
     capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: Substance, color: tuple[float, float, float]
 ) -> ObjectSpec:
-    primitive = _shape_spec(shape.geometry)
+    primitive = _shape_spec(shape)
     volume = mass.mesh(_corners(shape.geometry), _faces(shape.geometry)).volume
     kilograms = [_significant(volume * d) for d in (substance.density, substance.lowest, substance.highest)]
     low, high = min(kilograms[0], kilograms[1]), max(kilograms[0], kilograms[2])
@@ -214,7 +216,11 @@ def _object_spec(
     )
 
 
-def _shape_spec(geometry: Geometry) -> Shape | None:
+def _shape_spec(shape: FittedShape) -> Shape | None:
+    """The shape as a spec writes it, None where only a mesh can hold it."""
+    geometry = shape.geometry
+    if shape.profile is not None:
+        return LatheShape(lathe=Lathe(profile=tuple((_metres(r), _metres(z)) for r, z in shape.profile)))
     match geometry:
         case Box():
             x, y, z = (_metres(v) for v in geometry.size)

@@ -17,10 +17,11 @@ from simfoundry.capture.fit_round import fit_cylinder, fit_lying_cylinder, fit_s
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.raycast import Agreement
 from simfoundry.capture.solids import lathe_mesh
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
 
 MIN_POINTS = 12
+PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]
 FEW_POINTS = 50
 LATHE_SIDES = 32
 OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
@@ -37,7 +38,8 @@ class FittedShape:
     ``geometry`` is a primitive, or a closed mesh; ``X_WO`` its pose in the world, with the origin at the centre of the
     bounding box for primitives and at the centre of the base, z up, for meshes; ``fit_m`` the median distance of the
     object's visible points from the surface [m]; ``confidence`` in [0, 1], see :func:`confidence`; ``hollow`` says that
-    it is an open container modelled with its cavity.
+    it is an open container modelled with its cavity; ``profile`` (radius, height) [m], shape (k, 2), is there where the
+    mesh is a body of revolution.
     """
 
     geometry: Geometry
@@ -45,6 +47,7 @@ class FittedShape:
     fit_m: float
     confidence: float
     hollow: bool
+    profile: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,7 @@ class Candidate:
     X_WO: Pose
     agreement: Agreement
     guessed: bool = False
+    profile: Array | None = None
 
     @property
     def cost(self) -> float:
@@ -93,6 +97,7 @@ def fit_shape(
         fit_m=best.agreement.fit if math.isfinite(best.agreement.fit) else evidence.scale,
         confidence=confidence(best, evidence),
         hollow=best.family == "hollow",
+        profile=best.profile,
     )
 
 
@@ -117,7 +122,16 @@ def candidates(frame: Frame, support: Support, evidence: Evidence) -> list[Candi
 
 
 def _turned(family: str, fit: LatheFit) -> Candidate:
-    return Candidate(family, lathe_mesh(fit.profile, LATHE_SIDES), fit.X_WO, fit.agreement)
+    profile = thinned(fit.profile)
+    return Candidate(family, lathe_mesh(profile, LATHE_SIDES), fit.X_WO, fit.agreement, profile=profile)
+
+
+def thinned(profile: Array) -> Array:
+    """The profile without the corners that change it by less than ``PROFILE_STEP``; its ends stay on the axis."""
+    import shapely
+
+    line = shapely.LineString(np.round(profile, 4)).simplify(PROFILE_STEP, preserve_topology=False)
+    return np.asarray(line.coords)
 
 
 def confidence(candidate: Candidate, evidence: Evidence) -> float:
