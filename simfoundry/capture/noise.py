@@ -15,7 +15,8 @@ FEWEST_PIXELS = 200
 def depth_sigma(depth: Array) -> Array:
     """Standard deviation [m] of a depth reading at ``depth`` [m].
 
-    The quadratic law of triangulating sensors: Kinect v1 and RealSense D435 both stay below it in this project's range.
+    The quadratic law of triangulating sensors, with constants chosen generously rather than calibrated: thresholds
+    across the capture code are multiples of it.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)
 

@@ -80,7 +80,8 @@ def polygon_of(plan: Plan) -> Array:
     fine = np.pad(np.kron(plan.mask, np.ones((2, 2), bool)), 1).astype(np.uint8)
     contours, _ = cv2.findContours(fine, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contour = max(contours, key=cv2.contourArea)[:, 0, :].astype(np.float64)
-    polygon = Polygon(((contour - 1.5) / 2 + 0.25) * plan.cell + plan.corner).buffer(0)
+    whole = Polygon(((contour - 1.5) / 2 + 0.25) * plan.cell + plan.corner).buffer(0)
+    polygon = max(getattr(whole, "geoms", [whole]), key=lambda part: part.area)
     tolerance = TOLERANCE
     simple = polygon.simplify(tolerance)
     while len(simple.exterior.coords) - 1 > MOST_VERTICES:

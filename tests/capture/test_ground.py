@@ -137,7 +137,8 @@ def test_a_wall_is_no_support() -> None:
     assert failure(depth).code == "no-plane"
 
 
-# Camera height above the table [m], measured by hand on plane fits of each scene; the floor would be twice as far.
+# Camera height above the chair's table [m]: no ground truth, but what this code found when its outline, drawn over
+# the colour picture, was seen to follow the table. It guards against falling back to the floor.
 HEIGHTS = {"000003": 0.65, "000004": 0.71}
 
 
