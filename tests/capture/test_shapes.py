@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from depth_camera import EYE, NOISE, Solid, see, yaw_pose
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
@@ -16,6 +15,7 @@ from simfoundry.capture.shapes import FittedShape, fit_shape, size_of
 from simfoundry.capture.solids import as_mesh, hull_margin, lathe_mesh, loft_mesh, volume_and_com
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
+from tests.capture.depth_camera import EYE, NOISE, Solid, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))
 BOWL = lathe_mesh(
