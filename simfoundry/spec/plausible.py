@@ -31,13 +31,9 @@ def volume(shape: Shape) -> float:
             r, h = shape.capsule.radius, shape.capsule.height
             return math.pi * r**2 * (h + 4 / 3 * r)
         case LatheShape():
-            profile = shape.lathe.profile
-            return abs(sum(_frustum(a, b) for a, b in pairwise(profile)))
+            rings = shape.lathe.profile
+            thirds = ((a[0] ** 2 + a[0] * b[0] + b[0] ** 2) * (a[1] - b[1]) for a, b in pairwise(rings))
+            return abs(math.pi / 3 * sum(thirds))  # frusta, those inside taken away from those outside
     corners = shape.prism.outline
     doubled = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
     return abs(doubled) / 2 * shape.prism.height
-
-
-def _frustum(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Signed volume between the axis and one edge of a profile [m^3]."""
-    return math.pi / 3 * (b[1] - a[1]) * (a[0] ** 2 + a[0] * b[0] + b[0] ** 2)
