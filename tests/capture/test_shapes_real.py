@@ -142,7 +142,7 @@ def test_sugar_carton() -> None:
 
 
 def test_cracker_carton_of_unknown_size_keeps_its_fit() -> None:
-    """A regression only: the carton looks like the 7.2 x 16.4 x 21.3 cm one but fits smaller; its true size is unknown."""
+    """A regression only: it resembles the 7.2 x 16.4 x 21.3 cm carton but fits smaller; its true size is unknown."""
     shape = graspnet(2)
     assert isinstance(shape.geometry, Box) and shape.confidence > 0.85 and shape.fit_m < 0.001
     assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.144, 0.193], abs=0.004)
