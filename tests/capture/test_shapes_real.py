@@ -13,10 +13,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.raycast import cast_mesh
-from simfoundry.capture.shapes import FittedShape, fit_shape, size_of
-from simfoundry.capture.solids import as_mesh
-from simfoundry.capture.texture import textured_mesh
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.raycast import cast_mesh
+from simfoundry.capture.shapes.solids import as_mesh
+from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box, Cylinder, Mesh
 
