@@ -2,7 +2,9 @@
 
 First as the paper does it ("Object Depenetration and Physical Stability"): physics steps with all velocities set to
 zero after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is
-at rest, because a body that topples slowly looks still in the first phase.
+at rest, because a body that topples slowly looks still in the first phase. Where that does not end, because something
+rolls away or falls off the edge, it is tried once more from the same poses, with the motion taken out again and again:
+what cannot stand as it was fitted then falls over and lies where it stood.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ class SettleOptions:
     """When the phases end and what counts as passed.
 
     The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``.
+    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where the
+    motion is damped, it is taken out every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -39,6 +42,8 @@ class SettleOptions:
     min_dynamic_s: float = 1.0
     rest_s: float = 0.5
     max_dynamic_s: float = 8.0
+    damped_s: float = 0.04
+    max_damped_s: float = 6.0
     max_drift_m: float = 0.02
     max_tilt_deg: float = 5.0
     max_penetration_m: float = 0.001
@@ -94,7 +99,12 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     world.reset()
     before, contacts_before = world.state(), world.contacts()
     _quasi_static(world, options, progress)
+    opened = world.state()
     at_rest = _dynamic(world, options, progress)
+    if not at_rest:
+        world.reset(opened)
+        _damped(world, options, progress)
+        at_rest = _dynamic(world, options, progress)
     world.halt()
     after, contacts_after = world.state(), world.contacts()
     reports = tuple(
@@ -150,6 +160,25 @@ def _dynamic(world: World, options: SettleOptions, progress: Progress | None) ->
         if elapsed >= options.min_dynamic_s and moved <= options.still_m and turned <= options.still_rad:
             return True
     return False
+
+
+def _damped(world: World, options: SettleOptions, progress: Progress | None) -> None:
+    """Dynamics in which nothing gathers speed: a fall is slow and a roll ends."""
+    steps = max(1, round(options.damped_s / world.timestep))
+    per_rest = max(1, round(options.rest_s / (steps * world.timestep)))
+    elapsed, last = 0.0, world.state()
+    while elapsed < options.max_damped_s:
+        for _ in range(per_rest):
+            world.step(steps)
+            world.halt()
+        elapsed += per_rest * steps * world.timestep
+        now = world.state()
+        moved, turned = motion(last, now)
+        last = now
+        if progress is not None:
+            progress("calm", elapsed / options.max_damped_s)
+        if moved <= options.still_m and turned <= options.still_rad:
+            return
 
 
 def _report(
