@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.decompose import decompose
-from simfoundry.capture.ground import find_support
 from simfoundry.capture.load import load_frame
+from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.ground import find_support
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.raycast import raycast
@@ -40,7 +40,8 @@ def true_labels(capture: RealCapture) -> Labels | None:
 def found_labels(document: Path) -> Labels:
     """What the stages of the command find in a capture folder; the command keeps no labels itself."""
     frame = load_frame(load_capture(document / "capture.yaml"))
-    return decompose(frame, find_support(frame)).labels
+    labels: Labels = decompose(frame, find_support(frame)).labels
+    return labels
 
 
 def overlaps(truth: Labels, found: Labels) -> list[float]:
