@@ -59,7 +59,7 @@ def decompose(frame: Frame, support: Support) -> Segmentation:
         labels = _found(depth, frame.K, points_W, support)
     if not labels.any():
         raise CaptureError(
-            "no-object",
+            "SF504",
             f"nothing stands out more than {LOWEST * 1000:.0f} mm above the support",
             "check that the objects are in view with valid depth; glass and dark gloss often have none",
         )

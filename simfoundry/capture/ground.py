@@ -64,7 +64,7 @@ def find_support(frame: Frame) -> Support:
         if support is not None:
             return support
     raise CaptureError(
-        "no-plane",
+        "SF503",
         "no flat surface is seen from above that objects could stand on",
         "show at least a hand's breadth of the table top around the objects, with the camera upright above it",
     )

@@ -26,7 +26,7 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
     finite = np.isfinite(depth) & (depth > 0)
     if not finite.any():
         raise CaptureError(
-            "no-depth",
+            "SF502",
             "the depth picture has no valid pixel",
             "check that the depth file belongs to the colour picture, and which values the capture declares invalid",
         )
@@ -35,7 +35,7 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
         raise _wrong_unit(float(np.median(depth[finite])))
     if int(valid.sum()) < FEWEST_PIXELS:
         raise CaptureError(
-            "no-depth",
+            "SF502",
             f"only {int(valid.sum())} of {depth.size} depth pixels lie between {NEAREST} and {FARTHEST} m",
             f"at least {FEWEST_PIXELS} are needed; check the sensor's range and the declared invalid values",
         )
@@ -57,7 +57,7 @@ def _wrong_unit(median: float) -> CaptureError:
         else:
             guess = "its unit is not one a sensor writes", "set the depth scale of the capture (metres per unit)"
     return CaptureError(
-        "depth-unit",
+        "SF502",
         f"no depth lies between {NEAREST} and {FARTHEST} m (median {median:g}): {guess[0]}",
         guess[1],
     )

@@ -80,7 +80,7 @@ def reconstruct(
     names = _names(frame, segmentation, shapes, colors, given_names or {})
     slab = thickness(frame, support)
     files = _mesh_files(SUPPORT_NAME, support_mesh(frame, support, slab.value))
-    objects = {SUPPORT_NAME: _support_spec(name, frame, support, slab)}
+    objects = {SUPPORT_NAME: _support_spec(name, support, slab)}
     materials = {SUPPORT.name: _material(SUPPORT)}
     for done, (k, shape) in enumerate(shapes.items()):
         report(names[k], 0.7 + 0.3 * done / len(shapes))
@@ -182,7 +182,7 @@ def _names(
     return dict(zip(shapes, unique_names((wanted[k] for k in shapes), [SUPPORT_NAME]), strict=True))
 
 
-def _support_spec(capture: str, frame: Frame, support: Support, slab: Thickness) -> ObjectSpec:
+def _support_spec(capture: str, support: Support, slab: Thickness) -> ObjectSpec:
     outline = tuple((_metres(x), _metres(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
     return ObjectSpec(

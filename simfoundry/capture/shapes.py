@@ -165,7 +165,7 @@ def size_of(geometry: Geometry) -> tuple[float, float, float]:
 
 def _too_few(count: int) -> CaptureError:
     return CaptureError(
-        "capture-few-points",
+        "SF505",
         f"an object has depth at {count} pixels only; a shape needs {MIN_POINTS}",
         "give it a mask by hand, take the picture from nearer, or leave the object out",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.assets.prism import prism_mesh
 from simfoundry.capture.frame import Frame, Support
@@ -83,7 +84,7 @@ def _texture(frame: Frame, support: Support, low: Array, high: Array) -> bytes:
     return _png(_filled(color, seen & (in_camera[..., 2] > 0)))
 
 
-def _filled(color: Array, seen: Array) -> Array:
+def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The picture with unseen pixels taken from a blurred copy of what is seen near them."""
     import cv2
 
@@ -103,7 +104,7 @@ def _filled(color: Array, seen: Array) -> Array:
     return out
 
 
-def _png(picture: Array) -> bytes:
+def _png(picture: NDArray[np.uint8]) -> bytes:
     import cv2
 
     ok, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])

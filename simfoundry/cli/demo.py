@@ -55,18 +55,16 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
 
 
 def _truth_table(rows: list[dict[str, Any]]) -> str:
-    lines = [
-        f"{'true':<10}{'recovered as':<16}{'position':>9}  {'size, true -> recovered [cm]':<36}{'mass [kg]':<16}{'F1@1cm':>6}"
-    ]
+    head = f"{'true':<10}{'recovered as':<16}{'position':>9}  {'size, true -> recovered [cm]':<36}"
+    lines = [f"{head}{'mass [kg]':<16}{'F1@1cm':>6}"]
     for r in rows:
         if not r["recovered"]:
             lines.append(f"{r['name']:<10}not found")
             continue
         sizes = f"{_cm(r['size_true'])} -> {_cm(r['size'])}"
         masses = f"{r['mass_true']:.2g} -> {r['mass']:.2g}"
-        lines.append(
-            f"{r['name']:<10}{r['recovered']:<16}{r['position'] * 1000:>6.1f} mm  {sizes:<36}{masses:<16}{r['f1']:>6.2f}"
-        )
+        place = f"{r['name']:<10}{r['recovered']:<16}{r['position'] * 1000:>6.1f} mm"
+        lines.append(f"{place}  {sizes:<36}{masses:<16}{r['f1']:>6.2f}")
     return "\n".join(lines)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Shape, SphereShape
+from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, LatheShape, Shape, SphereShape
 
 LIGHTEST, HEAVIEST = 5.0, 23_000.0
 """From foam to osmium, in kg/m^3; what is hollow counts with the space that it encloses."""
@@ -29,6 +30,10 @@ def volume(shape: Shape) -> float:
         case CapsuleShape():
             r, h = shape.capsule.radius, shape.capsule.height
             return math.pi * r**2 * (h + 4 / 3 * r)
+        case LatheShape():
+            rings = shape.lathe.profile
+            thirds = ((a[0] ** 2 + a[0] * b[0] + b[0] ** 2) * (a[1] - b[1]) for a, b in pairwise(rings))
+            return abs(math.pi / 3 * sum(thirds))  # frusta, those inside taken away from those outside
     corners = shape.prism.outline
     doubled = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(corners, (*corners[1:], corners[0]), strict=True))
     return abs(doubled) / 2 * shape.prism.height

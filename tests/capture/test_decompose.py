@@ -93,7 +93,7 @@ def test_nothing_on_the_table() -> None:
     support = find_support(frame)
     with pytest.raises(CaptureError) as caught:
         decompose(frame, support)
-    assert caught.value.code == "no-object" and caught.value.hint
+    assert caught.value.code == "SF504" and caught.value.hint
 
 
 def test_things_beside_the_table_are_left_out() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from depth_camera import see, yaw_pose
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes import FittedShape, fit_shape
@@ -13,6 +12,7 @@ from simfoundry.capture.texture import dominant_color, textured_mesh
 from simfoundry.capture.unwrap import face_normals, unwrap
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
+from tests.capture.depth_camera import see, yaw_pose
 
 # +x red, -x green, +y blue, -y yellow, +z white, -z black
 PAINT = np.array([[220, 20, 20], [20, 200, 20], [30, 40, 220], [230, 220, 20], [235, 235, 235], [5, 5, 5]], np.uint8)

@@ -14,6 +14,8 @@ from simfoundry.spec.base import (
     CapsuleShape,
     CylinderShape,
     Estimate,
+    Lathe,
+    LatheShape,
     Material,
     Origin,
     Pose,
@@ -76,6 +78,12 @@ SHAPES = st.one_of(
     st.builds(SphereShape, sphere=POSITIVE),
     st.builds(CylinderShape, cylinder=ROUNDS),
     st.builds(CapsuleShape, capsule=ROUNDS),
+    st.builds(
+        LatheShape,
+        lathe=st.builds(
+            Lathe, profile=st.lists(st.tuples(st.floats(0, 9), NUMBERS), min_size=3, max_size=30).map(tuple)
+        ),
+    ),
     st.builds(
         PrismShape,
         prism=st.builds(

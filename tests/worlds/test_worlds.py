@@ -317,7 +317,7 @@ def test_native_noise_is_kept_off() -> None:
 @pytest.mark.parametrize(("world", "module"), [(MujocoWorld, "mujoco"), (PybulletWorld, "pybullet")])
 def test_a_missing_engine_says_how_to_install_it(world: Engine, module: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingEngineError, match="is not installed; .*pip install"):
+    with pytest.raises(MissingEngineError, match=r"is not installed; .*pip install"):
         world(primitives_scene())
 
 
