@@ -32,15 +32,6 @@ from simfoundry.worlds.settle import Settled, settle
 
 Progress = Callable[[str, float], None]
 
-CODES_OF = {
-    "no-depth": "SF502",
-    "depth-unit": "SF502",
-    "no-plane": "SF503",
-    "no-object": "SF504",
-    "capture-few-points": "SF505",
-}
-"""Diagnostic codes of what stages find missing in a picture."""
-
 EXAMPLE = (
     "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
     "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all of it"
@@ -139,8 +130,7 @@ def _reconstruct(loaded: Loaded, frame_name: str, frame: Frame, progress: Progre
     try:
         return reconstruct(name, frame, masks.names if masks is not None else None, progress)
     except CaptureError as error:
-        code = CODES_OF.get(error.code, error.code)
-        raise SpecError([loaded.finding(code, ("frames", frame_name), error.message, error.hint)]) from None
+        raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
 
 
 def _write(built: Reconstruction, scene_file: Path, frame: Frame, cache: Cache | None, progress: Progress) -> Settled:
