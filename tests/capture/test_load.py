@@ -55,7 +55,7 @@ def test_what_is_measured_arrives(tmp_path: Path) -> None:
     assert set(zip(*(i.tolist() for i in np.nonzero(lost)), strict=True)) == {(3, 5), (7, 9), (11, 13)}
     assert np.abs(frame.depth - depth)[~lost].max() <= 0.0005
     assert np.array_equal(frame.color, color())
-    assert np.array_equal(frame.K, [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]])
+    assert frame.K.tolist() == [[150, 0, 79.5], [0, 150, 59.5], [0, 0, 1]]
     assert frame.instances is None
 
 
