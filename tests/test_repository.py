@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import simfoundry
-from simfoundry.capture.raycast import cast_mesh
+from simfoundry.capture.shapes.raycast import cast_mesh
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.spec.generated import generated, main, stale

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from simfoundry.assets import mass
 from simfoundry.capture.annotate import SUPPORT, TABLE, Kind, Substance, color_word, kind_of, unique_names
-from simfoundry.capture.decompose import decompose
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.ground import find_support
-from simfoundry.capture.shapes import FittedShape, fit_shape
+from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support import Thickness, support_mesh, thickness
-from simfoundry.capture.texture import dominant_color, textured_mesh
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere

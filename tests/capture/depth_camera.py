@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.solids import as_mesh
+from simfoundry.capture.shapes.solids import as_mesh
 from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
 from simfoundry.scene.model import Geometry
 

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from simfoundry.capture.decompose import decompose
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation
-from simfoundry.capture.ground import find_support
+from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.ground import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
 from tests.corpora.segmentation import available, matched_iou, mosd_scores, pictures, segment
 

@@ -6,7 +6,7 @@ from shapely.geometry import Point, Polygon
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.ground import find_support
+from simfoundry.capture.segment.ground import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, Table, photograph
 from tests.corpora.segmentation import available, pictures
 

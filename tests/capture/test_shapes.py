@@ -10,9 +10,16 @@ import trimesh
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.raycast import agreement, cast_box, cast_lathe, cast_mesh, cast_sphere, first_face_by_hand
-from simfoundry.capture.shapes import FittedShape, fit_shape, size_of
-from simfoundry.capture.solids import as_mesh, hull_margin, lathe_mesh, loft_mesh, volume_and_com
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.raycast import (
+    agreement,
+    cast_box,
+    cast_lathe,
+    cast_mesh,
+    cast_sphere,
+    first_face_by_hand,
+)
+from simfoundry.capture.shapes.solids import as_mesh, hull_margin, lathe_mesh, loft_mesh, volume_and_com
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from tests.capture.depth_camera import EYE, NOISE, Solid, see, yaw_pose
@@ -274,7 +281,7 @@ def test_ray_casts_without_embree_find_the_same_faces() -> None:
 
 
 def test_agreement_names_what_is_wrong() -> None:
-    from simfoundry.capture.evidence import gather
+    from simfoundry.capture.shapes.evidence import gather
 
     frame, support, labels = see([CARTON])
     evidence = gather(frame, support, labels == 1, 0.0, labels)

@@ -13,10 +13,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.raycast import cast_mesh
-from simfoundry.capture.shapes import FittedShape, fit_shape, size_of
-from simfoundry.capture.solids import as_mesh
-from simfoundry.capture.texture import textured_mesh
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.raycast import cast_mesh
+from simfoundry.capture.shapes.solids import as_mesh
+from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box, Cylinder, Mesh
 
@@ -117,7 +117,8 @@ def test_sugar_box_lying() -> None:
     shape, *_ = posecnn(1, 266, 373)
     assert isinstance(shape.geometry, Box)
     assert size_of(shape.geometry)[2] == pytest.approx(0.045, abs=0.010)
-    # The depth of this capture makes everything about 7 % small, in the picture's plane and across it.
+    # This capture measures 5 to 9 % small; whether its depth, its intrinsics or the fit does that is not known, since
+    # synthetic boxes come out right. The tolerance lets it pass.
     assert sorted(size_of(shape.geometry))[1:] == pytest.approx([0.0925, 0.176], abs=0.014)
 
 
@@ -134,11 +135,17 @@ def test_pitcher_height() -> None:
     assert size_of(shape.geometry)[2] == pytest.approx(0.235, abs=0.015)
 
 
-@pytest.mark.parametrize(("index", "size"), [(1, (0.045, 0.0925, 0.176)), (2, (0.05, 0.145, 0.195))])
-def test_cartons(index: int, size: tuple[float, float, float]) -> None:
-    shape = graspnet(index)
+def test_sugar_carton() -> None:
+    shape = graspnet(1)
     assert isinstance(shape.geometry, Box) and shape.confidence > 0.6
-    assert sorted(size_of(shape.geometry)) == pytest.approx(size, abs=0.008)
+    assert sorted(size_of(shape.geometry)) == pytest.approx([0.045, 0.0925, 0.176], abs=0.008)
+
+
+def test_cracker_carton_of_unknown_size_keeps_its_fit() -> None:
+    """A regression only: it resembles the 7.2 x 16.4 x 21.3 cm carton but fits smaller; its true size is unknown."""
+    shape = graspnet(2)
+    assert isinstance(shape.geometry, Box) and shape.confidence > 0.85 and shape.fit_m < 0.001
+    assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.144, 0.193], abs=0.004)
 
 
 @pytest.mark.parametrize(("index", "kind"), [(0, "hollow"), (3, "hollow"), (4, "can"), (5, "can")])

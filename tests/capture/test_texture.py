@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simfoundry.capture.shapes import FittedShape, fit_shape
-from simfoundry.capture.solids import as_mesh, lathe_mesh
-from simfoundry.capture.texture import dominant_color, textured_mesh
-from simfoundry.capture.unwrap import face_normals, unwrap
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.capture.shapes.solids import as_mesh, lathe_mesh
+from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
+from simfoundry.capture.shapes.unwrap import face_normals, unwrap
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
 from tests.capture.depth_camera import see, yaw_pose

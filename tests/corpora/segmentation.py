@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.decompose import decompose
 from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.ground import find_support
+from simfoundry.capture.segment.decompose import decompose
+from simfoundry.capture.segment.ground import find_support
 from simfoundry.scene.frames import Array, Pose
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.evidence import Evidence
-from simfoundry.capture.fit_round import search
-from simfoundry.capture.raycast import Agreement, agreement, cast_box
+from simfoundry.capture.shapes.evidence import Evidence
+from simfoundry.capture.shapes.fit_round import search
+from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_box
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box
 

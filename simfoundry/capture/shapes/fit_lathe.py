@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.evidence import Evidence
-from simfoundry.capture.fit_round import search, start_axis
-from simfoundry.capture.raycast import Agreement, agreement, cast_lathe
+from simfoundry.capture.shapes.evidence import Evidence
+from simfoundry.capture.shapes.fit_round import search, start_axis
+from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe
 from simfoundry.scene.frames import Array, Pose
 
 LEVELS = 14

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.noise import depth_sigma
+from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.scene.frames import Array
 
 LEANING = 0.02  # [m] between a thing and what it leans on

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.evidence import Evidence
-from simfoundry.capture.raycast import Agreement, agreement, cast_lathe, cast_sphere
+from simfoundry.capture.shapes.evidence import Evidence
+from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe, cast_sphere
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Cylinder, Sphere
 

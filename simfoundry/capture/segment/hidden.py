@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.merge import EDGE, renamed, root
-from simfoundry.capture.regions import Labels, borders
+from simfoundry.capture.segment.merge import EDGE, renamed, root
+from simfoundry.capture.segment.regions import Labels, borders
 from simfoundry.scene.frames import Array
 
 IN_PLANE = 0.006  # [m]

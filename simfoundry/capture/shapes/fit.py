@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.complete import complete
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.evidence import Evidence, gather
-from simfoundry.capture.fit_box import fit_box
-from simfoundry.capture.fit_lathe import LatheFit, fit_hollow, fit_lathe
-from simfoundry.capture.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.raycast import Agreement
-from simfoundry.capture.solids import lathe_mesh
+from simfoundry.capture.shapes.complete import complete
+from simfoundry.capture.shapes.evidence import Evidence, gather
+from simfoundry.capture.shapes.fit_box import fit_box
+from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
+from simfoundry.capture.shapes.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
+from simfoundry.capture.shapes.raycast import Agreement
+from simfoundry.capture.shapes.solids import lathe_mesh
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
 

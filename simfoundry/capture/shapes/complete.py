@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.evidence import Evidence
-from simfoundry.capture.fit_box import DEPTH_PRIOR
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.raycast import Agreement, agreement, cast_mesh
-from simfoundry.capture.solids import hull_margin, loft_mesh, volume_and_com
+from simfoundry.capture.shapes.evidence import Evidence
+from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
+from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_mesh
+from simfoundry.capture.shapes.solids import hull_margin, loft_mesh, volume_and_com
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Mesh
 

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.evidence import Evidence
+from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.scene.frames import Array, Pose
 
 FREE_WEIGHT = 0.7

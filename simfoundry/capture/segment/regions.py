@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.noise import depth_sigma
-from simfoundry.capture.relief import across, bend_and_jump, edge_strength, normals_of, start_of, tangents
+from simfoundry.capture.segment.noise import depth_sigma
+from simfoundry.capture.segment.relief import across, bend_and_jump, edge_strength, normals_of, start_of, tangents
 from simfoundry.scene.frames import Array
 
 SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.capture.noise import depth_sigma
+from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.scene.frames import Array
 
 MOST_PLANES = 8

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.noise import depth_sigma
+from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.scene.frames import Array
 
 CUT = 0.012  # [m] a neighbour farther off in depth than this (and the noise) belongs to another surface

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.regions import Border, Labels, borders
-from simfoundry.capture.stacking import below, carriers, parts_of
+from simfoundry.capture.segment.regions import Border, Labels, borders
+from simfoundry.capture.segment.stacking import below, carriers, parts_of
 from simfoundry.scene.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects

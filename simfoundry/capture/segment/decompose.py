@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.hidden import fill_bottoms, join_containers, join_hidden
-from simfoundry.capture.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
-from simfoundry.capture.noise import depth_sigma, valid_depth
-from simfoundry.capture.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
-from simfoundry.capture.stacking import below, carriers, parts_of, sinking
+from simfoundry.capture.segment.hidden import fill_bottoms, join_containers, join_hidden
+from simfoundry.capture.segment.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
+from simfoundry.capture.segment.noise import depth_sigma, valid_depth
+from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
+from simfoundry.capture.segment.stacking import below, carriers, parts_of, sinking
 from simfoundry.scene.frames import Array
 
 LOWEST = 0.006  # [m] above the support, below which nothing is told from it

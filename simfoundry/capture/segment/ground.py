@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.noise import depth_sigma, valid_depth
-from simfoundry.capture.outline import Plan, plan_of, polygon_of
-from simfoundry.capture.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
-from simfoundry.capture.relief import normals_of, tangents
+from simfoundry.capture.segment.noise import depth_sigma, valid_depth
+from simfoundry.capture.segment.outline import Plan, plan_of, polygon_of
+from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
+from simfoundry.capture.segment.relief import normals_of, tangents
 from simfoundry.scene.frames import Array, Pose
 
 TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor

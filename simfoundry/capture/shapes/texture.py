@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.evidence import depth_scale
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.shapes import FittedShape
-from simfoundry.capture.solids import as_mesh
-from simfoundry.capture.unwrap import Atlas, face_normals, unwrap
+from simfoundry.capture.shapes.evidence import depth_scale
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.shapes.solids import as_mesh
+from simfoundry.capture.shapes.unwrap import Atlas, face_normals, unwrap
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
 
