@@ -3,5 +3,13 @@
 from __future__ import annotations
 
 
-class MissingEngineError(RuntimeError):
+class SimfoundryError(Exception):
+    """Something that cannot be done here; the message says why, and what to do about it."""
+
+
+class MissingEngineError(SimfoundryError, RuntimeError):
     """A simulator that is not installed; the message says how to install it."""
+
+
+class OutputError(SimfoundryError):
+    """A place where nothing may be written: what lies there would be lost."""

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
+import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
+
+BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
+"""What programs leave in a folder by the way; nobody misses it."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -23,16 +29,44 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def replace_folder(new: Path, folder: Path) -> None:
-    """Put the folder ``new`` in the place of ``folder``; both lie on one file system."""
+    """Put the folder ``new`` in the place of ``folder``; both lie on one file system.
+
+    In one step where the system can exchange two names; elsewhere a kill between two renames leaves the old folder
+    beside its place, in ``.NAME.old.*``.
+    """
     new.chmod(0o755)
     if not folder.exists():
         os.replace(new, folder)
         return
+    if _exchange(new, folder):
+        shutil.rmtree(new, ignore_errors=True)
+        return
     aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
-    os.replace(folder, aside / folder.name)
     try:
+        os.replace(folder, aside / folder.name)
         os.replace(new, folder)
     except OSError:
-        os.replace(aside / folder.name, folder)
+        if (aside / folder.name).exists():
+            os.replace(aside / folder.name, folder)
+        aside.rmdir()
         raise
     shutil.rmtree(aside, ignore_errors=True)
+
+
+def strangers(folder: Path, written: Iterable[str]) -> list[str]:
+    """Files in ``folder`` that are not among those ``written`` there, by relative POSIX path, sorted."""
+    known = set(written)
+    files = (p.relative_to(folder) for p in folder.rglob("*") if p.is_symlink() or not p.is_dir())
+    return sorted(p.as_posix() for p in files if p.as_posix() not in known and not set(p.parts) & set(BYSTANDERS))
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Exchange two names in one step; False where the system or the file system cannot."""
+    if not sys.platform.startswith("linux"):
+        return False
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except AttributeError:  # a C library from before 2018
+        return False
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of renameat2(2)
+    return int(rename(here, os.fsencode(a), here, os.fsencode(b), exchange)) == 0

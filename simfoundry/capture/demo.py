@@ -51,19 +51,22 @@ def own_capture() -> Path | None:
     return next((p for p in places if (p / "capture.yaml").is_file()), None)
 
 
-def run_demo(capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None) -> Demo:
+def run_demo(
+    capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None, force: bool = False
+) -> Demo:
     """Run the whole flow into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for a capture that cannot."""
     report = progress or (lambda stage, share: None)
-    run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), Cache.default())
-    scene = lower_file(run.scene_file, Cache.default())
+    cache = Cache.default()
+    run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), cache, force)
+    scene = lower_file(run.scene_file, cache)
     report("compile", 0.75)
-    artifacts = build(scene, TARGETS, out / "worlds")
+    artifacts = build(scene, TARGETS, out / "worlds", force)
     motions: dict[str, list[Motion] | str] = {}
     for k, engine in enumerate(ENGINES):
         report(f"run in {engine}", 0.8 + 0.1 * k)
         motions[engine] = _motions(scene, engine)
     worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
-    return Demo(run, worlds, motions, _truth(capture, scene), out / "scene" / "compare.png")
+    return Demo(run, worlds, motions, _truth(capture, frame, scene), out / "scene" / "compare.png")
 
 
 def _motions(scene: Scene, engine: str) -> list[Motion] | str:
@@ -74,12 +77,13 @@ def _motions(scene: Scene, engine: str) -> list[Motion] | str:
         return f"did not run: {error}"
 
 
-def _truth(capture: Path, scene: Scene) -> list[Comparison]:
-    """The comparison with the true scene, where the capture names one."""
+def _truth(capture: Path, frame: str | None, scene: Scene) -> list[Comparison]:
+    """The comparison with the true scene, where the capture names one and it has the camera of the frame."""
     loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:
         return []
     truth = lower_file(loaded.file(loaded.spec.truth), Cache.default())
-    camera = next((c for c in truth.cameras if c.name in loaded.spec.frames), None)
+    seen_by = frame or next(iter(loaded.spec.frames))
+    camera = next((c for c in truth.cameras if c.name == seen_by), None)
     return [] if camera is None else compare(truth, camera, scene, scene.cameras[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,15 @@ NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
 
 UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
+
+FEWEST = 100
+"""Pixels with usable depth that a picture must have at least."""
+
+USABLE_SHARE = 0.1
+"""Share of the measurements that must be usable; with less, the unit is wrong or the table is not what is seen."""
+
+CLOSEST_MEDIAN = 0.15
+"""No sensor takes in a table from so near [m]: a smaller median is a wrong unit where another unit fits."""
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
@@ -66,20 +76,25 @@ class _Reader:
             X_color_depth = pose(shot.depth.pose)
             size = (color.shape[0], color.shape[1])
             depth = register(depth, matrix(shot.depth.camera), X_color_depth, matrix(shot.camera), size)
+            if np.isfinite(depth).sum() < FEWEST:
+                message = f"hardly anything that {shot.depth.image} measures lies in the view of {shot.color}"
+                hint = "`pose` is the depth camera's in the colour camera's frame, in metres; is it its inverse?"
+                self.fail("SF501", ("depth", "pose"), message, hint)
+                raise SpecError(self.findings)
         return Frame(color, depth, matrix(shot.camera), masks)
 
     def color(self, shot: Shot) -> NDArray[np.uint8] | None:
-        import cv2
-
-        picture = cv2.imread(str(self.loaded.file(shot.color)), cv2.IMREAD_COLOR)
-        if picture is None:
-            self.fail("SF501", ("color",), f"{shot.color} cannot be read as a picture")
+        """Colour as RGB, the pixels as they are stored: depth, masks and intrinsics know nothing of an EXIF turn."""
+        picture = self.stored(shot.color, ("color",), mode="RGB")
+        if picture is not None and picture.shape[2:] != (3,):
+            self.fail("SF501", ("color",), f"{shot.color} is no colour picture", "give a PNG or a JPEG")
             return None
-        return np.ascontiguousarray(picture[:, :, ::-1])
+        return None if picture is None else picture.astype(np.uint8, copy=False)
 
     def depth(self, shot: Shot) -> Array | None:
         """Depth in metres, NaN where there is none."""
-        raw = self.raw(shot.depth.image, ("depth", "image"))
+        hint = "give the distances themselves: 16-bit PNG, TIFF or .npy, not a picture made for looking at"
+        raw = self.raw(shot.depth.image, ("depth", "image"), hint)
         if raw is None:
             return None
         values = raw.astype(np.float64)
@@ -90,13 +105,17 @@ class _Reader:
             return None
         metres = np.where(valid, values * shot.depth.scale, np.nan)
         usable = (metres >= NEAR) & (metres <= FAR)
-        if usable.sum() < 100:
-            median = float(np.median(values[valid]))
-            fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
+        median = float(np.median(values[valid]))
+        fitting = [s for s in UNITS if 0.2 <= median * s <= 4.0 and s != shot.depth.scale]
+        too_close = bool(fitting) and median * shot.depth.scale < CLOSEST_MEDIAN
+        if usable.sum() < USABLE_SHARE * valid.sum() or too_close:
             hint = f"its values look like {UNITS[fitting[0]]}: `scale: {fitting[0]:g}`" if fitting else "check `scale`"
-            found = f"its median is {median * shot.depth.scale:.4g} m"
-            message = f"{shot.depth.image} has nothing between {NEAR:g} m and {FAR:g} m; {found}"
-            self.fail("SF502", ("depth", "scale"), message, hint)
+            share = f"{100 * usable.sum() / valid.sum():.0f}% of {shot.depth.image} lies between {NEAR:g} and {FAR:g} m"
+            self.fail("SF502", ("depth", "scale"), f"{share}; its median is {median * shot.depth.scale:.4g} m", hint)
+            return None
+        if usable.sum() < FEWEST:
+            message = f"{shot.depth.image} has {usable.sum()} usable pixels; {FEWEST} are needed at least"
+            self.fail("SF502", ("depth", "image"), message, "check `invalid`, and that the sensor delivered depth")
             return None
         return np.where(usable, metres, np.nan)
 
@@ -104,8 +123,12 @@ class _Reader:
         """Object numbers, 0 where there is no object."""
         if shot.masks is None:
             return None
-        raw = self.raw(shot.masks.image, ("masks", "image"))
+        hint = "give each object a number of its own in one channel, not a colour"
+        raw = self.raw(shot.masks.image, ("masks", "image"), hint)
         if raw is None:
+            return None
+        if raw.dtype.kind not in "bui" or raw.max() > np.iinfo(np.int32).max:
+            self.fail("SF501", ("masks", "image"), f"{shot.masks.image} holds {raw.dtype}, not object numbers", hint)
             return None
         labels = raw.astype(np.int32)
         labels[np.isin(labels, shot.masks.background)] = 0
@@ -116,31 +139,54 @@ class _Reader:
                 )
         return labels
 
-    def raw(self, image: str, path: tuple[str, ...]) -> NDArray[np.generic] | None:
-        """A picture of one channel as it is stored."""
-        import cv2
+    def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any] | None:
+        """A picture of one channel as it is stored; ``hint`` says what it should be."""
+        picture = self.stored(image, path)
+        if picture is not None and picture.ndim != 2:
+            what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
+            self.fail("SF501", path, f"{image} has {what}; one channel is expected", hint)
+            return None
+        return picture
 
+    def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any] | None:
+        """The numbers in a picture file, converted to ``mode`` where one is asked for."""
         file = self.loaded.file(image)
-        picture = _numpy(file) if file.suffix == ".npy" else cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-        if picture is None or picture.size == 0:
-            self.fail("SF501", path, f"{image} cannot be read as a picture")
+        try:
+            picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
+        except _UnreadableError as error:
+            self.fail("SF501", path, f"{image} cannot be read as a picture: {error}", "export it again")
             return None
-        if picture.ndim != 2:
-            self.fail("SF501", path, f"{image} has {picture.shape[-1]} channels; one is expected")
+        if picture.size == 0 or picture.ndim == 0 or picture.dtype.kind not in "buif":
+            self.fail("SF501", path, f"{image} holds no picture: {picture.dtype}, shape {picture.shape}")
             return None
-        return np.asarray(picture)
+        return picture
 
     def intrinsics(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
         """The principal point lies in the picture, and the field of view is one that lenses have."""
         if not (0 <= camera.cx < width and 0 <= camera.cy < height):
             message = f"the principal point ({camera.cx:g}, {camera.cy:g}) lies outside {image}, {width} x {height}"
             self.fail("SF501", path, message, "are the intrinsics those of another resolution?")
+        else:
+            self.centre(camera, width, height, path, image)
         for key, focal, extent in (("fx", camera.fx, width), ("fy", camera.fy, height)):
             if not 0.2 * extent <= focal <= 20 * extent:
                 message = f"`{key}` {focal:g} px does not fit a picture of {extent} px"
                 self.fail("SF501", (*path, key), message, "focal lengths are in pixels of this picture")
         if not 0.5 <= camera.fx / camera.fy <= 2:
             self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
+
+    def centre(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
+        """What betrays intrinsics of another picture, or in another order, by where their principal point lies."""
+        x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
+        message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
+        if abs(x - 0.5) > 0.2 and abs(x - y) < 0.05:  # scaling moves it along the diagonal, cropping does not
+            size = f"{round(2 * camera.cx + 1)} x {round(2 * camera.cy + 1)}"
+            hint = f"they look like those of a picture of {size}; this one is {width} x {height}"
+            self.fail("SF501", path, message, hint)
+        elif (abs(x - 0.5) > 0.2 and abs(camera.fx / width - 0.5) < 0.05) or (
+            abs(y - 0.5) > 0.2 and abs(camera.fy / height - 0.5) < 0.05
+        ):
+            self.fail("SF501", path, message, "are `fx` and `cx`, or `fy` and `cy`, swapped?")
 
 
 def matrix(camera: Intrinsics) -> Array:
@@ -173,11 +219,33 @@ def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, 
     return np.where(np.isfinite(out), out, np.nan).reshape(height, width)
 
 
-def _numpy(file: Path) -> NDArray[np.generic] | None:
+class _UnreadableError(Exception):
+    """A picture file that cannot be read, and why."""
+
+
+def _numpy(file: Path) -> NDArray[Any]:
     try:
         return np.asarray(np.load(file, allow_pickle=False))
-    except (OSError, ValueError, EOFError):
-        return None
+    except (OSError, ValueError, EOFError) as error:
+        raise _UnreadableError(_first_line(error)) from None
+
+
+def _decoded(file: Path, mode: str) -> NDArray[Any]:
+    """A picture as it is stored, a palette as its indices; what is cut off or damaged is an error."""
+    from PIL import Image
+
+    try:
+        with Image.open(file) as image:
+            if mode and image.mode != mode:
+                return np.array(image.convert(mode))
+            return np.array(image)
+    except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise _UnreadableError(_first_line(error)) from None
+
+
+def _first_line(error: Exception) -> str:
+    """What a reader says, without the path, which the finding has."""
+    return " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
 
 
 def _size(picture: NDArray[np.generic] | Array) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import tempfile
@@ -17,18 +18,24 @@ from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct
-from simfoundry.files import replace_folder
+from simfoundry.errors import OutputError
+from simfoundry.files import replace_folder, strangers
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.capture import CaptureSpec
-from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.load import Loaded, load_capture, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_yaml
 from simfoundry.worlds.settle import Settled, settle
 
 Progress = Callable[[str, float], None]
+
+EXAMPLE = (
+    "write one, as `{simfoundry: capture/1, name: desk, frames: {view: {color: color.png, depth: {image: depth.png, "
+    "scale: 0.001}, camera: {fx: 610, fy: 610, cx: 319.5, cy: 239.5}}}}`; `simfoundry schema capture` prints all of it"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,15 +49,23 @@ class CaptureRun:
 
 
 def run_capture(
-    path: Path, out: Path, frame_name: str | None = None, progress: Progress | None = None, cache: Cache | None = None
+    path: Path,
+    out: Path,
+    frame_name: str | None = None,
+    progress: Progress | None = None,
+    cache: Cache | None = None,
+    force: bool = False,
 ) -> CaptureRun:
     """Reconstruct one frame of the capture document at ``path`` (or of ``capture.yaml`` in that folder) into ``out``.
 
     ``out`` is replaced in one step at the end; a run that fails leaves it as it was. Raises :class:`SpecError` with
-    every finding. Two runs write the same bytes.
+    every finding, and :class:`OutputError` where ``out`` holds files that no capture wrote, or edits, unless ``force``.
+    Two runs write the same bytes.
     """
     report_progress = progress or (lambda stage, share: None)
-    loaded = load_capture(path / "capture.yaml" if path.is_dir() else path)
+    loaded = _document(path)
+    shown, out = out, out.resolve()
+    _ensure_replaceable(out, loaded.path, force)
     assert isinstance(loaded.spec, CaptureSpec)
     frame_name = frame_name or next(iter(loaded.spec.frames))
     frame = load_frame(loaded, frame_name)
@@ -60,12 +75,50 @@ def run_capture(
     try:
         scene_name = f"{built.spec.name}.scene.yaml"
         settled = _write(built, staging / scene_name, frame, cache, report_progress)
-        report = _report(built, settled, f"{loaded.spec.name}/{frame_name}")
+        report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
         (staging / "report.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         replace_folder(staging, out)
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-    return CaptureRun(out / scene_name, built, settled, report)
+    return CaptureRun(shown / scene_name, built, settled, report)
+
+
+def _document(path: Path) -> Loaded:
+    """The capture document at ``path``, or in the folder ``path``."""
+    if not path.is_dir():
+        return load_capture(path)
+    file = path / "capture.yaml"
+    if not file.exists():
+        message = "the folder has no capture.yaml, the document that says which file is what"
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, message, str(file), hint=EXAMPLE)])
+    return load_capture(file)
+
+
+def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
+    """Raise :class:`OutputError` where replacing ``out`` would destroy the capture, or what a person made there."""
+    if document.resolve().is_relative_to(out):
+        raise OutputError(f"{out} holds the capture itself; choose another output folder")
+    if force or not out.is_dir():
+        return
+    try:
+        written: dict[str, str] = dict(json.loads((out / "report.json").read_bytes())["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        written = {}
+    foreign = strangers(out, [*written, *(["report.json"] if written else [])])
+    if foreign:
+        names = ", ".join(foreign[:3])
+        raise OutputError(f"{out} holds files that no capture wrote ({names}); choose another folder, or say --force")
+    now = _hashes(out)
+    edited = [name for name in sorted(written) if name in now and now[name] != written[name]]
+    if edited:
+        names = ", ".join(edited[:3])
+        raise OutputError(f"{out} holds edits of yours ({names}); choose another folder, or say --force to lose them")
+
+
+def _hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file in a folder but the report, by relative POSIX path."""
+    files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
+    return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
 
 def _reconstruct(loaded: Loaded, frame_name: str, frame: Frame, progress: Progress) -> Reconstruction:

@@ -16,9 +16,10 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @click.option("-t", "--target", "targets", type=click.Choice(TARGETS), multiple=True, help="Default: all four.")
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True)
 @click.option("--strict", is_flag=True, help="Exit with 1 where a target cannot keep everything.")
+@click.option("--force", is_flag=True, help="Replace target folders even where they hold files of your own.")
 @json_option
 @reporting
-def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, as_json: bool) -> int:
+def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
     """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
@@ -26,7 +27,7 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, as_j
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
-        artifacts = build(lowered, targets or TARGETS, out)
+        artifacts = build(lowered, targets or TARGETS, out, force)
     losses = {a.target: a.losses for a in artifacts}
     if as_json:
         report = {

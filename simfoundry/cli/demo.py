@@ -17,9 +17,10 @@ from simfoundry.cli.settle import settle_table
     "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/demo"), show_default=True
 )
 @click.option("--frame", help="The frame to reconstruct; default: the first.")
+@click.option("--force", is_flag=True, help="Replace the output even where it holds files or edits of your own.")
 @json_option
 @reporting
-def command(capture: Path | None, out: Path, frame: str | None, as_json: bool) -> None:
+def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
     """Capture, compile and run: from one picture to four simulators.
 
     CAPTURE is a folder with capture.yaml; without it, the project's own desk, for which the truth is known.
@@ -30,7 +31,7 @@ def command(capture: Path | None, out: Path, frame: str | None, as_json: bool) -
     if folder is None:
         raise CannotError("the project's own capture is not installed here; give a capture folder")
     with progress_bar(as_json) as progress:
-        demo = run_demo(folder, out, frame, progress)
+        demo = run_demo(folder, out, frame, progress, force)
     if as_json:
         print_json(demo.to_json())
         return

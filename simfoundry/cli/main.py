@@ -62,12 +62,17 @@ def app() -> None:
 def main() -> None:
     """Run the command line."""
     try:
-        sys.exit(app(standalone_mode=False) or 0)
+        sys.exit(app(prog_name="simfoundry", standalone_mode=False) or 0)
     except click.exceptions.Abort:
         click.echo("stopped", err=True)
         sys.exit(130)
     except click.ClickException as error:
-        error.show()
+        if "--json" in sys.argv:
+            from simfoundry.cli.output import print_json
+
+            print_json({"error": error.format_message()})
+        else:
+            error.show()
         sys.exit(2)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Any, ParamSpec
 
 import click
 
-from simfoundry.errors import MissingEngineError
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, render
 
 P = ParamSpec("P")
@@ -28,7 +29,7 @@ class CannotError(click.ClickException):
 
 
 def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
-    """Turn findings and missing engines into output and an exit code; bad input never shows a traceback."""
+    """Turn findings and what cannot be done into output and an exit code; bad input never shows a traceback."""
 
     @wraps(command)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> int:
@@ -37,8 +38,14 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
         except SpecError as error:
             print_findings(error.diagnostics, bool(kwargs.get("as_json")))
             return CANNOT
-        except MissingEngineError as error:
+        except SimfoundryError as error:
             raise CannotError(str(error)) from None
+        except ModuleNotFoundError as error:
+            raise CannotError(f"{error.name} is not installed; `simfoundry doctor` says how to get it") from None
+        except OSError as error:
+            if error.errno == errno.EPIPE:  # the reader of a pipe has seen enough; click knows what to do
+                raise
+            raise CannotError(f"{error.filename or 'a file'}: {error.strerror or error}") from None
 
     return wrapped
 

@@ -19,12 +19,13 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
     """Let a scene come to rest, and say what moved.
 
     Without -o nothing is written. The output is written in canonical form, without the comments of the input. Exit code
-    1 where an object fails: it moved, tilted, penetrates, lost its support or never came to rest.
+    1 where an object fails: it moved, tilted, topples when nudged, penetrates, lost its support, fell, or never came to
+    rest.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.files import write_atomically
     from simfoundry.scene.lower import lower
-    from simfoundry.scene.poses import with_poses
+    from simfoundry.scene.poses import with_state
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
     from simfoundry.spec.write import to_yaml
@@ -42,7 +43,7 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
             settled = settle(world, progress=lambda stage, share: progress(stage, 0.5 + 0.5 * share))
     if out is not None:
         assert isinstance(loaded.spec, SceneSpec)
-        write_atomically(out, to_yaml(with_poses(loaded.spec, settled.state.poses)).encode())
+        write_atomically(out, to_yaml(with_state(loaded.spec, lowered, settled.state)).encode())
     if as_json:
         print_json({**settled.to_json(), "out": None if out is None else str(out)})
     else:

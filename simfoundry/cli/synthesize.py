@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import CannotError, reporting
+from simfoundry.cli.output import CannotError, json_option, print_json, reporting
 
 
 @click.command()
@@ -17,20 +17,28 @@ from simfoundry.cli.output import CannotError, reporting
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensor noise.")
 @click.option("--masks", is_flag=True, help="Write instance masks too.")
+@json_option
 @reporting
-def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool) -> None:
+def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, as_json: bool) -> None:
     """Render a scene to a capture: colour and depth as a real sensor would see them, with its noise and holes."""
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.synthesize import synthesize
-    from simfoundry.scene.lower import lower_file
+    from simfoundry.scene.lower import lower
     from simfoundry.spec.diagnostics import nearest
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.scene import SceneSpec
 
-    lowered = lower_file(scene, Cache.default())
+    loaded = load_scene(scene)
+    assert isinstance(loaded.spec, SceneSpec)
+    lowered = lower(loaded, Cache.default())
     cameras = {c.name: c for c in lowered.cameras}
     if not cameras:
         raise CannotError(f"{scene} has no camera; add one under `cameras`")
-    name = camera or next(iter(cameras))
+    name = camera or loaded.spec.viewpoint or next(iter(cameras))
     if name not in cameras:
         raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
     path = synthesize(lowered, cameras[name], out, seed, masks, truth=scene)
-    click.echo(str(path))
+    if as_json:
+        print_json({"capture": str(path), "camera": name, "seed": seed})
+    else:
+        click.echo(str(path))

@@ -6,21 +6,42 @@ import math
 from collections.abc import Mapping
 
 from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.base import Pose as PoseSpec
 from simfoundry.spec.scene import SceneSpec
 
 UPRIGHT_DEG = 0.05
 """A body tilted less than this is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""
 
+STILL = 1e-4
+"""A joint that moved less than this [rad or m] stays as it is written."""
+
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
     """A pose as a person writes it: position to 0.1 mm, yaw alone where upright, roll, pitch and yaw where not."""
     x, y, z = (round(float(v), 4) + 0.0 for v in X_WO.p)
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(X_WO.q))
-    tilt = math.degrees(math.acos(min(1.0, float(X_WO.rotation[2, 2]))))
+    tilt = math.degrees(math.acos(max(-1.0, min(1.0, float(X_WO.rotation[2, 2])))))
     if tilt >= UPRIGHT_DEG:
         return PoseSpec(xyz=(x, y, z), rpy_deg=(roll, pitch, yaw))
     return PoseSpec(xyz=(x, y, z), yaw_deg=yaw) if yaw else PoseSpec(xyz=(x, y, z))
+
+
+def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
+    """The spec of ``scene`` with the poses of what is not fixed, and the joints that moved, as ``state`` has them."""
+    moved = with_poses(spec, state.poses)
+    objects = dict(moved.objects)
+    for item in scene.objects:
+        joints = dict(objects[item.name].joints)
+        for joint in item.joints:
+            position = state.joints.get(f"{item.name}.{joint.name}", joint.position)
+            if abs(position - joint.position) > STILL:
+                low, high = joint.limits or (-math.inf, math.inf)  # engines hold limits softly
+                joints[joint.name] = min(max(round(position, 4) + 0.0, low), high)
+        if joints != objects[item.name].joints:
+            objects[item.name] = objects[item.name].model_copy(update={"joints": joints})
+    return moved.model_copy(update={"objects": objects})
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:

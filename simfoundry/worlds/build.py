@@ -8,22 +8,41 @@ from pathlib import Path
 
 from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.backends.artifact import Artifact
-from simfoundry.files import write_atomically
+from simfoundry.errors import OutputError
+from simfoundry.files import strangers, write_atomically
 from simfoundry.scene.model import Scene
 
 TARGETS = tuple(sorted(BACKENDS))
 
 
-def build(scene: Scene, targets: Iterable[str], out: Path) -> list[Artifact]:
+def build(scene: Scene, targets: Iterable[str], out: Path, force: bool = False) -> list[Artifact]:
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 
-    Everything is compiled before anything is written; each folder is replaced in one step.
+    Everything is compiled before anything is written; each folder is replaced in one step. Raises
+    :class:`OutputError` where a folder holds files that no build wrote, unless ``force``.
     """
     artifacts = [compile_scene(scene, target) for target in dict.fromkeys(targets)]
+    for artifact in artifacts if not force else ():
+        _ensure_ours(out / artifact.target)
     for artifact in artifacts:
         artifact.write(out / artifact.target)
     write_atomically(out / "loss.json", loss_report(artifacts))
     return artifacts
+
+
+def _ensure_ours(folder: Path) -> None:
+    """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name."""
+    if not folder.is_dir():
+        return
+    manifest = folder / "manifest.json"
+    try:
+        written = list(json.loads(manifest.read_bytes())["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        written = []
+    foreign = strangers(folder, [*written, *(["manifest.json"] if written else [])])
+    if foreign:
+        names = ", ".join(foreign[:3])
+        raise OutputError(f"{folder} holds files that no build wrote ({names}); choose another folder, or say --force")
 
 
 def loss_report(artifacts: Iterable[Artifact]) -> bytes:

@@ -8,6 +8,8 @@ import sys
 from enum import StrEnum
 from functools import cache
 
+from simfoundry.errors import SimfoundryError
+
 _PROBE = """
 import importlib, mujoco
 gl = importlib.import_module("mujoco.{engine}").GLContext(64, 64)
@@ -26,7 +28,7 @@ class Engine(StrEnum):
     RAYCAST = "raycast"
 
 
-class RenderError(Exception):
+class RenderError(SimfoundryError):
     """A picture cannot be drawn as asked; the message says why and what to do."""
 
 

@@ -4,7 +4,8 @@ First as the paper does it ("Object Depenetration and Physical Stability"): phys
 zero after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is
 at rest, because a body that topples slowly looks still in the first phase. Where that does not end, because something
 rolls away or falls off the edge, it is tried once more from the same poses, with the motion taken out again and again:
-what cannot stand as it was fitted then falls over and lies where it stood.
+what cannot stand as it was fitted then falls over and lies where it stood. What still stands, but on less than a foot,
+is nudged, because a simulator balances a pencil on its tip for ever.
 """
 
 from __future__ import annotations
@@ -16,14 +17,33 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import SceneObject, Sphere
 from simfoundry.scene.state import SceneState
+from simfoundry.scene.summary import world_bounds
 from simfoundry.worlds.base import Contact, World
 
 Progress = Callable[[str, float], None]
 
 UPWARD = 0.5
 """A contact carries what lies above it if its normal points up by at least this much."""
+
+STEEP = 0.02
+"""Contacts that point up by at least this much hold a thing where none carries it: between the walls of a vessel."""
+
+FALLEN = 0.3
+"""What is this far [m] below everything that the scene began with has fallen off it."""
+
+NUDGE_DEG = 0.5
+"""How far a thing is tilted to see whether it stays: less than the lean of any shelf or hand-set table."""
+
+NUDGE_S = 1.5
+TOPPLED = 0.1
+"""A nudged thing topples if its centre of mass loses this share of its height over the lowest point."""
+
+FOOT = 0.001
+"""Contacts nearer to the centre of mass than this [m], seen from above, give no foothold."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +75,8 @@ class ObjectSettle:
 
     ``penetration_before`` and ``penetration_after`` [m] are its deepest contacts, ``drift`` [m] is how far it moved
     from its fitted pose, ``tilt_deg`` how far its up axis turned, ``turn_deg`` how far it turned at all. ``supports``
-    names what carries it now; ``support_kept`` is False where an ``OnTop`` of the scene no longer holds.
+    names what carries it now; ``support_kept`` is False where an ``OnTop`` of the scene no longer holds. What fell off
+    the scene has no pose worth keeping, so it keeps its fitted one.
     """
 
     name: str
@@ -100,33 +121,99 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     before, contacts_before = world.state(), world.contacts()
     _quasi_static(world, options, progress)
     opened = world.state()
-    at_rest = _dynamic(world, options, progress)
-    if not at_rest:
+    restless = _dynamic(world, options, progress)
+    if restless or _fallen(world, world.state()):
         world.reset(opened)
         _damped(world, options, progress)
-        at_rest = _dynamic(world, options, progress)
+        restless = _dynamic(world, options, progress)
     world.halt()
-    after, contacts_after = world.state(), world.contacts()
-    reports = tuple(
-        _report(world, item.name, before, after, contacts_before, contacts_after, options)
-        for item in world.scene.objects
-        if not item.fixed
-    )
-    return Settled(after, reports, at_rest)
+    end, contacts_after = world.state(), world.contacts()
+    fallen = _fallen(world, end)
+    after = SceneState.of({n: before.poses[n] if n in fallen else p for n, p in end.poses.items()}, end.joints)
+    standing = [o for o in world.scene.objects if not o.fixed and o.name not in fallen | restless]
+    shaky = [o for o in standing if not _is_ball(o) and not _has_foot(o, after.poses[o.name], contacts_after)]
+    toppling = {o.name for o in shaky if _topples(world, after, o)}
+    if fallen or toppling:
+        world.reset(after)
+    reports = []
+    for item in world.scene.objects:
+        if not item.fixed:
+            problems = _what_happened(item.name, restless, fallen, toppling)
+            reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
+    return Settled(after, tuple(reports), not restless and not fallen)
 
 
-def motion(before: SceneState, after: SceneState) -> tuple[float, float]:
-    """The largest displacement [m] and rotation [rad] of any object between two states."""
-    moved = [float(np.linalg.norm(after.poses[n].p - before.poses[n].p)) for n in before.poses]
-    turned = [after.poses[n].angle_to(before.poses[n]) for n in before.poses]
-    return max(moved, default=0.0), max(turned, default=0.0)
-
-
-def supporters(name: str, contacts: list[Contact]) -> tuple[str, ...]:
-    """The objects that carry ``name``: those it touches from above."""
-    below = {c.a for c in contacts if c.b == name and c.normal[2] >= UPWARD}
-    below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -UPWARD}
+def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
+    """The objects that carry ``name``: those it touches from above, at normals that point up by ``upward``."""
+    below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
+    below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
     return tuple(sorted(below))
+
+
+def _restless(before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
+    """The objects that moved, turned, or moved a joint between two states."""
+    out = {
+        name
+        for name, start in before.poses.items()
+        if float(np.linalg.norm(after.poses[name].p - start.p)) > options.still_m
+        or after.poses[name].angle_to(start) > options.still_rad
+    }
+    moved = (j for j, start in before.joints.items() if abs(after.joints[j] - start) > options.still_rad)
+    return out | {joint.split(".")[0] for joint in moved}
+
+
+def _fallen(world: World, state: SceneState) -> set[str]:
+    """The objects that are below everything that the scene began with."""
+    scene = world.scene
+    floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in scene.objects), default=0.0) - FALLEN
+    return {o.name for o in scene.objects if not o.fixed and state.poses[o.name].p[2] < floor}
+
+
+def _center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
+    """In the world [m], shape (3,), with the joints as the scene has them."""
+    poses = link_poses(item)
+    masses = np.array([link.mass for link in item.links])
+    centers = np.array([poses[link.name].apply(link.com) for link in item.links])
+    return X_WO.apply(masses @ centers / masses.sum())
+
+
+def _has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
+    """Whether contacts from below lie all around the centre of mass."""
+    center = _center_of_mass(item, X_WO)
+    below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
+    offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
+    offsets = offsets[np.linalg.norm(offsets, axis=1) > FOOT]
+    if len(offsets) < 3:
+        return False
+    angles = np.sort(np.arctan2(offsets[:, 1], offsets[:, 0]))
+    return float(np.diff(angles, append=angles[0] + 2 * np.pi).max()) < np.pi
+
+
+def _topples(world: World, state: SceneState, item: SceneObject) -> bool:
+    """Whether an object falls over when it is let go slightly tilted, to either of two sides. It may well roll."""
+    X_WO = state.poses[item.name]
+    low, high = world_bounds(item, X_WO)
+    height = float(_center_of_mass(item, X_WO)[2])
+    angle = math.radians(NUDGE_DEG)
+    lift = float(np.linalg.norm((high - low)[:2])) / 2 * math.sin(angle)
+    fell = False
+    for roll, pitch in ((angle, 0.0), (0.0, angle)):
+        turned = Pose.of(q=quat_from_rpy(roll, pitch, 0.0)) @ Pose.of(q=X_WO.q)
+        tilted = Pose.of(X_WO.p + np.array([0.0, 0.0, lift]), turned.q)
+        world.reset(SceneState.of({**state.poses, item.name: tilted}, state.joints))
+        world.step(round(NUDGE_S / world.timestep))
+        after = float(_center_of_mass(item, world.state().poses[item.name])[2])
+        fell = fell or height - after > TOPPLED * (height - float(low[2]))
+    world.reset(state)
+    return fell
+
+
+def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: set[str]) -> list[str]:
+    if name in fallen:
+        return ["fell off the scene; it keeps its fitted pose"]
+    if name in restless:
+        return ["never came to rest"]
+    return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
 def _quasi_static(world: World, options: SettleOptions, progress: Progress | None) -> None:
@@ -138,28 +225,30 @@ def _quasi_static(world: World, options: SettleOptions, progress: Progress | Non
             world.halt()
         elapsed += steps * world.timestep
         now = world.state()
-        moved, turned = motion(last, now)
+        restless = _restless(last, now, options) - _fallen(world, now)
         last = now
         if progress is not None:
             progress("depenetrate", elapsed / options.max_quasi_static_s)
-        if moved <= options.still_m and turned <= options.still_rad:
+        if not restless:
             return
 
 
-def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> bool:
+def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> set[str]:
+    """Real dynamics; returns the objects that never came to rest, without those that fell off the scene."""
     steps = max(1, round(options.rest_s / world.timestep))
     elapsed, last = 0.0, world.state()
+    restless: set[str] = set()
     while elapsed < options.max_dynamic_s:
         world.step(steps)
         elapsed += steps * world.timestep
         now = world.state()
-        moved, turned = motion(last, now)
+        restless = _restless(last, now, options) - _fallen(world, now)
         last = now
         if progress is not None:
             progress("rest", elapsed / options.max_dynamic_s)
-        if elapsed >= options.min_dynamic_s and moved <= options.still_m and turned <= options.still_rad:
-            return True
-    return False
+        if elapsed >= options.min_dynamic_s and not restless:
+            break
+    return restless
 
 
 def _damped(world: World, options: SettleOptions, progress: Progress | None) -> None:
@@ -173,23 +262,26 @@ def _damped(world: World, options: SettleOptions, progress: Progress | None) -> 
             world.halt()
         elapsed += per_rest * steps * world.timestep
         now = world.state()
-        moved, turned = motion(last, now)
+        restless = _restless(last, now, options) - _fallen(world, now)
         last = now
         if progress is not None:
             progress("calm", elapsed / options.max_damped_s)
-        if moved <= options.still_m and turned <= options.still_rad:
+        if not restless:
             return
 
 
 def _report(
     world: World,
-    name: str,
+    item: SceneObject,
     before: SceneState,
     after: SceneState,
     contacts_before: list[Contact],
     contacts_after: list[Contact],
     options: SettleOptions,
+    problems: list[str],
 ) -> ObjectSettle:
+    """The facts of one object; ``problems`` are those known already."""
+    name = item.name
     start, end = before.poses[name], after.poses[name]
     drift = float(np.linalg.norm(end.p - start.p))
     tilt = _tilt_deg(start, end)
@@ -197,16 +289,15 @@ def _report(
     carried_by = supporters(name, contacts_after)
     wanted = [r.args[1] for r in world.scene.relations if r.predicate == "OnTop" and r.args[0] == name]
     kept = all(w in carried_by for w in wanted)
-    problems = []
     if drift > options.max_drift_m:
         problems.append(f"moved {drift * 100:.1f} cm from its fitted pose")
-    if tilt > options.max_tilt_deg:
+    if tilt > options.max_tilt_deg and not _is_ball(item):
         problems.append(f"tilted {tilt:.0f} deg")
     if penetration > options.max_penetration_m:
         problems.append(f"still penetrates by {penetration * 1000:.1f} mm")
     if not kept:
         problems.append(f"no longer on {', '.join(w for w in wanted if w not in carried_by)}")
-    if not carried_by:
+    if not supporters(name, contacts_after, STEEP):
         problems.append("rests on nothing")
     return ObjectSettle(
         name=name,
@@ -223,6 +314,12 @@ def _report(
 
 def _deepest(name: str, contacts: list[Contact]) -> float:
     return max((c.depth for c in contacts if name in (c.a, c.b)), default=0.0)
+
+
+def _is_ball(item: SceneObject) -> bool:
+    """Whether it is one sphere about its frame, which has no up side."""
+    parts = [c for link in item.links for c in link.colliders]
+    return len(parts) == 1 and isinstance(parts[0].geometry, Sphere) and not parts[0].X_LG.p.any()
 
 
 def _tilt_deg(start: Pose, end: Pose) -> float:

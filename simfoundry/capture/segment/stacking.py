@@ -37,7 +37,7 @@ def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Pa
     pixel_area = depth**2 / (K[0, 0] * K[1, 1])
     out = []
     for label in range(1, int(labels.max()) + 1):
-        mask = labels == label
+        mask = (labels == label) & np.isfinite(depth)  # given masks cover pixels without depth too
         points = points_W[mask]
         bottom, top = np.quantile(points[:, 2], [0.02, 0.98]) if len(points) else (0.0, 0.0)
         out.append(Part(label, float(bottom), float(top), float(pixel_area[mask].sum()), points))

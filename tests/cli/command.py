@@ -1,0 +1,85 @@
+"""Call the command line as a shell would, in this process or in one of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from simfoundry.cli.main import main
+from tests.conftest import REPOSITORY
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """Standard output, which must be one JSON value and nothing else."""
+        return json.loads(self.out)
+
+    def one_line(self, *parts: str) -> str:
+        """The only line on standard error that holds all parts."""
+        lines = [line for line in self.err.splitlines() if all(p in line for p in parts)]
+        assert len(lines) == 1, self.err
+        return lines[0]
+
+
+def run(*args: str | Path) -> Done:
+    """Run ``simfoundry`` with ``args`` in this process; an exception that it lets through fails the test."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", ["simfoundry", *map(str, args)]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            main()
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return Done(code, out.getvalue(), err.getvalue())
+
+
+def python(code: str, *args: str | Path, **env: str) -> Done:
+    """Run a Python program in a process of its own, this project importable and nothing a terminal."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, args)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), **env},
+    )
+    return Done(done.returncode, done.stdout, done.stderr)
+
+
+MAIN = "import sys; from simfoundry.cli.main import main; sys.argv[0] = 'simfoundry'; main()"
+
+BLOCKED = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in {names!r}:
+            raise ModuleNotFoundError(f'No module named {{name!r}}', name=name)
+
+sys.meta_path.insert(0, Absent())
+"""
+
+
+def without(*names: str) -> str:
+    """A program that is ``simfoundry`` where the packages ``names`` are not installed."""
+    return BLOCKED.format(names=set(names)) + MAIN
