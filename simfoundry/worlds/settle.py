@@ -51,8 +51,8 @@ class SettleOptions:
     """When the phases end and what counts as passed.
 
     The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where the
-    motion is damped, it is taken out every ``damped_s``.
+    ``window_s``, the others when the same holds over ``rest_s``; none goes on longer than its ``max``. The damped phase
+    takes the motion out every ``damped_s``.
     """
 
     window_s: float = 0.1
