@@ -51,8 +51,8 @@ class SettleOptions:
     """When the phases end and what counts as passed.
 
     The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where the
-    motion is damped, it is taken out every ``damped_s``.
+    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where
+    the motion is damped, it is taken out every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -97,11 +97,16 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """The poses at rest, what happened to each free object, and whether all of it came to rest in time."""
+    """The poses at rest, what happened to each free object, and which never came to rest or fell off the scene."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
-    at_rest: bool
+    lost: tuple[str, ...]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether everything came to rest on something."""
+        return not self.lost
 
     @property
     def passed(self) -> bool:
@@ -140,7 +145,7 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
         if not item.fixed:
             problems = _what_happened(item.name, restless, fallen, toppling)
             reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
-    return Settled(after, tuple(reports), not restless and not fallen)
+    return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
