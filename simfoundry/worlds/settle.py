@@ -51,8 +51,8 @@ class SettleOptions:
     """When the phases end and what counts as passed.
 
     The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the others when the same holds over ``rest_s``; none goes on longer than its ``max``. The damped phase
-    takes the motion out every ``damped_s``.
+    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where
+    the motion is damped, it is taken out every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -97,11 +97,16 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """The poses at rest, what happened to each free object, and whether all of it came to rest in time."""
+    """The poses at rest, what happened to each free object, and which never came to rest or fell off the scene."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
-    at_rest: bool
+    lost: tuple[str, ...]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether everything came to rest on something."""
+        return not self.lost
 
     @property
     def passed(self) -> bool:
@@ -119,12 +124,12 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     options = options or SettleOptions()
     world.reset()
     before, contacts_before = world.state(), world.contacts()
-    _quasi_static(world, options, progress)
+    _slowed(world, 0.0, options.window_s, options.max_quasi_static_s, options, _stage(progress, "depenetrate"))
     opened = world.state()
     restless = _dynamic(world, options, progress)
     if restless or _fallen(world, world.state()):
         world.reset(opened)
-        _damped(world, options, progress)
+        _slowed(world, options.damped_s, options.rest_s, options.max_damped_s, options, _stage(progress, "calm"))
         restless = _dynamic(world, options, progress)
     world.halt()
     end, contacts_after = world.state(), world.contacts()
@@ -140,7 +145,7 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
         if not item.fixed:
             problems = _what_happened(item.name, restless, fallen, toppling)
             reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
-    return Settled(after, tuple(reports), not restless and not fallen)
+    return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
@@ -216,21 +221,31 @@ def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: se
     return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
-def _quasi_static(world: World, options: SettleOptions, progress: Progress | None) -> None:
-    steps = max(1, round(options.window_s / world.timestep))
+def _slowed(
+    world: World, halt_s: float, window_s: float, most_s: float, options: SettleOptions, report: Callable[[float], None]
+) -> None:
+    """Dynamics in which nothing gathers speed, until nothing moved over ``window_s``: a fall is slow, a roll ends.
+
+    All velocities are set to zero every ``halt_s``, at least one step apart.
+    """
+    steps = max(1, round(halt_s / world.timestep))
+    halts = max(1, round(window_s / (steps * world.timestep)))
     elapsed, last = 0.0, world.state()
-    while elapsed < options.max_quasi_static_s:
-        for _ in range(steps):
-            world.step()
+    while elapsed < most_s:
+        for _ in range(halts):
+            world.step(steps)
             world.halt()
-        elapsed += steps * world.timestep
+        elapsed += halts * steps * world.timestep
         now = world.state()
         restless = _restless(last, now, options) - _fallen(world, now)
         last = now
-        if progress is not None:
-            progress("depenetrate", elapsed / options.max_quasi_static_s)
+        report(elapsed / most_s)
         if not restless:
             return
+
+
+def _stage(progress: Progress | None, name: str) -> Callable[[float], None]:
+    return lambda share: None if progress is None else progress(name, share)
 
 
 def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> set[str]:
@@ -249,25 +264,6 @@ def _dynamic(world: World, options: SettleOptions, progress: Progress | None) ->
         if elapsed >= options.min_dynamic_s and not restless:
             break
     return restless
-
-
-def _damped(world: World, options: SettleOptions, progress: Progress | None) -> None:
-    """Dynamics in which nothing gathers speed: a fall is slow and a roll ends."""
-    steps = max(1, round(options.damped_s / world.timestep))
-    per_rest = max(1, round(options.rest_s / (steps * world.timestep)))
-    elapsed, last = 0.0, world.state()
-    while elapsed < options.max_damped_s:
-        for _ in range(per_rest):
-            world.step(steps)
-            world.halt()
-        elapsed += per_rest * steps * world.timestep
-        now = world.state()
-        restless = _restless(last, now, options) - _fallen(world, now)
-        last = now
-        if progress is not None:
-            progress("calm", elapsed / options.max_damped_s)
-        if not restless:
-            return
 
 
 def _report(
