@@ -84,7 +84,7 @@ def _table(table: Table, eye: Array, rays: Array) -> Array:
 
 def _box(box: Box, eye: Array, rays: Array) -> Array:
     c, s = np.cos(box.yaw), np.sin(box.yaw)
-    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])  # noqa: N806
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     origin, direction = (eye - np.array(box.center)) @ R, rays @ R
     half = np.array(box.size) / 2
     with np.errstate(divide="ignore"):

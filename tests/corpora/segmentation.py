@@ -65,7 +65,7 @@ def _image(path: Path, mode: int) -> NDArray[np.integer[Any]]:
 def registered(sensor: Frame, X_CD: Pose, K: Array, shape: tuple[int, ...]) -> Array:
     """Depth [m] of a separate sensor as the colour camera would see it; each reading covers its pixel's whole area."""
     v, u = np.nonzero(np.isfinite(sensor.depth))
-    z, depth_K = sensor.depth[v, u], sensor.K  # noqa: N806
+    z, depth_K = sensor.depth[v, u], sensor.K
     out = np.full(shape, np.inf)
     for du in (-0.34, 0.0, 0.34):
         for dv in (-0.34, 0.0, 0.34):

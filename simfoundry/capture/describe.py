@@ -1,0 +1,126 @@
+"""What was fitted, in the words of a spec: objects, support, camera, materials, and the files of their meshes."""
+
+from __future__ import annotations
+
+from simfoundry.assets import mass
+from simfoundry.capture.annotate import SUPPORT, Substance, kind_of
+from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.shapes.fit import FittedShape
+from simfoundry.capture.support import Thickness
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.meshfile import obj_with_material
+from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
+from simfoundry.scene.poses import pose_spec
+from simfoundry.scene.tessellate import tessellate
+from simfoundry.spec.base import (
+    BoxShape,
+    CameraPose,
+    CylinderShape,
+    Estimate,
+    Lathe,
+    LatheShape,
+    Material,
+    Origin,
+    Prism,
+    PrismShape,
+    Round,
+    Shape,
+    SphereShape,
+)
+from simfoundry.spec.base import Pose as PoseSpec
+from simfoundry.spec.scene import CameraSpec, ObjectSpec
+
+SUPPORT_NAME = "table"
+
+
+def support_spec(capture: str, support: Support, slab: Thickness) -> ObjectSpec:
+    """The support as a fixed prism whose top is at z = 0."""
+    outline = tuple((metres(x), metres(y)) for x, y in support.outline)
+    note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
+    return ObjectSpec(
+        category="table",
+        fixed=True,
+        shape=PrismShape(prism=Prism(outline=outline, height=slab.value)),
+        visual=f"meshes/{SUPPORT_NAME}.obj",
+        material=SUPPORT.name,
+        pose=PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
+        origin=Origin(capture=capture, fit=metres(support.residual), note=note),
+    )
+
+
+def object_spec(
+    capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: Substance, color: tuple[float, float, float]
+) -> ObjectSpec:
+    """A fitted object: its shape, or its mesh where no shape can hold it, with an estimated mass and its origin."""
+    primitive = _shape_spec(shape)
+    surface = tessellate(shape.geometry)
+    volume = mass.mesh(surface.vertices, surface.faces).volume
+    kilograms = [_significant(volume * d) for d in (substance.density, substance.lowest, substance.highest)]
+    low, high = min(kilograms[0], kilograms[1]), max(kilograms[0], kilograms[2])
+    return ObjectSpec(
+        category=kind_of(shape.geometry, shape.hollow).value,
+        shape=primitive,
+        asset=None if primitive is not None else f"meshes/{name}.obj",
+        visual=f"meshes/{name}.obj" if primitive is not None else None,
+        material=substance.name,
+        color=_rgb(color) if mesh.texture is None else None,
+        mass=Estimate(value=kilograms[0], range=(low, high), by="material_table"),
+        pose=pose_spec(shape.X_WO),
+        origin=Origin(capture=capture, fit=metres(shape.fit_m), confidence=round(shape.confidence, 2)),
+    )
+
+
+def _shape_spec(shape: FittedShape) -> Shape | None:
+    """The shape as a spec writes it, None where only a mesh can hold it."""
+    geometry = shape.geometry
+    if shape.profile is not None:
+        return LatheShape(lathe=Lathe(profile=tuple((metres(r), metres(z)) for r, z in shape.profile)))
+    match geometry:
+        case Box():
+            x, y, z = (metres(v) for v in geometry.size)
+            return BoxShape(box=(x, y, z))
+        case Cylinder():
+            return CylinderShape(cylinder=Round(radius=metres(geometry.radius), height=metres(geometry.height)))
+        case Sphere():
+            return SphereShape(sphere=metres(geometry.radius))
+    return None
+
+
+def camera_spec(frame: Frame, support: Support) -> CameraSpec:
+    """The camera that took the picture."""
+    height, width = frame.depth.shape
+    X_WC: Pose = support.X_WC
+    x, y, z = (metres(v) for v in X_WC.p)
+    qw, qx, qy, qz = (round(float(v), 6) for v in X_WC.q)
+    return CameraSpec(
+        size=(width, height),
+        fx=round(float(frame.K[0, 0]), 3),
+        fy=round(float(frame.K[1, 1]), 3),
+        cx=round(float(frame.K[0, 2]), 3),
+        cy=round(float(frame.K[1, 2]), 3),
+        pose=CameraPose(xyz=(x, y, z), quat_wxyz=(qw, qx, qy, qz)),
+    )
+
+
+def material_spec(substance: Substance) -> Material:
+    """A row of the material table."""
+    return Material(density=substance.density, friction=substance.friction)
+
+
+def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
+    """The files of a mesh below the folder of the scene, by relative path."""
+    return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
+
+
+def metres(value: float) -> float:
+    """A length to a tenth of a millimetre, finer than any sensor here."""
+    return round(float(value), 4)
+
+
+def _significant(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _rgb(color: tuple[float, float, float]) -> tuple[float, float, float]:
+    r, g, b = (round(float(c), 2) for c in color)
+    return r, g, b

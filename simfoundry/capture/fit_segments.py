@@ -1,0 +1,90 @@
+"""Every segment to a solid: what carries is fitted before what it carries, which stands on its top."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.errors import CaptureError
+from simfoundry.capture.frame import Frame, Segmentation, Support
+from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.scene.tessellate import tessellate
+
+Progress = Callable[[str, float], None]
+
+SUNK = 0.03
+"""What stands on something is not seen lower than this below its top [m]; fits of tops err by a centimetre or two."""
+
+DOUBTFUL = 0.05
+"""A fit of less confidence than this explains next to nothing of what was seen."""
+
+CARRIED = 0.25
+"""Share of an object's seen points that lie above what carries it."""
+
+EDGE = 0.01
+"""How far they may lie beyond its edge [m]."""
+
+
+def fit_segments(
+    frame: Frame, support: Support, segmentation: Segmentation, report: Progress
+) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
+    """Fit every segment, those that carry first; with what each stands on, 0 for the support."""
+    shapes: dict[int, FittedShape] = {}
+    carriers: dict[int, int] = {}
+    skipped: list[str] = []
+    order = _bottom_up(segmentation)
+    for done, k in enumerate(order):
+        report(f"shape {k}", done / max(len(order), 1))
+        carriers[k] = _carrier(frame, support, segmentation, shapes, k)
+        base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
+        try:
+            shape = fit_shape(frame, support, segmentation.labels == k, base_z, labels=segmentation.labels)
+        except CaptureError as error:
+            skipped.append(f"segment {k}: {error.message}")
+            continue
+        if shape.confidence < DOUBTFUL:
+            skipped.append(f"segment {k}: no shape explains it (confidence {shape.confidence:.2f})")
+        else:
+            shapes[k] = shape
+    return dict(sorted(shapes.items())), carriers, tuple(skipped)
+
+
+def _bottom_up(segmentation: Segmentation) -> list[int]:
+    """Object numbers so that each comes after what it stands on."""
+    numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
+
+    def level(k: int, seen: frozenset[int] = frozenset()) -> int:
+        on = segmentation.supports.get(k, 0)
+        return 0 if on == 0 or k in seen else 1 + level(on, seen | {k})
+
+    return sorted(numbers, key=lambda k: (level(k), k))
+
+
+def _carrier(frame: Frame, support: Support, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int) -> int:
+    """The fitted object that ``k`` stands on, 0 for the support.
+
+    What the picture suggests is believed only if the carrier's solid lies below a good part of what is seen of ``k``:
+    a foot that is merely hidden by a neighbour does not stand on it.
+    """
+    import shapely
+
+    on = segmentation.supports.get(k, 0)
+    if on not in shapes:
+        return 0
+    seen = support.X_WC.apply(frame.points[(segmentation.labels == k) & np.isfinite(frame.depth)])
+    if not len(seen) or np.percentile(seen[:, 2], 5) < _top(shapes[on]) - SUNK:
+        return 0
+    below = shapely.MultiPoint(footprint(shapes[on])).convex_hull.buffer(EDGE)
+    return on if shapely.contains(below, shapely.points(seen[:, :2])).mean() >= CARRIED else 0
+
+
+def footprint(shape: FittedShape) -> NDArray[np.float64]:
+    """Corners of a fitted shape seen from above, in world xy [m], shape (n, 2)."""
+    return shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, :2]
+
+
+def _top(shape: FittedShape) -> float:
+    """Height of the highest point of a fitted shape above the support [m]."""
+    return float(shape.X_WO.apply(tessellate(shape.geometry).vertices)[:, 2].max())
