@@ -55,7 +55,8 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
-    matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(distance)), strict=True))
+    # Beyond the limit all are equally wrong: else an object that was not found would take a neighbour's match.
+    matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(np.minimum(distance, SAME_OBJECT))), strict=True))
     out = []
     for k, item in enumerate(real):
         j = matches.get(k)
