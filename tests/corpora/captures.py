@@ -112,9 +112,12 @@ def _print(rows: Sequence[Row], bars: Sequence[Bar]) -> None:
     print(text_table(rows, COLUMNS))
     print()
     print(totals_table(bars))
-    failures = [line for row in rows for line in row.failures]
-    if failures:
-        print("\n" + "\n".join(failures))
+    for heading, lines in (
+        ("failures", [line for row in rows for line in row.failures]),
+        ("without a bar, but worth knowing", [line for row in rows for line in row.notes]),
+    ):
+        if lines:
+            print("\n".join(["", f"{heading}:", *lines]))
     loads = [row.load for row in rows]
     print(f"\nload of this machine meanwhile: {min(loads):.1f} to {max(loads):.1f} on {os.cpu_count()} cores")
 

@@ -15,7 +15,7 @@ from simfoundry.scene.model import Scene
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.load import load_capture
 from simfoundry.worlds.build import TARGETS, build
-from tests.corpora.captures import totals
+from tests.corpora.captures import main, totals
 from tests.corpora.realtables import consumers, worlds
 from tests.corpora.realtables.commands import different_files, environment, run
 from tests.corpora.realtables.documents import SETS, RealCapture, real_captures, write_document
@@ -167,6 +167,16 @@ def test_a_falling_object_is_restless(engine: str) -> None:
     assert worlds.rest(raised, engine, 0.01, 5.0).restless[0].startswith("block moved 7.")
 
 
+def test_pictures_that_are_not_there_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["captures", "--data", str(tmp_path)])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    assert stopped.value.code == 2
+    assert f"there is no posecnn_demo, mosd_dev, graspnet6dof, m3t_desk in {tmp_path}" in capsys.readouterr().err
+
+
 def rows(counts: list[tuple[int, int]], seconds: float = 10.0, iou: float = 0.9) -> list[Row]:
     cells = {column: Cell("", True) for column in COLUMNS if column not in ("objects", "IoU", "cpu", "settled")}
     return [
@@ -195,4 +205,7 @@ def test_a_capture_that_failed_fails_what_it_could_not_show() -> None:
     table = [*rows([(3, 3)] * 11), broken]
     assert {"check", "twice", "MuJoCo 2 s"} <= set(failing(table))
     assert broken.failures == ["mosd_dev_x, seconds: exit code 2: no support"]
+    assert Row("x", {"settled": Cell("1 of 2", None, "cup tilted"), "MB": Cell("3", True)}).notes == [
+        "x, settled: cup tilted"
+    ]
     assert text_table(table, COLUMNS).splitlines()[-1].split()[:4] == ["mosd_dev_x", "2.0", "FAIL", "-"]

@@ -109,21 +109,22 @@ def _captured(proof: Proof) -> bool:
 
 
 def _objects(proof: Proof) -> Cell:
-    """How many became objects, and how well they cover what people marked; counts have a bar in the totals only."""
+    """How many became objects, and how well the segments cover what people marked; the bars are in the totals."""
     report = _report(proof)
-    found, skipped = len(report["objects"]), len(report["skipped"])
+    found, left_out = len(report["objects"]), len(report["skipped"])
+    figure, why = f"{found} + {left_out} left out" if left_out else str(found), "; ".join(report["skipped"])
     labels_true = truth.true_labels(proof.capture)
     if labels_true is None:
         proof.measures = replace(proof.measures, objects_found=found)
-        return Cell(str(found), False if skipped else None, "; ".join(report["skipped"]))
+        return Cell(figure, None, why)
     labels = truth.found_labels(proof.document)
-    if truth.count(labels) != found + skipped:
-        return Cell(str(found), False, f"{truth.count(labels)} segments in this process, {found} objects in the run")
+    if truth.count(labels) != found + left_out:
+        return Cell(figure, False, f"{truth.count(labels)} segments in this process, {figure} in the run")
     overlaps = tuple(truth.overlaps(labels_true, labels))
     count = truth.count(labels_true)
     proof.measures = replace(proof.measures, objects_true=count, objects_found=found, overlaps=overlaps)
     proof.cells["IoU"] = Cell(f"{sum(overlaps) / len(overlaps):.3f}" if overlaps else "none")
-    return Cell(f"{found} of {count}", False if skipped else None, "; ".join(report["skipped"]))
+    return Cell(f"{figure} of {count}", None, why)
 
 
 def _sizes(scene: Scene, proof: Proof) -> Cell:
@@ -146,8 +147,9 @@ def _sizes(scene: Scene, proof: Proof) -> Cell:
 def _settled(proof: Proof) -> Cell:
     """What the run itself reports of settling; a report and no bar, since what counts is that objects rest."""
     objects = _report(proof)["objects"]
-    passed = sum(o["settle"]["passed"] for o in objects.values())
-    return Cell(f"{passed} of {len(objects)}")
+    problems = {name: o["settle"]["problems"] for name, o in objects.items() if not o["settle"]["passed"]}
+    why = "; ".join(f"{name} {', '.join(said)}" for name, said in problems.items())
+    return Cell(f"{len(objects) - len(problems)} of {len(objects)}", None, why)
 
 
 def _checked(proof: Proof) -> Cell:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure and whether it meets its bar, with the reason if not; ``passed`` is None where totals have the bar."""
+    """A figure and whether it meets its bar, with the reason if not; ``passed`` is None where the row has no bar."""
 
     figure: str
     passed: bool | None = None
@@ -42,6 +42,11 @@ class Row:
     def failures(self) -> list[str]:
         """A line for every cell that fails."""
         return [f"{self.name}, {column}: {c.why or c.figure}" for column, c in self.cells.items() if c.passed is False]
+
+    @property
+    def notes(self) -> list[str]:
+        """A line for every cell that has no bar but something to say."""
+        return [f"{self.name}, {column}: {c.why}" for column, c in self.cells.items() if c.passed is None and c.why]
 
 
 @dataclass(frozen=True)
