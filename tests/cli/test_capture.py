@@ -62,7 +62,8 @@ def test_capture_works_without_pybullet(folder: Path, first: Done) -> None:
     assert (folder / "out" / "compare.png").is_file() and (folder / "out" / "report.json").is_file()
 
 
-def test_a_killed_run_leaves_the_earlier_output_whole(folder: Path, first: Done) -> None:
+@pytest.mark.usefixtures("first")
+def test_a_killed_run_leaves_the_earlier_output_whole(folder: Path) -> None:
     """Killed at several moments, the last of them when its own output is being written."""
     before = tree(folder / "out")
     for delay in (0.3, 0.9, None):
@@ -86,7 +87,8 @@ def _killed(folder: Path, delay: float | None) -> None:
     assert process.returncode == -signal.SIGKILL
 
 
-def test_running_again_replaces_what_a_run_wrote(folder: Path, first: Done) -> None:
+@pytest.mark.usefixtures("first")
+def test_running_again_replaces_what_a_run_wrote(folder: Path) -> None:
     before = tree(folder / "out")
     done = python(MAIN, "capture", folder / "capture", "-o", folder / "out", SIMFOUNDRY_CACHE=str(folder / "cache"))
     assert done.code == 0 and done.err == "" and "[ok]" in done.out

@@ -47,14 +47,15 @@ def bad(tmp_path: Path) -> Path:
 
 def test_a_good_scene_gives_0_and_json_everywhere(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    for args in (
+    calls: tuple[list[str | Path], ...] = (
         ["check", scene],
         ["show", scene],
         ["settle", scene],
         ["compile", scene, "-o", out / "build"],
         ["render", scene, "--engine", "raycast", "-o", out / "a.png"],
         ["synthesize", scene, "-o", out / "capture"],
-    ):
+    )
+    for args in calls:
         done = run(*args, "--json")
         assert (done.code, done.err) == (0, ""), (args, done)
         assert isinstance(done.json, dict)
@@ -66,7 +67,7 @@ def test_a_good_scene_gives_0_and_json_everywhere(scene: Path, tmp_path: Path) -
 
 @pytest.mark.parametrize("command", ["show", "settle", "compile", "render", "synthesize"])
 def test_a_bad_scene_gives_2_and_its_findings(bad: Path, tmp_path: Path, command: str) -> None:
-    more = ["-o", tmp_path / "out"] if command in ("compile", "synthesize") else []
+    more: list[str | Path] = ["-o", tmp_path / "out"] if command in ("compile", "synthesize") else []
     done = run(command, bad, *more)
     assert done.code == 2 and done.out == ""
     done.one_line("bad.scene.yaml:5:", "error[SF101]", "`mas`")
@@ -177,7 +178,8 @@ def test_a_bad_mesh_is_found_at_the_line_that_names_it(tmp_path: Path, text: str
         "simfoundry: scene/1\nname: a\nobjects:\n  mug:\n    asset: mug.obj\n    mass: 0.3\n"
     )
     for command in ("compile", "settle", "show"):
-        done = run(command, tmp_path / "a.scene.yaml", *(["-o", tmp_path / "out"] if command == "compile" else []))
+        more: list[str | Path] = ["-o", tmp_path / "out"] if command == "compile" else []
+        done = run(command, tmp_path / "a.scene.yaml", *more)
         assert done.code == 2, done
         done.one_line("a.scene.yaml:5:12", f"error[{code}]")
     assert not (tmp_path / "out").exists()

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.backends import compile_scene
+from simfoundry.backends.artifact import Artifact
 from simfoundry.errors import OutputError
+from simfoundry.scene.model import Scene
 from simfoundry.worlds import build as module
 from simfoundry.worlds.build import TARGETS, build, loss_report
 from tests.scenes import full_scene
@@ -42,12 +45,11 @@ def test_building_again_gives_the_same_and_leaves_nothing_behind(tmp_path: Path)
 def test_a_target_that_fails_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     build(full_scene(), ["mjcf"], tmp_path)
     before = content(tmp_path)
-    real = module.compile_scene
 
-    def failing(scene: object, target: str) -> object:
+    def failing(scene: Scene, target: str) -> Artifact:
         if target == "usd":
             raise RuntimeError("no")
-        return real(full_scene(), target)
+        return compile_scene(scene, target)
 
     monkeypatch.setattr(module, "compile_scene", failing)
     with pytest.raises(RuntimeError):
