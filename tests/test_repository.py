@@ -10,11 +10,9 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import simfoundry
-from simfoundry.capture.shapes.raycast import cast_mesh
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.spec.generated import generated, main, stale
@@ -197,14 +195,6 @@ def _imported(node: ast.AST) -> list[str]:
         case ast.ImportFrom(module=str(module), level=0):
             return [module]
     return []
-
-
-def test_the_environment_casts_rays_at_meshes() -> None:
-    """What trimesh needs for it is not among trimesh's own dependencies."""
-    corners = np.array([[-1.0, -1.0, 2.0], [2.0, -1.0, 2.0], [-1.0, 2.0, 2.5]])
-    hits = cast_mesh(np.zeros(3), np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), corners, np.array([[0, 1, 2]]))
-    assert hits.depth[0] == pytest.approx(2 + 0.5 / 3, abs=1e-5)
-    assert np.isinf(hits.depth[1])
 
 
 def test_the_reference_is_fresh() -> None:

@@ -22,7 +22,15 @@ MAX_HULL_VERTICES = 64
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull."""
 
-COACD = {"threshold": 0.05, "max_convex_hull": 32, "mcts_iterations": 100, "seed": 0, "max_ch_vertex": 60}
+COACD = {
+    "threshold": 0.05,
+    "max_convex_hull": 32,
+    "seed": 0,
+    "max_ch_vertex": 60,
+    "mcts_iterations": 40,
+    "mcts_nodes": 10,
+    "mcts_max_depth": 2,
+}
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:

@@ -59,7 +59,9 @@ def _triangles(outline: Array) -> Faces:
     import mapbox_earcut
 
     rings = np.array([len(outline)], dtype=np.uint32)
-    triangles = np.array(mapbox_earcut.triangulate_float64(outline, rings), dtype=np.int32).reshape(-1, 3)
+    triangles = np.array(
+        mapbox_earcut.triangulate_float64(np.array(outline, order="C"), rings), dtype=np.int32
+    ).reshape(-1, 3)
     a, b, c = (outline[triangles[:, k]] for k in range(3))
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]

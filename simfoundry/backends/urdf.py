@@ -11,6 +11,7 @@ import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.names import check_names
@@ -36,6 +37,9 @@ Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
+_LOADER = Path(__file__).parent / "templates" / "urdf_load.py"
+
+
 @dataclass(frozen=True)
 class Dialect:
     """How one reader of URDF wants geometries, those that are seen and those that are felt."""
@@ -57,6 +61,7 @@ def compile_urdf(scene: Scene) -> Artifact:
     files = urdf_files(scene, Dialect(shown=capsule_parts, felt=capsule_parts))
     poses = {item.name: _manifest(item) for item in scene.objects}
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
+    files["load.py"] = _LOADER.read_bytes()
     return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.ground import find_support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.support import Thickness, support_mesh, thickness
+from simfoundry.capture.support import Thickness, beneath, support_mesh, thickness
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
@@ -37,11 +38,24 @@ from simfoundry.spec.base import (
     SphereShape,
 )
 from simfoundry.spec.base import Pose as PoseSpec
+from simfoundry.spec.relations import parse_relation
 from simfoundry.spec.scene import CameraSpec, LightSpec, ObjectSpec, SceneSpec
 
 Progress = Callable[[str, float], None]
 
 SUPPORT_NAME = "table"
+
+SUNK = 0.03
+"""What stands on something is not seen lower than this below its top [m]; fits of tops err by a centimetre or two."""
+
+DOUBTFUL = 0.05
+"""A fit of less confidence than this explains next to nothing of what was seen."""
+
+CARRIED = 0.25
+"""Share of an object's seen points that lie above what carries it."""
+
+EDGE = 0.01
+"""How far they may lie beyond its edge [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +87,13 @@ def reconstruct(
     support = find_support(frame)
     report("objects", 0.1)
     segmentation = decompose(frame, support)
-    shapes, skipped = _fit_all(frame, support, segmentation, report)
+    shapes, carriers, skipped = _fit_all(frame, support, segmentation, report)
     if not shapes:
         raise CaptureError("SF504", "no object could be fitted", "; ".join(skipped))
     colors = {k: dominant_color(frame, segmentation.labels == k) for k in shapes}
     names = _names(frame, segmentation, shapes, colors, given_names or {})
+    grounded = [_footprint(shape) for k, shape in shapes.items() if not carriers[k]]
+    support = replace(support, outline=beneath(support.outline, grounded))
     slab = thickness(frame, support)
     files = _mesh_files(SUPPORT_NAME, support_mesh(frame, support, slab.value))
     objects = {SUPPORT_NAME: _support_spec(name, support, slab)}
@@ -89,9 +105,7 @@ def reconstruct(
         substance = TABLE[kind_of(shape.geometry, shape.hollow)]
         materials[substance.name] = _material(substance)
         objects[names[k]] = _object_spec(name, names[k], shape, mesh, substance, colors[k])
-    relations = tuple(
-        f"OnTop({names[k]}, {names[on] if (on := _carrier(segmentation, shapes, k)) else SUPPORT_NAME})" for k in shapes
-    )
+    relations = tuple(f"OnTop({names[k]}, {names.get(carriers[k], SUPPORT_NAME)})" for k in shapes)
     spec = SceneSpec(
         simfoundry="scene/1",
         name=name,
@@ -117,22 +131,61 @@ def reconstruct(
     )
 
 
+def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
+    """The reconstruction without some of its objects; what stood on them is said to stand on the support."""
+    gone = set(names)
+    files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
+    relations = []
+    for text in built.spec.relations:
+        predicate, (upper, lower) = parse_relation(text)
+        if upper not in gone:
+            relations.append(f"{predicate}({upper}, {SUPPORT_NAME if lower in gone else lower})")
+    objects = {name: item for name, item in built.spec.objects.items() if name not in gone}
+    used = {item.material for item in objects.values()}
+    materials = {name: item for name, item in built.spec.materials.items() if name in used}
+    update = {"objects": objects, "materials": materials, "relations": tuple(relations)}
+    return replace(
+        built,
+        spec=built.spec.model_copy(update=update),
+        files=files,
+        names={n: k for n, k in built.names.items() if n not in gone},
+        shapes={n: s for n, s in built.shapes.items() if n not in gone},
+        skipped=(*built.skipped, *(f"{name}: {reason}" for name in sorted(gone))),
+    )
+
+
+def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:
+    """The spec whose ``OnTop`` relations are those that hold: the ones it has where they do, else what carries now."""
+    relations = []
+    for text in spec.relations:
+        predicate, (upper, lower) = parse_relation(text)
+        holds = supports.get(upper, ())
+        relations += [text] if lower in holds else [f"{predicate}({upper}, {other})" for other in holds]
+    return spec.model_copy(update={"relations": tuple(relations)})
+
+
 def _fit_all(
     frame: Frame, support: Support, segmentation: Segmentation, report: Progress
-) -> tuple[dict[int, FittedShape], tuple[str, ...]]:
-    """Fit every segment, those that carry before those that are carried."""
+) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
+    """Fit every segment, those that carry first; with what each stands on, 0 for the support."""
     shapes: dict[int, FittedShape] = {}
+    carriers: dict[int, int] = {}
     skipped: list[str] = []
     order = _bottom_up(segmentation)
     for done, k in enumerate(order):
         report(f"shape {k}", 0.3 + 0.4 * done / max(len(order), 1))
-        carrier = _carrier(segmentation, shapes, k)
-        base_z = _top(shapes[carrier]) if carrier else 0.0
+        carriers[k] = _carrier(frame, support, segmentation, shapes, k)
+        base_z = _top(shapes[carriers[k]]) if carriers[k] else 0.0
         try:
-            shapes[k] = fit_shape(frame, support, segmentation.labels == k, base_z, labels=segmentation.labels)
+            shape = fit_shape(frame, support, segmentation.labels == k, base_z, labels=segmentation.labels)
         except CaptureError as error:
             skipped.append(f"segment {k}: {error.message}")
-    return dict(sorted(shapes.items())), tuple(skipped)
+            continue
+        if shape.confidence < DOUBTFUL:
+            skipped.append(f"segment {k}: no shape explains it (confidence {shape.confidence:.2f})")
+        else:
+            shapes[k] = shape
+    return dict(sorted(shapes.items())), carriers, tuple(skipped)
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:
@@ -146,10 +199,27 @@ def _bottom_up(segmentation: Segmentation) -> list[int]:
     return sorted(numbers, key=lambda k: (level(k), k))
 
 
-def _carrier(segmentation: Segmentation, shapes: dict[int, FittedShape], k: int) -> int:
-    """The fitted object that ``k`` stands on, 0 for the support."""
+def _carrier(frame: Frame, support: Support, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int) -> int:
+    """The fitted object that ``k`` stands on, 0 for the support.
+
+    What the picture suggests is believed only if the carrier's solid lies below a good part of what is seen of ``k``:
+    a foot that is merely hidden by a neighbour does not stand on it.
+    """
+    import shapely
+
     on = segmentation.supports.get(k, 0)
-    return on if on in shapes else 0
+    if on not in shapes:
+        return 0
+    seen = support.X_WC.apply(frame.points[(segmentation.labels == k) & np.isfinite(frame.depth)])
+    if not len(seen) or np.percentile(seen[:, 2], 5) < _top(shapes[on]) - SUNK:
+        return 0
+    below = shapely.MultiPoint(_footprint(shapes[on])).convex_hull.buffer(EDGE)
+    return on if shapely.contains(below, shapely.points(seen[:, :2])).mean() >= CARRIED else 0
+
+
+def _footprint(shape: FittedShape) -> NDArray[np.float64]:
+    """Corners of a fitted shape seen from above, in world xy [m], shape (n, 2)."""
+    return shape.X_WO.apply(_corners(shape.geometry))[:, :2]
 
 
 def _top(shape: FittedShape) -> float:

@@ -7,7 +7,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
-from simfoundry.capture.reconstruct import Reconstruction, reconstruct
+from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
 from simfoundry.files import replace_folder, strangers
 from simfoundry.scene.lower import lower
@@ -69,12 +69,27 @@ def run_capture(
     assert isinstance(loaded.spec, CaptureSpec)
     frame_name = frame_name or next(iter(loaded.spec.frames))
     frame = load_frame(loaded, frame_name)
-    built = _reconstruct(loaded, frame_name, frame, lambda stage, share: report_progress(stage, 0.6 * share))
+    try:
+        return _run(loaded, frame_name, frame, out, shown, cache, report_progress)
+    except CaptureError as error:
+        raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
+
+
+def _run(
+    loaded: Loaded, frame_name: str, frame: Frame, out: Path, shown: Path, cache: Cache | None, progress: Progress
+) -> CaptureRun:
+    assert isinstance(loaded.spec, CaptureSpec)
+    masks = loaded.spec.frames[frame_name].masks
+    name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
+    given = masks.names if masks is not None else None
+    built = reconstruct(name, frame, given, lambda stage, share: progress(stage, 0.6 * share))
     out.parent.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
     try:
         scene_name = f"{built.spec.name}.scene.yaml"
-        settled = _write(built, staging / scene_name, frame, cache, report_progress)
+        built, scene, settled = _settled(built, staging / scene_name, cache, progress)
+        progress("pictures", 0.95)
+        _pictures(built, frame, scene, settled, staging)
         report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
         (staging / "report.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
         replace_folder(staging, out)
@@ -121,37 +136,39 @@ def _hashes(folder: Path) -> dict[str, str]:
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
 
-def _reconstruct(loaded: Loaded, frame_name: str, frame: Frame, progress: Progress) -> Reconstruction:
-    """Reconstruct, and turn what the picture lacks into a finding at its place in the capture document."""
-    assert isinstance(loaded.spec, CaptureSpec)
-    masks = loaded.spec.frames[frame_name].masks
-    single = len(loaded.spec.frames) == 1
-    name = loaded.spec.name if single else f"{loaded.spec.name}_{frame_name}"
-    try:
-        return reconstruct(name, frame, masks.names if masks is not None else None, progress)
-    except CaptureError as error:
-        raise SpecError([loaded.finding(error.code, ("frames", frame_name), error.message, error.hint)]) from None
+def _settled(
+    built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
+) -> tuple[Reconstruction, Scene, Settled]:
+    """Settle, and write spec and meshes beside ``scene_file``, with the poses and relations that hold at rest.
 
-
-def _write(built: Reconstruction, scene_file: Path, frame: Frame, cache: Cache | None, progress: Progress) -> Settled:
-    """Write spec, meshes and pictures beside ``scene_file``, the spec with settled poses."""
+    An object that finds no rest, because its fitted solid cannot stand there, is left out and the rest settles anew.
+    """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
+    while True:
+        _write(built, scene_file, built.spec)
+        loaded = load_scene(scene_file)
+        scene = lower(loaded, cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total))
+        with MujocoWorld(scene) as world:
+            settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
+        if not settled.lost:
+            break
+        if len(settled.lost) == len(built.shapes):
+            message = f"none of the {len(built.shapes)} objects found stays on the support"
+            raise CaptureError("SF504", message, "show the objects and the table around them from higher up")
+        built = without(built, settled.lost, "its fitted solid does not stay on the support")
+        shutil.rmtree(scene_file.parent / "meshes")
+    spec = with_supports(with_poses(built.spec, settled.state.poses), {o.name: o.supports for o in settled.objects})
+    _write(built, scene_file, spec)
+    return replace(built, spec=spec), scene, settled
+
+
+def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
     for relative, data in built.files.items():
         target = scene_file.parent / relative
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(data)
-    scene_file.write_text(to_yaml(built.spec), encoding="utf-8")
-    scene = lower(
-        load_scene(scene_file), cache, lambda name, done, total: progress(f"collide {name}", 0.6 + 0.2 * done / total)
-    )
-    with MujocoWorld(scene) as world:
-        settled = settle(world, progress=lambda stage, share: progress(stage, 0.8 + 0.1 * share))
-    spec = with_poses(built.spec, settled.state.poses)
     scene_file.write_text(to_yaml(spec, comment="Estimated from one picture; see report.json."), encoding="utf-8")
-    progress("pictures", 0.95)
-    _pictures(built, frame, scene, settled, scene_file.parent)
-    return settled
 
 
 def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settled, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from simfoundry.assets.prism import prism_mesh
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
+
+if TYPE_CHECKING:
+    from shapely.geometry import Polygon
 
 DEFAULT_THICKNESS = 0.03
 """Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm."""
@@ -21,6 +25,33 @@ EDGE = 0.015
 TEXTURE_STEP = 0.002
 """Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
 TEXTURE_LIMIT = 1024
+
+
+MARGIN = 0.01
+"""How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
+
+
+def beneath(outline: Array, footprints: list[Array]) -> Array:
+    """The outline [m], shape (n, 2), grown so that every footprint on it lies inside: what stands is carried."""
+    import shapely
+
+    whole = shapely.Polygon(outline)
+    for footprint in footprints:
+        ground = shapely.MultiPoint(footprint).convex_hull.buffer(MARGIN, quad_segs=2)
+        if not whole.contains(ground):
+            joined = whole.union(ground)
+            # Something that stands apart from the seen surface is joined to it by the shortest way.
+            whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
+    simple = shapely.Polygon(whole.exterior).simplify(0.002)
+    return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
+
+
+def _bridge(a: Polygon, b: Polygon) -> Polygon:
+    import shapely
+    from shapely.ops import nearest_points
+
+    start, end = nearest_points(a, b)
+    return shapely.LineString([start, end]).buffer(MARGIN, quad_segs=2)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 First as the paper does it ("Object Depenetration and Physical Stability"): physics steps with all velocities set to
 zero after each, until the poses stay, so that overlaps open without explosions. Then real dynamics until everything is
-at rest, because a body that topples slowly looks still in the first phase. What still stands, but on less than a foot,
+at rest, because a body that topples slowly looks still in the first phase. Where that does not end, because something
+rolls away or falls off the edge, it is tried once more from the same poses, with the motion taken out again and again:
+what cannot stand as it was fitted then falls over and lies where it stood. What still stands, but on less than a foot,
 is nudged, because a simulator balances a pencil on its tip for ever.
 """
 
@@ -49,7 +51,8 @@ class SettleOptions:
     """When the phases end and what counts as passed.
 
     The quasi-static phase ends when nothing moved more than ``still_m`` or turned more than ``still_rad`` over
-    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``.
+    ``window_s``, the dynamic one when the same holds over ``rest_s``; neither goes on longer than its ``max``. Where
+    the motion is damped, it is taken out every ``damped_s``.
     """
 
     window_s: float = 0.1
@@ -59,6 +62,8 @@ class SettleOptions:
     min_dynamic_s: float = 1.0
     rest_s: float = 0.5
     max_dynamic_s: float = 8.0
+    damped_s: float = 0.04
+    max_damped_s: float = 6.0
     max_drift_m: float = 0.02
     max_tilt_deg: float = 5.0
     max_penetration_m: float = 0.001
@@ -92,11 +97,16 @@ class ObjectSettle:
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """The poses at rest, what happened to each free object, and whether all of it came to rest in time."""
+    """The poses at rest, what happened to each free object, and which never came to rest or fell off the scene."""
 
     state: SceneState
     objects: tuple[ObjectSettle, ...]
-    at_rest: bool
+    lost: tuple[str, ...]
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether everything came to rest on something."""
+        return not self.lost
 
     @property
     def passed(self) -> bool:
@@ -114,8 +124,13 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     options = options or SettleOptions()
     world.reset()
     before, contacts_before = world.state(), world.contacts()
-    _quasi_static(world, options, progress)
+    _slowed(world, 0.0, options.window_s, options.max_quasi_static_s, options, _stage(progress, "depenetrate"))
+    opened = world.state()
     restless = _dynamic(world, options, progress)
+    if restless or _fallen(world, world.state()):
+        world.reset(opened)
+        _slowed(world, options.damped_s, options.rest_s, options.max_damped_s, options, _stage(progress, "calm"))
+        restless = _dynamic(world, options, progress)
     world.halt()
     end, contacts_after = world.state(), world.contacts()
     fallen = _fallen(world, end)
@@ -130,7 +145,7 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
         if not item.fixed:
             problems = _what_happened(item.name, restless, fallen, toppling)
             reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
-    return Settled(after, tuple(reports), not restless and not fallen)
+    return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
 def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
@@ -206,21 +221,31 @@ def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: se
     return [f"topples when nudged by {NUDGE_DEG:g} deg"] if name in toppling else []
 
 
-def _quasi_static(world: World, options: SettleOptions, progress: Progress | None) -> None:
-    steps = max(1, round(options.window_s / world.timestep))
+def _slowed(
+    world: World, halt_s: float, window_s: float, most_s: float, options: SettleOptions, report: Callable[[float], None]
+) -> None:
+    """Dynamics in which nothing gathers speed, until nothing moved over ``window_s``: a fall is slow, a roll ends.
+
+    All velocities are set to zero every ``halt_s``, at least one step apart.
+    """
+    steps = max(1, round(halt_s / world.timestep))
+    halts = max(1, round(window_s / (steps * world.timestep)))
     elapsed, last = 0.0, world.state()
-    while elapsed < options.max_quasi_static_s:
-        for _ in range(steps):
-            world.step()
+    while elapsed < most_s:
+        for _ in range(halts):
+            world.step(steps)
             world.halt()
-        elapsed += steps * world.timestep
+        elapsed += halts * steps * world.timestep
         now = world.state()
         restless = _restless(last, now, options) - _fallen(world, now)
         last = now
-        if progress is not None:
-            progress("depenetrate", elapsed / options.max_quasi_static_s)
+        report(elapsed / most_s)
         if not restless:
             return
+
+
+def _stage(progress: Progress | None, name: str) -> Callable[[float], None]:
+    return lambda share: None if progress is None else progress(name, share)
 
 
 def _dynamic(world: World, options: SettleOptions, progress: Progress | None) -> set[str]:

@@ -153,3 +153,12 @@ def test_losses_cover_what_urdf_cannot_hold() -> None:
 
 def test_two_builds_are_identical(manifest_elsewhere: Callable[[str], str]) -> None:
     assert compile_scene(full_scene(), "urdf").manifest.decode() == manifest_elsewhere("urdf")
+
+
+def test_loader_runs_from_a_moved_folder(run_loader: Callable[[Scene, str], str]) -> None:
+    scene = full_scene()
+    printed = run_loader(scene, "urdf").splitlines()
+    assert printed[-1].endswith(f"poses.json: {len(scene.objects)} objects")
+    for line, item in zip(printed, scene.objects, strict=False):
+        assert line.startswith(f"{item.name}: {len(item.links)} links, {len(item.joints)} joints, ")
+        assert ("fixed at" in line) == item.fixed

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.shapes.raycast import cast_mesh, first_faces
 from simfoundry.capture.shapes.solids import as_mesh
+from simfoundry.capture.shapes.unwrap import face_normals
 from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
 from simfoundry.scene.model import Geometry
 
@@ -37,7 +38,6 @@ def see(
     u, v = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones(u.shape)], axis=-1).reshape(-1, 3)
     rays = rays @ X_WC.rotation.T
-    origins = np.broadcast_to(X_WC.p, rays.shape)
     with np.errstate(divide="ignore"):
         plane = -X_WC.p[2] / rays[:, 2]
     depth = np.where((plane > 0) & (plane < 1.6), plane, np.nan)
@@ -45,15 +45,14 @@ def see(
     color = np.tile(np.array([255, 0, 255], np.uint8), (len(rays), 1))
     for number, (geometry, X_WO) in enumerate(solids, 1):
         mesh = as_mesh(geometry)
-        world = trimesh.Trimesh(X_WO.apply(mesh.vertices), mesh.faces, process=False)
-        points, index, face = world.ray.intersects_location(origins, rays, multiple_hits=False)
-        hit = np.einsum("ij,ij->i", points - X_WC.p, rays[index]) / np.einsum("ij,ij->i", rays[index], rays[index])
-        nearer = ~(depth[index] < hit)
-        index, hit, face = index[nearer], hit[nearer], face[nearer]
-        depth[index], labels[index] = hit, number
+        vertices = X_WO.apply(mesh.vertices)
+        face = first_faces(X_WC.p, rays, vertices, mesh.faces)
+        hit = cast_mesh(X_WC.p, rays, vertices, mesh.faces).depth
+        index = np.flatnonzero(np.isfinite(hit) & ~(depth < hit))
+        depth[index], labels[index] = hit[index], number
         color[index] = (90, 140, 60)
         if number == 1 and face_colors is not None:
-            local = world.face_normals[face] @ X_WO.rotation
+            local = face_normals(vertices, mesh.faces)[face[index]] @ X_WO.rotation
             color[index] = face_colors[np.argmax(np.hstack([local, -local])[:, [0, 3, 1, 4, 2, 5]], axis=1)]
     noisy = (depth + rng.normal(0, noise, depth.shape)).reshape(HEIGHT, WIDTH)
     picture = labels.reshape(HEIGHT, WIDTH)

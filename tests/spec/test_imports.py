@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-HEAVY = ("numpy", "trimesh", "scipy", "pxr", "mujoco", "pybullet", "cv2", "shapely", "coacd", "embreex", "PIL", "rich")
+HEAVY = ("numpy", "trimesh", "scipy", "pxr", "mujoco", "pybullet", "cv2", "shapely", "coacd", "PIL", "rich")
 LIGHT = ("simfoundry", "simfoundry.spec.load", "simfoundry.spec.schema", "simfoundry.spec.write")
 
 

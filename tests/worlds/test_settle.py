@@ -121,6 +121,18 @@ def test_a_can_on_its_side_stays(tmp_path: Path) -> None:
     assert result.passed, of(result, "can").problems
 
 
+def test_what_would_roll_off_the_table_is_calmed(settled: Settle) -> None:
+    """Down a board of 25 degrees a ball gathers speed for the edge; calmed, it lies where the board ends."""
+    result = settled(
+        "  board: {fixed: true, shape: {box: [0.2, 0.2, 0.02]}, pose: {xyz: [0.2, 0, 0.06], rpy_deg: [0, 25, 0]}}\n"
+        "  ball: {shape: {sphere: 0.03}, mass: 0.1, pose: {xyz: [0.16, 0.02, 0.13]}}\n"
+    )
+    ball = result.state.poses["ball"].p
+    assert ball[2] == pytest.approx(0.03, abs=2e-3)  # on the table
+    assert 0.25 < ball[0] < 0.45
+    assert not result.passed and any("moved" in p for p in of(result, "ball").problems)
+
+
 def test_what_falls_off_the_table_is_said_and_the_rest_settles(settled: Settle) -> None:
     result = settled(
         "  edge: {shape: {box: [0.1, 0.1, 0.1]}, mass: 0.3, pose: {xyz: [0.43, 0.1, 0.05], yaw_deg: 15}}\n"

@@ -8,17 +8,18 @@ the surface [m].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.visibility import first_hits, scattered_rays, turned, unit
 
 FREE_WEIGHT = 0.7
 _BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
 _BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
+_IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,7 @@ def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
-    face = _first_face(eye, rays, vertices, faces)
+    face = first_faces(eye, rays, vertices, faces)
     hit = face >= 0
     chosen, n = rays[hit], normal[face[hit]]
     slope = np.einsum("ij,ij->i", n, chosen)
@@ -110,35 +111,30 @@ def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]
     return Hits(depth, slant)
 
 
-def _first_face(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The face that each ray meets first, -1 for none: by embree where it is installed, else by plain arithmetic."""
-    if find_spec("embreex") is None:
-        return first_face_by_hand(eye, rays, vertices, faces)
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    return np.asarray(mesh.ray.intersects_first(np.broadcast_to(eye, rays.shape), unit), dtype=np.int64)
-
-
-def first_face_by_hand(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The face that each ray meets first, -1 for none, shape (m,): every ray against every triangle, in blocks."""
-    a = vertices[faces[:, 0]]
-    edge1, edge2, to_eye = vertices[faces[:, 1]] - a, vertices[faces[:, 2]] - a, eye - a
-    normal, across = np.cross(edge1, edge2), np.einsum("ij,ij->i", to_eye, np.cross(edge1, edge2))
+def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The face that each ray meets first, -1 for none, shape (m,); arguments as in :func:`cast_mesh`."""
+    corners = vertices[faces] - eye
+    units = unit(rays)
     out = np.full(len(rays), -1, dtype=np.int64)
-    for start in range(0, len(rays), 256):
-        block = rays[start : start + 256]
-        slope = -block @ normal.T
-        slope = np.where(np.abs(slope) < 1e-15, 1e-15, slope)
-        depth = across / slope
-        turned = np.cross(to_eye[None], block[:, None])
-        u = np.einsum("kij,ij->ki", turned, edge2) / slope
-        v = -np.einsum("kij,ij->ki", turned, edge1) / slope
-        depth = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (depth > 1e-9), depth, np.inf)
-        nearest = np.argmin(depth, axis=1)
-        out[start : start + 256] = np.where(np.isfinite(depth.min(axis=1)), nearest, -1)
+    todo = np.arange(len(rays))
+    while len(todo):
+        # A view frame sees what lies in front of it; rays to all sides take several.
+        axis = unit(units[todo].mean(axis=0))
+        if not (units[todo] @ axis > _IN_FRONT).any():
+            axis = units[todo[0]]
+        R_EV = _frame_along(axis)
+        local = turned(R_EV.T, units[todo])
+        seen = local[:, 2] > _IN_FRONT
+        x, y, z = local[seen].T
+        out[todo[seen]] = first_hits(turned(R_EV.T, corners), scattered_rays(x / z, y / z)).triangle
+        todo = todo[~seen]
     return out
+
+
+def _frame_along(axis: Array) -> Array:
+    """A rotation whose third column is the unit vector ``axis``, shape (3, 3)."""
+    side = unit(np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis))
+    return np.column_stack([side, np.cross(axis, side), axis])
 
 
 @dataclass(frozen=True)
