@@ -44,14 +44,31 @@ def tree(facts: dict[str, Any]) -> str:
         for k, child in enumerate(inside):
             branch(child, below, k == len(inside) - 1)
 
-    roots = children.get(None, [])
+    roots = _roots(objects, children)
     for k, name in enumerate(roots):
         branch(name, "", k == len(roots) - 1)
-    for name in objects:  # what stands in a ring of `OnTop` has no root above it
-        branch(name, "", True)
     for name, camera in facts["cameras"].items():
         lines.append(f"camera {name}  {camera['size'][0]} x {camera['size'][1]}")
     return "\n".join(lines)
+
+
+def _roots(objects: dict[str, Any], children: dict[str | None, list[str]]) -> list[str]:
+    """What stands on nothing, and of each ring of `OnTop`, which has no root, its first."""
+    roots, below = list(children.get(None, [])), set[str]()
+
+    def add(name: str) -> None:
+        if name not in below:
+            below.add(name)
+            for child in children.get(name, []):
+                add(child)
+
+    for name in roots:
+        add(name)
+    for name in objects:
+        if name not in below:
+            roots.append(name)
+            add(name)
+    return roots
 
 
 def _line(name: str, item: dict[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import platform
 import sys
 from dataclasses import asdict, dataclass
@@ -31,26 +32,32 @@ class Part:
 
 
 _PACKAGES = (
-    ("numpy", True, "arrays"),
-    ("pydantic", True, "typed documents"),
-    ("pyyaml", True, "reading YAML"),
-    ("trimesh", True, "reading meshes"),
-    ("coacd", True, "convex parts"),
-    ("scipy", True, "hulls, spatial search"),
-    ("shapely", True, "outlines"),
-    ("opencv-python-headless", True, "pictures"),
-    ("usd-core", True, "USD worlds"),
-    ("mujoco", True, "MuJoCo worlds, settling, rendering"),
-    ("pybullet", False, "PyBullet worlds (its files are written without it)"),
+    ("numpy", "numpy", True, "arrays"),
+    ("pydantic", "pydantic", True, "typed documents"),
+    ("pyyaml", "yaml", True, "reading YAML"),
+    ("click", "click", True, "the command line"),
+    ("rich", "rich", True, "progress bars"),
+    ("pillow", "PIL", True, "reading pictures"),
+    ("opencv-python-headless", "cv2", True, "working on pictures"),
+    ("trimesh", "trimesh", True, "reading meshes"),
+    ("coacd", "coacd", True, "convex parts"),
+    ("mapbox-earcut", "mapbox_earcut", True, "triangles of outlines"),
+    ("scipy", "scipy", True, "hulls, spatial search"),
+    ("shapely", "shapely", True, "outlines"),
+    ("usd-core", "pxr.Usd", True, "USD worlds"),
+    ("mujoco", "mujoco", True, "MuJoCo worlds, settling, rendering"),
+    ("pybullet", "pybullet", False, "PyBullet worlds (its files are written without it)"),
 )
+"""Name of the distribution, of the module, whether it is required, and what for."""
 
 
 def examine() -> list[Part]:
     """Every part in a fixed order, the interpreter first."""
     parts = [Part("python", platform.python_version(), True, "3.11 or later", "install Python 3.11 or later")]
-    for name, required, purpose in _PACKAGES:
+    for name, module, required, purpose in _PACKAGES:
+        found, problem = _found(name, module)
         remedy = PYBULLET_REMEDY if name == "pybullet" else f"pip install {name}"
-        parts.append(Part(name, _version(name), required, purpose, remedy))
+        parts.append(Part(name, found, required, purpose, f"{remedy}{problem}"))
     if sys.platform.startswith("linux"):
         from simfoundry.worlds.gl import working_drivers
 
@@ -59,8 +66,17 @@ def examine() -> list[Part]:
     return parts
 
 
-def _version(name: str) -> str:
+def _found(name: str, module: str) -> tuple[str, str]:
+    """The version of a package that can be imported; else nothing, and what went wrong if it is installed."""
+    from simfoundry.worlds.pybullet_world import quiet_native_output
+
     try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
+        with quiet_native_output():
+            loaded = importlib.import_module(module)
+    except Exception as error:  # a library that the package needs may be missing, and say so in its own way
+        reason = "" if isinstance(error, ModuleNotFoundError) else f" (importing it fails: {error})"
+        return "", reason
+    try:
+        return version(name), ""
+    except PackageNotFoundError:  # from another distribution of it, as OpenCV has several
+        return str(getattr(loaded, "__version__", "unknown")), ""

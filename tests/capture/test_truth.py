@@ -77,7 +77,7 @@ def test_a_missed_object_takes_no_neighbours_match() -> None:
 
 def test_distance_of_point_sets() -> None:
     a = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
-    chamfer, f1 = surface_distance(a, a[:2] + [0.0, 0.005, 0.0])
+    chamfer, f1 = surface_distance(a, a[:2] + np.array([0.0, 0.005, 0.0]))
     assert chamfer == pytest.approx((np.mean([0.005, 0.005, np.hypot(1, 0.005), np.hypot(2, 0.005)]) + 0.005) / 2)
     assert f1 == pytest.approx(2 * 1.0 * 0.5 / 1.5)
-    assert surface_distance(a, a + [0.0, 0.02, 0.0])[1] == 0.0
+    assert surface_distance(a, a + np.array([0.0, 0.02, 0.0]))[1] == 0.0

@@ -1,0 +1,271 @@
+"""Every command: exit codes, JSON that is nothing but JSON, help, and starting fast."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from simfoundry.cli.main import COMMANDS
+from tests.cli.command import MAIN, Done, python, run, without
+
+SCENE = """\
+simfoundry: scene/1
+name: small
+objects:
+  desk: {fixed: true, shape: {box: [0.8, 0.6, 0.04]}, pose: {xyz: [0, 0, -0.02]}}
+  cup: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.3, pose: {xyz: [0.1, 0.05, 0.05], yaw_deg: 20}}
+cameras:
+  front: {size: [64, 48], fx: 60, fy: 60, pose: {xyz: [-0.8, 0.1, 0.7], look_at: [0, 0, 0]}}
+relations: [OnTop(cup, desk)]
+"""
+TRIANGLES = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+CORNERS = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\n"
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "small.scene.yaml").write_text(SCENE)
+    return tmp_path / "small.scene.yaml"
+
+
+@pytest.fixture
+def bad(tmp_path: Path) -> Path:
+    (tmp_path / "bad.scene.yaml").write_text(SCENE.replace("mass:", "mas:"))
+    return tmp_path / "bad.scene.yaml"
+
+
+# -- exit codes and JSON --------------------------------------------------------------------------------------------
+
+
+def test_a_good_scene_gives_0_and_json_everywhere(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    calls: tuple[list[str | Path], ...] = (
+        ["check", scene],
+        ["show", scene],
+        ["settle", scene],
+        ["compile", scene, "-o", out / "build"],
+        ["render", scene, "--engine", "raycast", "-o", out / "a.png"],
+        ["synthesize", scene, "-o", out / "capture"],
+    )
+    for args in calls:
+        done = run(*args, "--json")
+        assert (done.code, done.err) == (0, ""), (args, done)
+        assert isinstance(done.json, dict)
+        plain = run(*args)
+        assert plain.code == 0 and plain.out and plain.err == "", args
+    assert (out / "a.png").read_bytes().startswith(b"\x89PNG") and (out / "capture" / "depth.png").is_file()
+    assert sorted(p.name for p in (out / "build").iterdir()) == ["loss.json", "mjcf", "pybullet", "urdf", "usd"]
+
+
+@pytest.mark.parametrize("command", ["show", "settle", "compile", "render", "synthesize"])
+def test_a_bad_scene_gives_2_and_its_findings(bad: Path, tmp_path: Path, command: str) -> None:
+    more: list[str | Path] = ["-o", tmp_path / "out"] if command in ("compile", "synthesize") else []
+    done = run(command, bad, *more)
+    assert done.code == 2 and done.out == ""
+    done.one_line("bad.scene.yaml:5:", "error[SF101]", "`mas`")
+    as_json = run(command, bad, *more, "--json")
+    assert as_json.code == 2 and as_json.err == ""
+    assert "SF101" in {f["code"] for f in as_json.json["findings"]}
+    assert not (tmp_path / "out").exists()
+
+
+def test_check_gives_1_for_findings(bad: Path, scene: Path) -> None:
+    assert run("check", bad).code == 1
+    done = run("check", bad, scene, "--json")
+    assert done.code == 1 and done.err == ""
+    assert done.json["files"] == [str(bad), str(scene)] and "SF101" in {f["code"] for f in done.json["findings"]}
+    assert run("check", scene.parent / "nothing.yaml").code == 2
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["show", "nowhere.scene.yaml"], "does not exist"),
+        (["capture", "nowhere"], "does not exist"),
+        (["check", "nowhere.yaml"], "there is no file"),
+        (["compile", "nowhere.scene.yaml", "-t", "mjfc"], ""),
+        (["settle"], "Missing argument"),
+        (["render", "nowhere.scene.yaml", "--cmera", "front"], ""),
+        (["shwo"], "did you mean `show`?"),
+        (["demo", "nowhere"], "does not exist"),
+    ],
+)
+def test_a_wrong_call_gives_2_and_says_why(args: list[str], words: str) -> None:
+    done = run(*args)
+    assert done.code == 2 and done.out == "" and words in done.err
+    as_json = run(*args, "--json")
+    assert as_json.code == 2 and as_json.err == "" and words in as_json.json["error"]
+
+
+def test_a_misspelt_camera_or_target_is_named(scene: Path, tmp_path: Path) -> None:
+    assert "did you mean `front`?" in run("render", scene, "-c", "fornt").err
+    assert "did you mean `front`?" in run("synthesize", scene, "-c", "fornt", "-o", tmp_path / "c").err
+    assert "'mjcf'" in run("compile", scene, "-t", "mjfc").err
+
+
+def test_strict_compiling_gives_1_where_something_is_lost(scene: Path, tmp_path: Path) -> None:
+    scene.write_text(SCENE.replace("mass: 0.3", "mass: 0.3, restitution: 0.4"))
+    done = run("compile", scene, "-t", "mjcf", "-o", tmp_path / "out", "--strict", "--json")
+    assert done.code == (1 if done.json["losses"]["mjcf"] else 0) and done.json["losses"]["mjcf"]
+    assert run("compile", scene, "-t", "mjcf", "-o", tmp_path / "out").code == 0
+
+
+def test_an_engine_that_does_not_draw_here_is_a_sentence(scene: Path, tmp_path: Path) -> None:
+    env = {"SIMFOUNDRY_CACHE": str(tmp_path / "cache"), "PYOPENGL_PLATFORM": "osmesa"}
+    done = python(MAIN, "render", scene, "--engine", "egl", "-o", tmp_path / "a.png", **env)
+    assert done.code == 2 and "Traceback" not in done.err and "'raycast'" in done.err
+
+
+def test_schemas(tmp_path: Path) -> None:
+    for kind in ("scene", "asset", "capture"):
+        done = run("schema", kind)
+        assert done.code == 0 and done.json["properties"]["simfoundry"]
+    assert run("schema").code == 2 and "scene, asset or capture" in run("schema").err
+    assert run("schema", "-o", tmp_path).code == 0 and (tmp_path / "scene.schema.json").is_file()
+
+
+def test_folders_of_others_are_not_compiled_over(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("compile", scene, "-t", "urdf", "-t", "mjcf", "-o", out).code == 0
+    (out / "urdf" / "notes.txt").write_text("mine")
+    before = (out / "mjcf" / "scene.xml").stat().st_ino
+    done = run("compile", scene, "-t", "mjcf", "-t", "urdf", "-o", out)
+    assert done.code == 2 and "notes.txt" in done.err and (out / "urdf" / "notes.txt").read_text() == "mine"
+    assert (out / "mjcf" / "scene.xml").stat().st_ino == before  # none of it was written
+    assert run("compile", scene, "-t", "urdf", "-o", out, "--force").code == 0
+    assert not (out / "urdf" / "notes.txt").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_may_not_be_written(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "locked").mkdir(mode=0o555)
+    done = run("compile", scene, "-t", "mjcf", "-o", tmp_path / "locked")
+    assert done.code == 2 and "Permission denied" in done.err
+
+
+def test_a_place_that_cannot_be_written_is_a_sentence(scene: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    done = run("compile", scene, "-t", "mjcf", "-o", tmp_path / "file" / "below")
+    assert done.code == 2 and "Not a directory" in done.err and str(tmp_path / "file") in done.err
+    assert "error" in run("compile", scene, "-t", "mjcf", "-o", tmp_path / "file" / "below", "--json").json
+
+
+# -- meshes ---------------------------------------------------------------------------------------------------------
+
+MESHES = {
+    "empty": ("", "SF301"),
+    "open": (CORNERS.format(0.1) + "f 1 3 2\nf 1 2 4\nf 1 4 3\n", "SF302"),
+    "millimetres": (CORNERS.format(100) + TRIANGLES, "SF303"),
+    "tiny": (CORNERS.format(1e-5) + TRIANGLES, "SF303"),
+    "NaN": (CORNERS.format(0.1).replace("v 0 0 0", "v nan 0 0") + TRIANGLES, "SF301"),
+    "points": (CORNERS.format(0.1), "SF301"),
+    "no such corner": (CORNERS.format(0.1) + "f 1 2 9\n", "SF301"),
+}
+
+
+@pytest.mark.parametrize(("text", "code"), MESHES.values(), ids=MESHES)
+def test_a_bad_mesh_is_found_at_the_line_that_names_it(tmp_path: Path, text: str, code: str) -> None:
+    (tmp_path / "mug.obj").write_text(text)
+    (tmp_path / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n  mug:\n    asset: mug.obj\n    mass: 0.3\n"
+    )
+    for command in ("compile", "settle", "show"):
+        more: list[str | Path] = ["-o", tmp_path / "out"] if command == "compile" else []
+        done = run(command, tmp_path / "a.scene.yaml", *more)
+        assert done.code == 2, done
+        done.one_line("a.scene.yaml:5:12", f"error[{code}]")
+    assert not (tmp_path / "out").exists()
+
+
+# -- help and speed -------------------------------------------------------------------------------------------------
+
+HEAVY = ("numpy", "pxr", "mujoco", "pybullet", "trimesh", "scipy", "cv2", "shapely", "coacd", "PIL")
+LOADED = f"""
+import sys
+from simfoundry.cli.main import main
+sys.argv[0] = 'simfoundry'
+try:
+    main()
+except SystemExit as end:
+    print(sorted(set({HEAVY!r}) & set(sys.modules)), end.code, file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_helps(command: str) -> None:
+    done = run(command, "--help")
+    assert done.code == 0 and done.out.startswith(f"Usage: simfoundry {command}")
+    assert len(done.out.splitlines()) > 6
+
+
+def test_the_list_of_commands() -> None:
+    done = run("--help")
+    assert done.code == 0 and all(f"  {command}  " in done.out for command in COMMANDS)
+    assert "Exit codes" in done.out and run("--version").out.startswith("simfoundry, version ")
+
+
+@pytest.mark.parametrize("args", [["--help"], *([c, "--help"] for c in COMMANDS), ["schema", "scene"]], ids=" ".join)
+def test_help_loads_nothing_heavy(args: list[str]) -> None:
+    assert python(LOADED, *args).err == "[] 0\n"
+
+
+def test_check_loads_nothing_heavy(scene: Path) -> None:
+    assert python(LOADED, "check", scene).err == "[] 0\n"
+
+
+def test_no_progress_bar_in_a_log(scene: Path, tmp_path: Path) -> None:
+    """Not even where colour is forced, as CI services do."""
+    done = python(MAIN, "settle", scene, SIMFOUNDRY_CACHE=str(tmp_path), FORCE_COLOR="1", TERM="xterm")
+    assert done.code == 0 and done.err == ""
+
+
+# -- packages that are not there ------------------------------------------------------------------------------------
+
+
+def parts(done: Done) -> dict[str, dict[str, object]]:
+    return {p["name"]: p for p in json.loads(done.out)["parts"]}
+
+
+def test_doctor_finds_everything_here() -> None:
+    done = run("doctor", "--json")
+    assert done.code == 0 and done.err == ""
+    assert [p["name"] for p in done.json["parts"] if p["required"] and not p["version"]] == []
+
+
+def test_doctor_names_what_is_missing() -> None:
+    done = python(without("shapely", "pybullet"), "doctor", "--json")
+    assert done.code == 1 and done.err == ""
+    facts = parts(done)
+    assert facts["shapely"]["version"] == "" and facts["shapely"]["remedy"] == "pip install shapely"
+    assert facts["pybullet"]["version"] == "" and facts["trimesh"]["version"]
+    assert "MISSING shapely" in python(without("shapely"), "doctor").out
+
+
+def test_doctor_does_without_pybullet() -> None:
+    assert python(without("pybullet"), "doctor", "--json").code == 0
+
+
+def test_a_missing_package_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.scene.yaml").write_text(SCENE.replace("cylinder: {radius: 0.04, height: 0.1}", PRISM))
+    done = python(without("mapbox_earcut", "shapely"), "show", tmp_path / "a.scene.yaml")
+    assert done.code == 2 and "Traceback" not in done.err and "simfoundry doctor" in done.err
+
+
+PRISM = "prism: {outline: [[0, 0], [0.1, 0], [0.05, 0.02], [0, 0.1]], height: 0.05}"
+
+
+def test_settle_and_compile_work_without_pybullet(scene: Path, tmp_path: Path) -> None:
+    program, env = without("pybullet"), {"SIMFOUNDRY_CACHE": str(tmp_path / "cache")}
+    done = python(program, "compile", scene, "-o", tmp_path / "out", **env)
+    assert done.code == 0 and (tmp_path / "out" / "pybullet" / "world.json").is_file()
+    assert python(program, "settle", scene, **env).code == 0
+    refused = python(program, "settle", scene, "--engine", "pybullet", **env)
+    assert refused.code == 2 and "pip install" in refused.err and "Traceback" not in refused.err
