@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from simfoundry.assets import mass
 from simfoundry.capture.annotate import SUPPORT, Substance, kind_of
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support import Thickness
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.poses import pose_spec
@@ -108,7 +110,9 @@ def material_spec(substance: Substance) -> Material:
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """The files of a mesh below the folder of the scene, by relative path."""
+    """The files of a mesh below the folder of the scene, by relative path; to a hundredth of a millimetre."""
+    uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
+    mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 

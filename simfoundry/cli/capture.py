@@ -15,13 +15,14 @@ from simfoundry.cli.settle import settle_table
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Default: build/<capture name>.")
 @click.option("--frame", help="The frame to reconstruct; default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even where it holds files or edits of your own.")
+@click.option("--strict", is_flag=True, help="Exit with 1 where an object was left out or settled with a problem.")
 @json_option
 @reporting
-def command(capture: Path, out: Path | None, frame: str | None, force: bool, as_json: bool) -> int:
+def command(capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool) -> int:
     """Turn a capture (a folder with capture.yaml, colour and depth) into a settled scene with meshes.
 
-    Writes NAME.scene.yaml, meshes/, report.json and compare.png. Exit code 1 where an object could not be fitted or
-    does not rest: the table and the report say which and why.
+    Writes NAME.scene.yaml, meshes/, report.json and compare.png. Where an object was left out, or settled with a
+    problem, the table and the report say which and why.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.run import run_capture
@@ -29,7 +30,7 @@ def command(capture: Path, out: Path | None, frame: str | None, force: bool, as_
     target = out or Path("build") / _name(capture)
     with progress_bar(as_json) as progress:
         run = run_capture(capture, target, frame, progress, Cache.default(), force)
-    verdict = DONE if run.report["passed"] else FINDINGS
+    verdict = FINDINGS if strict and not run.report["passed"] else DONE
     if as_json:
         print_json({"scene": str(run.scene_file), **run.report})
         return verdict
