@@ -201,11 +201,11 @@ def test_totals_hold_the_bars() -> None:
 
 
 def test_a_capture_that_failed_fails_what_it_could_not_show() -> None:
-    broken = Row("mosd_dev_x", {"seconds": Cell("2.0", False, "exit code 2: no support")}, Measures(2.0, 300.0))
+    broken = Row("mosd_dev_x", {"exit": Cell("2", False, "exit code 2: no support")}, Measures(2.0, 300.0))
     table = [*rows([(3, 3)] * 11), broken]
     assert {"check", "twice", "MuJoCo 2 s"} <= set(failing(table))
-    assert broken.failures == ["mosd_dev_x, seconds: exit code 2: no support"]
+    assert broken.failures == ["mosd_dev_x, exit: exit code 2: no support"]
     assert Row("x", {"settled": Cell("1 of 2", None, "cup tilted"), "MB": Cell("3", True)}).notes == [
         "x, settled: cup tilted"
     ]
-    assert text_table(table, COLUMNS).splitlines()[-1].split()[:4] == ["mosd_dev_x", "2.0", "FAIL", "-"]
+    assert text_table(table, COLUMNS).splitlines()[-1].split()[:4] == ["mosd_dev_x", "2", "FAIL", "-"]
