@@ -54,16 +54,24 @@ def lathe_mesh(profile: Array, sides: int = SIDES) -> tuple[Array, Faces]:
     around = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [np.column_stack([radius * around, np.full(sides, height)]) for radius, height in profile[1:-1]]
     vertices = np.concatenate([[[0.0, 0.0, profile[0, 1]]], *rings, [[0.0, 0.0, profile[-1, 1]]]])
+    return vertices, ring_faces(len(rings), sides)
+
+
+def ring_faces(rings: int, sides: int) -> Faces:
+    """Outward faces over an apex, ``rings`` of ``sides`` vertices from the top down, and a second apex.
+
+    The rings run counter-clockwise seen from above; the vertices are numbered in this order.
+    """
     here = np.arange(sides)
     after = (here + 1) % sides
-    last = 1 + (len(rings) - 1) * sides
+    last = 1 + (rings - 1) * sides
     faces = [np.column_stack([np.zeros(sides, int), 1 + here, 1 + after])]
-    for ring in range(len(rings) - 1):
+    for ring in range(rings - 1):
         upper, lower = 1 + ring * sides, 1 + (ring + 1) * sides
         faces.append(np.column_stack([upper + here, lower + here, lower + after]))
         faces.append(np.column_stack([upper + here, lower + after, upper + after]))
-    faces.append(np.column_stack([np.full(sides, len(vertices) - 1), last + after, last + here]))
-    return vertices, np.concatenate(faces).astype(np.int32)
+    faces.append(np.column_stack([np.full(sides, last + sides), last + after, last + here]))
+    return np.concatenate(faces).astype(np.int32)
 
 
 def lathe_parts(profile: Array) -> list[Array]:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
@@ -27,22 +28,22 @@ def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
         case Box():
             return _box(geometry.size)
         case Sphere():
-            return _revolved(_arc(geometry.radius, 0.0, 0.0, math.pi, max(2, segments // 2)), segments)
+            return revolved(_arc(geometry.radius, 0.0, 0.0, math.pi, max(2, segments // 2)), segments)
         case Cylinder():
             r, z = geometry.radius, geometry.height / 2
-            return _revolved([(0.0, z), (r, z), (r, -z), (0.0, -z)], segments)
+            return revolved([(0.0, z), (r, z), (r, -z), (0.0, -z)], segments)
         case Capsule():
             r, z, rings = geometry.radius, geometry.height / 2, max(1, segments // 4)
             top = _arc(r, z, 0.0, math.pi / 2, rings)
             bottom = _arc(r, -z, math.pi / 2, math.pi, rings)
-            return _revolved(top + (bottom if z > 0 else bottom[1:]), segments)
+            return revolved(top + (bottom if z > 0 else bottom[1:]), segments)
 
 
 def _box(size: Array) -> Mesh:
     corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]) * np.asarray(size) / 2
     quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
     faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
-    return _mesh(corners, np.array(faces, dtype=np.int32))
+    return closed_mesh(corners, np.array(faces, dtype=np.int32))
 
 
 def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list[tuple[float, float]]:
@@ -51,27 +52,16 @@ def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list
     return [(radius * math.sin(a), z + radius * math.cos(a)) for a in angles]
 
 
-def _revolved(profile: list[tuple[float, float]], segments: int) -> Mesh:
-    """Turn a profile ``(r, z)`` about z; it starts and ends on the axis and runs from top to bottom."""
-    rings = profile[1:-1]
-    turn = 2 * math.pi * np.arange(segments) / segments
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    vertices = [np.array([[0.0, 0.0, profile[0][1]]])]
-    vertices += [np.column_stack([r * circle, np.full(segments, z)]) for r, z in rings]
-    vertices.append(np.array([[0.0, 0.0, profile[-1][1]]]))
-    here = np.arange(segments)
-    after = (here + 1) % segments
-    faces = [np.stack([np.zeros_like(here), 1 + here, 1 + after], axis=1)]
-    for k in range(len(rings) - 1):
-        upper, lower = 1 + k * segments, 1 + (k + 1) * segments
-        faces.append(np.stack([upper + here, lower + here, lower + after], axis=1))
-        faces.append(np.stack([upper + here, lower + after, upper + after], axis=1))
-    last_ring, pole = 1 + (len(rings) - 1) * segments, 1 + len(rings) * segments
-    faces.append(np.stack([last_ring + here, np.full_like(here, pole), last_ring + after], axis=1))
-    return _mesh(np.concatenate(vertices), np.concatenate(faces))
+def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
+    """A profile of (radius, height) [m], shape (k, 2), turned about z, as a closed mesh.
+
+    It starts and ends on the axis, from the top down the outside to the foot.
+    """
+    return closed_mesh(*lathe_mesh(np.asarray(profile, dtype=np.float64), segments))
 
 
-def _mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
+def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
+    """A mesh of arrays that nobody can change any more."""
     index = np.ascontiguousarray(faces, dtype=np.int32)
     index.setflags(write=False)
     return Mesh(vertices=frozen_array(vertices), faces=index)

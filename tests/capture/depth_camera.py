@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.raycast import cast_mesh, first_faces
-from simfoundry.capture.shapes.solids import as_mesh
 from simfoundry.capture.shapes.unwrap import face_normals
 from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
 from simfoundry.scene.model import Geometry
+from simfoundry.scene.tessellate import tessellate
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
 K = np.array([[FOCAL, 0, 158.7], [0, FOCAL * 1.002, 121.4], [0, 0, 1]])
@@ -44,7 +44,7 @@ def see(
     labels = np.zeros(len(rays), np.int32)
     color = np.tile(np.array([255, 0, 255], np.uint8), (len(rays), 1))
     for number, (geometry, X_WO) in enumerate(solids, 1):
-        mesh = as_mesh(geometry)
+        mesh = tessellate(geometry)
         vertices = X_WO.apply(mesh.vertices)
         face = first_faces(X_WC.p, rays, vertices, mesh.faces)
         hit = cast_mesh(X_WC.p, rays, vertices, mesh.faces).depth

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from simfoundry.assets import mass
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
@@ -18,17 +19,18 @@ from simfoundry.capture.shapes.raycast import (
     cast_mesh,
     cast_sphere,
 )
-from simfoundry.capture.shapes.solids import as_mesh, hull_margin, lathe_mesh, loft_mesh, volume_and_com
+from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
+from simfoundry.scene.tessellate import revolved, tessellate
 from tests.capture.depth_camera import EYE, NOISE, Solid, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))
-BOWL = lathe_mesh(
+BOWL = revolved(
     np.array([[0, 0.008], [0.03, 0.008], [0.055, 0.03], [0.076, 0.06], [0.08, 0.06], [0.06, 0.03], [0.035, 0], [0, 0]])
 )
-MUG = lathe_mesh(np.array([[0, 0.006], [0.036, 0.006], [0.036, 0.095], [0.04, 0.095], [0.04, 0], [0, 0]]))
-BOTTLE = lathe_mesh(np.array([[0, 0.2], [0.014, 0.2], [0.014, 0.165], [0.035, 0.13], [0.035, 0], [0, 0]]))
+MUG = revolved(np.array([[0, 0.006], [0.036, 0.006], [0.036, 0.095], [0.04, 0.095], [0.04, 0], [0, 0]]))
+BOTTLE = revolved(np.array([[0, 0.2], [0.014, 0.2], [0.014, 0.165], [0.035, 0.13], [0.035, 0], [0, 0]]))
 
 
 def fit(solid: Solid, **options: float) -> FittedShape:
@@ -37,7 +39,7 @@ def fit(solid: Solid, **options: float) -> FittedShape:
 
 
 def world_mesh(shape: FittedShape) -> trimesh.Trimesh:
-    mesh = as_mesh(shape.geometry)
+    mesh = tessellate(shape.geometry)
     return trimesh.Trimesh(shape.X_WO.apply(mesh.vertices), mesh.faces, process=False)
 
 
@@ -49,7 +51,7 @@ def assert_stands(shape: FittedShape, base_z: float) -> None:
     assert mesh.bounds[0, 2] == pytest.approx(base_z, abs=1e-6)
     foot = mesh.vertices[mesh.vertices[:, 2] < base_z + 1e-4, :2]
     if not isinstance(shape.geometry, Sphere | Cylinder):
-        assert hull_margin(foot, volume_and_com(mesh.vertices, mesh.faces)[1][:2]) > 0.002
+        assert hull_margin(foot, mass.mesh(mesh.vertices, mesh.faces).com[:2]) > 0.002
 
 
 def assert_sizes(got: tuple[float, ...], want: tuple[float, ...]) -> None:
@@ -120,7 +122,7 @@ def test_bottle_is_a_solid_of_revolution() -> None:
     assert isinstance(shape.geometry, Mesh) and not shape.hollow
     assert_sizes(size_of(shape.geometry), (0.07, 0.07, 0.2))
     assert np.linalg.norm(shape.X_WO.p - [0.03, -0.02, 0]) < 0.004
-    true_volume = volume_and_com(BOTTLE.vertices, BOTTLE.faces)[0]
+    true_volume = mass.mesh(BOTTLE.vertices, BOTTLE.faces).volume
     assert world_mesh(shape).volume == pytest.approx(true_volume, rel=0.06)
     neck = shape.geometry.vertices[np.abs(shape.geometry.vertices[:, 2] - 0.18) < 0.012]
     assert np.hypot(neck[:, 0], neck[:, 1]).max() == pytest.approx(0.014, abs=0.004)
@@ -250,14 +252,14 @@ def test_analytic_ray_casts_agree_with_triangles(kind: str) -> None:
     X_WO = Pose.of((0.02, 0.01, 0.08), quat_from_rpy(0.4, -0.3, 1.1))
     if kind == "box":
         size = np.array([0.1, 0.06, 0.14])
-        hits, mesh = cast_box(eye, rays, size, X_WO), as_mesh(Box(size))
+        hits, mesh = cast_box(eye, rays, size, X_WO), tessellate(Box(size))
     elif kind == "sphere":
         hits = cast_sphere(eye, rays, 0.07, X_WO.p)
         ball = trimesh.creation.icosphere(subdivisions=5, radius=0.07)
         mesh = Mesh(ball.vertices, ball.faces)
     else:
         profile = np.array([[0, 0.02], [0.04, 0.03], [0.06, 0.1], [0.065, 0.1], [0.05, 0.0], [0, 0]])
-        hits, mesh = cast_lathe(eye, rays, profile, X_WO), lathe_mesh(profile, sides=720)
+        hits, mesh = cast_lathe(eye, rays, profile, X_WO), revolved(profile, 720)
     truth = cast_mesh(eye, rays, X_WO.apply(mesh.vertices), np.asarray(mesh.faces))
     both = np.isfinite(hits.depth) & np.isfinite(truth.depth)
     assert both.sum() > 80
@@ -305,9 +307,6 @@ def test_agreement_names_what_is_wrong() -> None:
 
 @pytest.mark.parametrize("geometry", [Box(np.array([0.1, 0.2, 0.3])), Cylinder(0.05, 0.1), Sphere(0.07), BOWL, BOTTLE])
 def test_meshes_are_closed_and_face_outward(geometry: Box | Cylinder | Sphere | Mesh) -> None:
-    mesh = as_mesh(geometry)
+    mesh = tessellate(geometry)
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     assert solid.is_watertight and solid.is_winding_consistent and solid.volume > 0
-    volume, com = volume_and_com(mesh.vertices, mesh.faces)
-    assert volume == pytest.approx(solid.volume)
-    assert com == pytest.approx(solid.center_mass, abs=1e-9)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
 from simfoundry.capture.shapes.raycast import cast_mesh
-from simfoundry.capture.shapes.solids import as_mesh
 from simfoundry.capture.shapes.texture import textured_mesh
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box, Cylinder, Mesh
+from simfoundry.scene.tessellate import tessellate
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
@@ -166,7 +166,7 @@ def test_table_of_containers_and_tins() -> None:
     assert [s.hollow for s in shapes] == [False, False, True, True, True]
     assert all(isinstance(s.geometry, Cylinder) for s in shapes[:2])
     for shape in shapes:
-        mesh = as_mesh(shape.geometry)
+        mesh = tessellate(shape.geometry)
         solid = trimesh.Trimesh(shape.X_WO.apply(mesh.vertices), mesh.faces, process=False)
         assert solid.is_watertight and solid.volume > 0
         assert solid.bounds[0, 2] == pytest.approx(0.0, abs=1e-6)

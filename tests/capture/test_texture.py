@@ -7,18 +7,18 @@ import pytest
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.capture.shapes.solids import as_mesh, lathe_mesh
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.shapes.unwrap import face_normals, unwrap
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.tessellate import revolved, tessellate
 from tests.capture.depth_camera import see, yaw_pose
 
 # +x red, -x green, +y blue, -y yellow, +z white, -z black
 PAINT = np.array([[220, 20, 20], [20, 200, 20], [30, 40, 220], [230, 220, 20], [235, 235, 235], [5, 5, 5]], np.uint8)
 MAGENTA = np.array([255, 0, 255])
 CARTON = Box(np.array([0.12, 0.08, 0.15]))
-MUG = lathe_mesh(np.array([[0, 0.006], [0.036, 0.006], [0.036, 0.095], [0.04, 0.095], [0.04, 0], [0, 0]]))
+MUG = revolved(np.array([[0, 0.006], [0.036, 0.006], [0.036, 0.095], [0.04, 0.095], [0.04, 0], [0, 0]]))
 
 
 def decode(png: bytes) -> NDArray[np.uint8]:
@@ -78,7 +78,7 @@ def test_no_colour_bleeds_in(geometry: Geometry, height: float) -> None:
 @pytest.mark.parametrize("geometry", [CARTON, Cylinder(0.04, 0.1), Sphere(0.05), MUG])
 def test_textured_mesh_is_the_same_surface(geometry: Geometry) -> None:
     mesh, shape = painted(geometry, yaw_pose(0.02, 0.01, 0.08, 37))
-    plain = as_mesh(shape.geometry)
+    plain = tessellate(shape.geometry)
     assert mesh.uv is not None and mesh.uv.shape == (len(mesh.vertices), 2)
     assert mesh.uv.min() >= 0 and mesh.uv.max() <= 1
     assert np.array_equal(mesh.vertices[mesh.faces], plain.vertices[plain.faces])

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets import mass
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
 from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_mesh
-from simfoundry.capture.shapes.solids import hull_margin, loft_mesh, volume_and_com
+from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Mesh
 
@@ -290,7 +291,7 @@ def _hull_with_disc(foot: Array, centre: Array, radius: float) -> Array:
 
 def _com(rings: Array) -> Array:
     mesh = loft_mesh(rings)
-    return volume_and_com(np.asarray(mesh.vertices), mesh.faces)[1]
+    return mass.mesh(mesh.vertices, mesh.faces).com
 
 
 def _foot_margin(rings: Array) -> float:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.capture.shapes.solids import as_mesh
 from simfoundry.capture.shapes.unwrap import Atlas, face_normals, unwrap
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
+from simfoundry.scene.tessellate import tessellate
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
@@ -60,7 +60,7 @@ def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDAr
     """
     if not mask.any():
         raise ValueError("an empty mask has no colours to make a texture from")
-    mesh = as_mesh(shape.geometry)
+    mesh = tessellate(shape.geometry)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     atlas = unwrap(vertices, faces, _LARGE if int(mask.sum()) > _LARGE_FROM else _SMALL)
     texels = _rasterise(atlas, vertices, faces)
