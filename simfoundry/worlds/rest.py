@@ -7,7 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import World
+
+MAX_MOVED = 0.01
+"""What moves farther than this [m] does not stay."""
+
+MAX_TURNED_DEG = 5.0
 
 
 @dataclass(frozen=True)
@@ -18,10 +24,15 @@ class Motion:
     moved: float
     turned_deg: float
 
+    @property
+    def stays(self) -> bool:
+        """Whether that is no more than what two simulators may disagree on."""
+        return self.moved <= MAX_MOVED and self.turned_deg <= MAX_TURNED_DEG
 
-def simulate(world: World, seconds: float = 2.0) -> list[Motion]:
-    """Run a world from the state of its scene, and report the motion of every free object."""
-    world.reset()
+
+def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None) -> list[Motion]:
+    """Run a world from ``state``, by default that of its scene, and report the motion of every free object."""
+    world.reset(state)
     before = world.state()
     world.step(round(seconds / world.timestep))
     after = world.state()
