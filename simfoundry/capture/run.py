@@ -25,7 +25,8 @@ from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.load import Loaded, load_capture, load_scene
+from simfoundry.spec.load import load_capture, load_scene
+from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_yaml
 from simfoundry.worlds.settle import Settled, settle
