@@ -15,8 +15,9 @@ import pytest
 import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
+from simfoundry.spec.check import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
-from simfoundry.spec.load import MESH_SUFFIXES, PICTURE_SUFFIXES, load
+from simfoundry.spec.load import load
 from simfoundry.spec.reference import EXAMPLES, reference
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse

@@ -14,7 +14,7 @@ from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.capture import CaptureSpec, Intrinsics, Shot
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
-from simfoundry.spec.load import Loaded
+from simfoundry.spec.loaded import Loaded
 
 NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""

@@ -26,7 +26,8 @@ from simfoundry.scene.poses import with_poses
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.load import Loaded, load_capture, load_scene
+from simfoundry.spec.load import load_capture, load_scene
+from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_yaml
 from simfoundry.worlds.base import World

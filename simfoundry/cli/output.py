@@ -9,12 +9,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import click
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.diagnostics import Diagnostic, SpecError, render
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest, render
+
+if TYPE_CHECKING:
+    from simfoundry.scene.model import Camera, Scene
+    from simfoundry.spec.scene import SceneSpec
 
 P = ParamSpec("P")
 
@@ -62,6 +66,17 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
         print_json({"findings": [d.to_json() for d in findings]})
     else:
         click.echo(render([_relative(d) for d in findings]), err=True)
+
+
+def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
+    """The camera called ``name``; without one the scene's viewpoint, or its first camera."""
+    cameras = {c.name: c for c in scene.cameras}
+    if not cameras:
+        raise CannotError(f"{scene.name} has no camera; add one under `cameras`")
+    chosen = name or spec.viewpoint or next(iter(cameras))
+    if chosen not in cameras:
+        raise CannotError(f"no camera is called `{chosen}`; {nearest(chosen, cameras)}")
+    return cameras[chosen]
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import choose_camera, json_option, print_json, reporting
 
 
 @click.command()
@@ -26,7 +26,6 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_j
     """Render a PNG from a camera, without a display."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
-    from simfoundry.spec.diagnostics import nearest
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
     from simfoundry.worlds.compare import save_png
@@ -35,16 +34,11 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_j
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)
     lowered = lower(loaded, Cache.default())
-    cameras = {c.name: c for c in lowered.cameras}
-    if not cameras:
-        raise CannotError(f"{scene} has no camera; add one under `cameras`")
-    name = camera or loaded.spec.viewpoint or next(iter(cameras))
-    if name not in cameras:
-        raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
+    view = choose_camera(lowered, loaded.spec, camera)
     chosen = choose_engine(engine)
-    target = out or Path(f"{lowered.name}-{name}.png")
-    save_png(target, render(lowered, cameras[name], engine=chosen))
+    target = out or Path(f"{lowered.name}-{view.name}.png")
+    save_png(target, render(lowered, view, engine=chosen))
     if as_json:
-        print_json({"out": str(target), "camera": name, "engine": chosen.value})
+        print_json({"out": str(target), "camera": view.name, "engine": chosen.value})
     else:
-        click.echo(f"{target}  ({name}, {cameras[name].width} x {cameras[name].height}, {chosen})")
+        click.echo(f"{target}  ({view.name}, {view.width} x {view.height}, {chosen})")

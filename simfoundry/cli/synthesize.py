@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import choose_camera, json_option, print_json, reporting
 
 
 @click.command()
@@ -24,21 +24,15 @@ def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, 
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.synthesize import synthesize
     from simfoundry.scene.lower import lower
-    from simfoundry.spec.diagnostics import nearest
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
 
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)
     lowered = lower(loaded, Cache.default())
-    cameras = {c.name: c for c in lowered.cameras}
-    if not cameras:
-        raise CannotError(f"{scene} has no camera; add one under `cameras`")
-    name = camera or loaded.spec.viewpoint or next(iter(cameras))
-    if name not in cameras:
-        raise CannotError(f"no camera is called `{name}`; {nearest(name, cameras)}")
-    path = synthesize(lowered, cameras[name], out, seed, masks, truth=scene)
+    view = choose_camera(lowered, loaded.spec, camera)
+    path = synthesize(lowered, view, out, seed, masks, truth=scene)
     if as_json:
-        print_json({"capture": str(path), "camera": name, "seed": seed})
+        print_json({"capture": str(path), "camera": view.name, "seed": seed})
     else:
         click.echo(str(path))

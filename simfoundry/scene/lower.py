@@ -31,8 +31,9 @@ from simfoundry.scene.model import (
 )
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.check import is_document
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.load import Loaded, is_document
+from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.relations import parse_relation
 from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 

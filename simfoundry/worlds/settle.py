@@ -17,33 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import SceneObject, Sphere
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
 from simfoundry.worlds.base import Contact, World
+from simfoundry.worlds.footing import NUDGE_DEG, STEEP, has_foot, is_ball, supporters, topples
 
 Progress = Callable[[str, float], None]
 
-UPWARD = 0.5
-"""A contact carries what lies above it if its normal points up by at least this much."""
-
-STEEP = 0.02
-"""Contacts that point up by at least this much hold a thing where none carries it: between the walls of a vessel."""
-
 FALLEN = 0.3
 """What is this far [m] below everything that the scene began with has fallen off it."""
-
-NUDGE_DEG = 0.5
-"""How far a thing is tilted to see whether it stays: less than the lean of any shelf or hand-set table."""
-
-NUDGE_S = 1.5
-TOPPLED = 0.1
-"""A nudged thing topples if its centre of mass loses this share of its height over the lowest point."""
-
-FOOT = 0.001
-"""Contacts nearer to the centre of mass than this [m], seen from above, give no foothold."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +120,8 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     fallen = _fallen(world, end)
     after = SceneState.of({n: before.poses[n] if n in fallen else p for n, p in end.poses.items()}, end.joints)
     standing = [o for o in world.scene.objects if not o.fixed and o.name not in fallen | restless]
-    shaky = [o for o in standing if not _is_ball(o) and not _has_foot(o, after.poses[o.name], contacts_after)]
-    toppling = {o.name for o in shaky if _topples(world, after, o)}
+    shaky = [o for o in standing if not is_ball(o) and not has_foot(o, after.poses[o.name], contacts_after)]
+    toppling = {o.name for o in shaky if topples(world, after, o)}
     if fallen or toppling:
         world.reset(after)
     reports = []
@@ -146,13 +130,6 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
             problems = _what_happened(item.name, restless, fallen, toppling)
             reports.append(_report(world, item, before, end, contacts_before, contacts_after, options, problems))
     return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
-
-
-def supporters(name: str, contacts: list[Contact], upward: float = UPWARD) -> tuple[str, ...]:
-    """The objects that carry ``name``: those it touches from above, at normals that point up by ``upward``."""
-    below = {c.a for c in contacts if c.b == name and c.normal[2] >= upward}
-    below |= {c.b for c in contacts if c.a == name and c.normal[2] <= -upward}
-    return tuple(sorted(below))
 
 
 def _restless(before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
@@ -172,45 +149,6 @@ def _fallen(world: World, state: SceneState) -> set[str]:
     scene = world.scene
     floor = min((float(world_bounds(o, o.X_WO)[0][2]) for o in scene.objects), default=0.0) - FALLEN
     return {o.name for o in scene.objects if not o.fixed and state.poses[o.name].p[2] < floor}
-
-
-def _center_of_mass(item: SceneObject, X_WO: Pose) -> Array:
-    """In the world [m], shape (3,), with the joints as the scene has them."""
-    poses = link_poses(item)
-    masses = np.array([link.mass for link in item.links])
-    centers = np.array([poses[link.name].apply(link.com) for link in item.links])
-    return X_WO.apply(masses @ centers / masses.sum())
-
-
-def _has_foot(item: SceneObject, X_WO: Pose, contacts: list[Contact]) -> bool:
-    """Whether contacts from below lie all around the centre of mass."""
-    center = _center_of_mass(item, X_WO)
-    below = [c.position for c in contacts if item.name in (c.a, c.b) and (c.normal[2] > 0) == (c.b == item.name)]
-    offsets = np.array([p - center for p in below]).reshape(-1, 3)[:, :2]
-    offsets = offsets[np.linalg.norm(offsets, axis=1) > FOOT]
-    if len(offsets) < 3:
-        return False
-    angles = np.sort(np.arctan2(offsets[:, 1], offsets[:, 0]))
-    return float(np.diff(angles, append=angles[0] + 2 * np.pi).max()) < np.pi
-
-
-def _topples(world: World, state: SceneState, item: SceneObject) -> bool:
-    """Whether an object falls over when it is let go slightly tilted, to either of two sides. It may well roll."""
-    X_WO = state.poses[item.name]
-    low, high = world_bounds(item, X_WO)
-    height = float(_center_of_mass(item, X_WO)[2])
-    angle = math.radians(NUDGE_DEG)
-    lift = float(np.linalg.norm((high - low)[:2])) / 2 * math.sin(angle)
-    fell = False
-    for roll, pitch in ((angle, 0.0), (0.0, angle)):
-        turned = Pose.of(q=quat_from_rpy(roll, pitch, 0.0)) @ Pose.of(q=X_WO.q)
-        tilted = Pose.of(X_WO.p + np.array([0.0, 0.0, lift]), turned.q)
-        world.reset(SceneState.of({**state.poses, item.name: tilted}, state.joints))
-        world.step(round(NUDGE_S / world.timestep))
-        after = float(_center_of_mass(item, world.state().poses[item.name])[2])
-        fell = fell or height - after > TOPPLED * (height - float(low[2]))
-    world.reset(state)
-    return fell
 
 
 def _what_happened(name: str, restless: set[str], fallen: set[str], toppling: set[str]) -> list[str]:
@@ -287,7 +225,7 @@ def _report(
     kept = all(w in carried_by for w in wanted)
     if drift > options.max_drift_m:
         problems.append(f"moved {drift * 100:.1f} cm from its fitted pose")
-    if tilt > options.max_tilt_deg and not _is_ball(item):
+    if tilt > options.max_tilt_deg and not is_ball(item):
         problems.append(f"tilted {tilt:.0f} deg")
     if penetration > options.max_penetration_m:
         problems.append(f"still penetrates by {penetration * 1000:.1f} mm")
@@ -310,12 +248,6 @@ def _report(
 
 def _deepest(name: str, contacts: list[Contact]) -> float:
     return max((c.depth for c in contacts if name in (c.a, c.b)), default=0.0)
-
-
-def _is_ball(item: SceneObject) -> bool:
-    """Whether it is one sphere about its frame, which has no up side."""
-    parts = [c for link in item.links for c in link.colliders]
-    return len(parts) == 1 and isinstance(parts[0].geometry, Sphere) and not parts[0].X_LG.p.any()
 
 
 def _tilt_deg(start: Pose, end: Pose) -> float:

@@ -95,12 +95,14 @@ def test_running_again_replaces_what_a_run_wrote(folder: Path) -> None:
     assert tree(folder / "out") == before
 
 
-def test_what_does_not_rest_gives_1(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_does_not_rest_gives_1_with_strict(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same capture, with nothing allowed to move at all."""
     strict = partial(settle, options=SettleOptions(max_drift_m=-1.0))
     monkeypatch.setattr("simfoundry.capture.run.settle", strict)
     monkeypatch.setenv("SIMFOUNDRY_CACHE", str(folder / "cache"))
-    done = run("capture", folder / "capture", "-o", folder / "strict", "--json")
+    lenient = run("capture", folder / "capture", "-o", folder / "strict", "--json")
+    assert lenient.code == 0 and lenient.json["passed"] is False
+    done = run("capture", folder / "capture", "-o", folder / "strict", "--json", "--strict")
     assert done.code == 1 and done.err == "" and done.json["passed"] is False
     assert "from its fitted pose" in done.json["objects"]["green_box"]["settle"]["problems"][0]
     assert (folder / "strict" / "capture.scene.yaml").is_file()  # it is written all the same

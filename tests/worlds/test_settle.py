@@ -16,7 +16,8 @@ from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.worlds import ENGINES, World, open_world
 from simfoundry.worlds.base import Contact
-from simfoundry.worlds.settle import ObjectSettle, Settled, settle, supporters
+from simfoundry.worlds.footing import supporters
+from simfoundry.worlds.settle import ObjectSettle, Settled, settle
 from tests.cli.command import run
 
 Settle = Callable[..., Settled]
