@@ -31,6 +31,10 @@ MARGIN = 0.01
 """How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
 
 
+MOST_CORNERS = 24
+"""Corners of an outline: more than a person wants to read add nothing to a table."""
+
+
 def beneath(outline: Array, footprints: list[Array]) -> Array:
     """The outline [m], shape (n, 2), grown so that every footprint on it lies inside: what stands is carried."""
     import shapely
@@ -42,7 +46,18 @@ def beneath(outline: Array, footprints: list[Array]) -> Array:
             joined = whole.union(ground)
             # Something that stands apart from the seen surface is joined to it by the shortest way.
             whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
-    simple = shapely.Polygon(whole.exterior).simplify(0.002)
+    return _simplified(shapely.Polygon(whole.exterior))
+
+
+def _simplified(polygon: Polygon) -> Array:
+    """Its corners, counter-clockwise, at most :data:`MOST_CORNERS`: as coarse as that needs, no coarser."""
+    import shapely
+
+    tolerance = 0.002
+    simple = polygon.simplify(tolerance)
+    while len(simple.exterior.coords) - 1 > MOST_CORNERS:
+        tolerance *= 1.5
+        simple = polygon.simplify(tolerance)
     return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
 
 
