@@ -11,8 +11,9 @@ import trimesh
 from simfoundry.assets import mass
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.fit import PRIOR, Candidate, FittedShape, choose, fit_shape, size_of
 from simfoundry.capture.shapes.raycast import (
+    Agreement,
     agreement,
     cast_box,
     cast_lathe,
@@ -256,6 +257,20 @@ def test_fit_is_deterministic() -> None:
     assert isinstance(first.geometry, Mesh) and isinstance(second.geometry, Mesh)
     assert first.geometry.digest == second.geometry.digest
     assert first.X_WO.p.tobytes() == second.X_WO.p.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("explained", "intrusion", "chosen"), [(0.94, 0.01, "box"), (0.87, 0.0, "completed"), (0.95, 0.2, "completed")]
+)
+def test_a_completed_shape_must_explain_more_than_a_box(explained: float, intrusion: float, chosen: str) -> None:
+    def candidate(family: str, explained: float, intrusion: float, cost: float) -> Candidate:
+        return Candidate(family, CARTON[0], CARTON[1], Agreement(explained, 0.0, intrusion, 0.001, cost))
+
+    box = candidate("box", explained, intrusion, 0.33)
+    free = candidate("completed", 0.95, 0.0, 0.33 - PRIOR["completed"] - 0.01)
+    assert choose([box, free]).family == chosen
+    assert choose([free]) is free
+    assert choose([box, candidate("completed", 0.99, 0.0, 0.33)]) is box
 
 
 def random_rays(count: int = 400) -> tuple[Array, Array]:
