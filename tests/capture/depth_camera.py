@@ -62,3 +62,14 @@ def see(
     outline = frozen_array([[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])
     frame = Frame(color.reshape(HEIGHT, WIDTH, 3), noisy, K)
     return frame, Support(X_WC, outline, noise, (picture == 0) & np.isfinite(noisy)), picture
+
+
+def blinded(frame: Frame, mask: NDArray[np.bool_], inside: int, outside: int) -> Frame:
+    """The frame without depth in a band along the silhouette ``mask``, so many pixels wide on either side of it.
+
+    That is how cameras that project a pattern see edges: the pattern falls on both sides of them or into a shadow.
+    """
+    from scipy import ndimage
+
+    band = ndimage.binary_dilation(mask, iterations=outside) & ~ndimage.binary_erosion(mask, iterations=inside)
+    return Frame(frame.color, np.where(band, np.nan, frame.depth), frame.K)

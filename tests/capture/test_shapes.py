@@ -11,8 +11,9 @@ import trimesh
 from simfoundry.assets import mass
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
+from simfoundry.capture.shapes.fit import PRIOR, Candidate, FittedShape, choose, fit_shape, size_of
 from simfoundry.capture.shapes.raycast import (
+    Agreement,
     agreement,
     cast_box,
     cast_lathe,
@@ -23,7 +24,7 @@ from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.tessellate import revolved, tessellate
-from tests.capture.depth_camera import EYE, NOISE, Solid, see, yaw_pose
+from tests.capture.depth_camera import EYE, NOISE, Solid, blinded, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))
 BOWL = revolved(
@@ -218,7 +219,6 @@ def test_few_points_give_a_doubtful_primitive_and_none_an_error() -> None:
 def test_stray_background_and_holes_do_not_change_the_box() -> None:
     frame, support, labels = see([CARTON])
     mask = labels == 1
-    clean = fit_shape(frame, support, mask, 0.0, labels=labels)
     rng = np.random.default_rng(3)
     depth = frame.depth.copy()
     depth[mask & (rng.random(mask.shape) < 0.3)] = np.nan
@@ -227,7 +227,26 @@ def test_stray_background_and_holes_do_not_change_the_box() -> None:
     mask[rows.min() + 5 : rows.min() + 15, cols.max() : cols.max() + 12] = True
     dirty = fit_shape(Frame(frame.color, depth, frame.K), support, mask, 0.0, labels=labels)
     assert isinstance(dirty.geometry, Box)
-    assert_sizes(tuple(sorted(size_of(dirty.geometry))), tuple(sorted(size_of(clean.geometry))))
+    assert_sizes(tuple(sorted(size_of(dirty.geometry))), (0.06, 0.16, 0.21))
+
+
+@pytest.mark.parametrize(("inside", "outside"), [(2, 0), (2, 4), (4, 4)])
+@pytest.mark.parametrize(
+    ("geometry", "X_WO"),
+    [
+        (Box(np.array([0.176, 0.0925, 0.045])), yaw_pose(0.02, 0.01, 0.0225, -22)),
+        (Box(np.array([0.06, 0.16, 0.21])), yaw_pose(0.02, 0.01, 0.105, 5)),
+        (Cylinder(0.034, 0.102), Pose.of((0.03, -0.02, 0.051))),
+    ],
+    ids=["lying carton", "standing carton", "tin"],
+)
+def test_a_silhouette_without_depth_does_not_shrink_the_solid(
+    geometry: Box | Cylinder, X_WO: Pose, inside: int, outside: int
+) -> None:
+    frame, support, labels = see([(geometry, X_WO)])
+    shape = fit_shape(blinded(frame, labels == 1, inside, outside), support, labels == 1, 0.0, labels=labels)
+    assert type(shape.geometry) is type(geometry)
+    assert sorted(size_of(shape.geometry)) == pytest.approx(sorted(size_of(geometry)), abs=0.005)
 
 
 def test_fit_is_deterministic() -> None:
@@ -238,6 +257,20 @@ def test_fit_is_deterministic() -> None:
     assert isinstance(first.geometry, Mesh) and isinstance(second.geometry, Mesh)
     assert first.geometry.digest == second.geometry.digest
     assert first.X_WO.p.tobytes() == second.X_WO.p.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("explained", "intrusion", "chosen"), [(0.94, 0.01, "box"), (0.87, 0.0, "completed"), (0.95, 0.2, "completed")]
+)
+def test_a_completed_shape_must_explain_more_than_a_box(explained: float, intrusion: float, chosen: str) -> None:
+    def candidate(family: str, explained: float, intrusion: float, cost: float) -> Candidate:
+        return Candidate(family, CARTON[0], CARTON[1], Agreement(explained, 0.0, intrusion, 0.001, cost))
+
+    box = candidate("box", explained, intrusion, 0.33)
+    free = candidate("completed", 0.95, 0.0, 0.33 - PRIOR["completed"] - 0.01)
+    assert choose([box, free]).family == chosen
+    assert choose([free]) is free
+    assert choose([box, candidate("completed", 0.99, 0.0, 0.33)]) is box
 
 
 def random_rays(count: int = 400) -> tuple[Array, Array]:

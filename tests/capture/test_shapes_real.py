@@ -22,6 +22,14 @@ from simfoundry.scene.tessellate import tessellate
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
+# Between the middles of opposite faces of the scanned cartons, which bulge: their bounding boxes are up to 8 mm larger.
+CRACKERS, SUGAR = (0.0642, 0.1601, 0.2115), (0.0408, 0.0901, 0.1750)
+
+# What the inverse depth of the camera behind `posecnn_demo` is too large by [1/m], 3 % at one metre. A constant there
+# maps planes to planes, so no single object gives it away, but upright faces lean back by 4 to 6 degrees, lids lie low
+# far from any edge, and this one number brings cartons, bowl and pitcher of four frames to their sizes.
+TOO_NEAR = 0.03
+
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real captures at {DATA}")
 
 
@@ -83,9 +91,11 @@ def component_at(frame: Frame, support: Support, u: int, v: int) -> NDArray[np.b
 
 
 @functools.cache
-def posecnn(index: int, u: int, v: int) -> tuple[FittedShape, Frame, Support, NDArray[np.bool_]]:
+def posecnn(index: int, u: int, v: int, nearer: float = 0.0) -> tuple[FittedShape, Frame, Support, NDArray[np.bool_]]:
+    """A fit to the object at pixel (u, v); ``nearer`` [1/m] is what the camera's inverse depth is too large by."""
     frame, _ = load("posecnn_demo", index)
-    frame = Frame(frame.color, np.where(frame.depth > 1.6, np.nan, frame.depth), frame.K)
+    depth = 1 / (1 / frame.depth - nearer)
+    frame = Frame(frame.color, np.where(depth > 1.6, np.nan, depth), frame.K)
     support = plane_under(frame, np.isfinite(frame.depth))
     mask = component_at(frame, support, u, v)
     return fit_shape(frame, support, mask, 0.0), frame, support, mask
@@ -108,26 +118,24 @@ def test_cracker_box_behind_a_bottle() -> None:
     shape, *_ = posecnn(4, 250, 120)
     assert isinstance(shape.geometry, Box)
     thin, wide, tall = sorted(size_of(shape.geometry))
-    assert tall == pytest.approx(0.213, abs=0.010)
-    assert wide == pytest.approx(0.164, abs=0.010)
-    assert thin == pytest.approx(0.072, abs=0.020)
+    assert tall == pytest.approx(CRACKERS[2], abs=0.007)
+    assert wide == pytest.approx(CRACKERS[1], abs=0.004)
+    assert thin == pytest.approx(CRACKERS[0], abs=0.012)
 
 
 def test_sugar_box_lying() -> None:
     shape, *_ = posecnn(1, 266, 373)
     assert isinstance(shape.geometry, Box)
-    assert size_of(shape.geometry)[2] == pytest.approx(0.045, abs=0.010)
-    # This capture measures 5 to 9 % small; whether its depth, its intrinsics or the fit does that is not known, since
-    # synthetic boxes come out right. The tolerance lets it pass.
-    assert sorted(size_of(shape.geometry))[1:] == pytest.approx([0.0925, 0.176], abs=0.014)
+    assert sorted(size_of(shape.geometry)) == pytest.approx(SUGAR, abs=0.009)
+    assert size_of(shape.geometry)[2] == pytest.approx(SUGAR[0], abs=0.003)
 
 
 def test_bowl_is_hollow() -> None:
     shape, *_ = posecnn(2, 445, 312)
     assert shape.hollow
     width, _, height = size_of(shape.geometry)
-    assert width == pytest.approx(0.161, abs=0.010)
-    assert height == pytest.approx(0.055, abs=0.008)
+    assert width == pytest.approx(0.161, abs=0.008)
+    assert height == pytest.approx(0.055, abs=0.005)
 
 
 def test_pitcher_height() -> None:
@@ -135,17 +143,34 @@ def test_pitcher_height() -> None:
     assert size_of(shape.geometry)[2] == pytest.approx(0.235, abs=0.015)
 
 
+@pytest.mark.parametrize(
+    ("index", "u", "v", "truth"),
+    [
+        (4, 250, 120, (None, *CRACKERS[1:])),  # its narrow side is seen at a grazing angle
+        (1, 266, 373, SUGAR),
+        (0, 395, 196, CRACKERS),
+        (2, 445, 312, (0.055, 0.161, 0.161)),
+        (3, 294, 255, (None, None, 0.235)),
+    ],
+    ids=["crackers", "sugar", "crackers lying", "bowl", "pitcher"],
+)
+def test_sizes_once_the_camera_is_put_right(index: int, u: int, v: int, truth: tuple[float | None, ...]) -> None:
+    shape, *_ = posecnn(index, u, v, TOO_NEAR)
+    for got, want in zip(sorted(size_of(shape.geometry)), truth, strict=True):
+        assert want is None or got == pytest.approx(want, abs=max(0.005, 0.035 * want))
+
+
 def test_sugar_carton() -> None:
     shape = graspnet(1)
-    assert isinstance(shape.geometry, Box) and shape.confidence > 0.6
-    assert sorted(size_of(shape.geometry)) == pytest.approx([0.045, 0.0925, 0.176], abs=0.008)
+    assert isinstance(shape.geometry, Box) and shape.confidence > 0.75
+    assert sorted(size_of(shape.geometry)) == pytest.approx(SUGAR, abs=0.004)
 
 
-def test_cracker_carton_of_unknown_size_keeps_its_fit() -> None:
-    """A regression only: it resembles the 7.2 x 16.4 x 21.3 cm carton but fits smaller; its true size is unknown."""
+def test_cracker_carton_covers_its_outline() -> None:
+    """Its true size is unknown; the sizes are those whose edges lie on the carton's edges in the colour picture."""
     shape = graspnet(2)
-    assert isinstance(shape.geometry, Box) and shape.confidence > 0.85 and shape.fit_m < 0.001
-    assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.144, 0.193], abs=0.004)
+    assert isinstance(shape.geometry, Box) and shape.confidence > 0.9 and shape.fit_m < 0.001
+    assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.150, 0.193], abs=0.003)
 
 
 @pytest.mark.parametrize(("index", "kind"), [(0, "hollow"), (3, "hollow"), (4, "can"), (5, "can")])

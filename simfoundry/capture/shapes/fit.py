@@ -30,6 +30,8 @@ OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece
 # follows the points, the less its lower cost says.
 PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
+GAIN = 0.03  # share of the object that a completed shape must explain beyond what a simple one does
+
 
 @dataclass(frozen=True, eq=False)
 class FittedShape:
@@ -90,7 +92,7 @@ def fit_shape(
         raise _too_few(len(evidence.points))
     reach = OVERSIZE * float(np.ptp(evidence.points, axis=0).max()) + evidence.scale
     found = candidates(frame, support, evidence)
-    best = min([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1], key=lambda c: c.cost)
+    best = choose([c for c in found if max(size_of(c.geometry)) <= reach] or found[:1])
     return FittedShape(
         geometry=best.geometry,
         X_WO=best.X_WO,
@@ -99,6 +101,20 @@ def fit_shape(
         hollow=best.family == "hollow",
         profile=best.profile,
     )
+
+
+def choose(found: list[Candidate]) -> Candidate:
+    """The cheapest candidate; a completed shape only where it explains clearly more than the best simple one.
+
+    It follows every dent, so its residuals are smaller than those of a carton that bulges a little.
+    """
+    best = min(found, key=lambda c: c.cost)
+    simple = min((c for c in found if c.family != "completed"), key=lambda c: c.cost, default=best)
+    return simple if _net(best.agreement) - _net(simple.agreement) < GAIN else best
+
+
+def _net(result: Agreement) -> float:
+    return result.explained - result.intrusion
 
 
 def candidates(frame: Frame, support: Support, evidence: Evidence) -> list[Candidate]:

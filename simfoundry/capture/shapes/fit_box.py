@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ from simfoundry.scene.model import Box
 SMALLEST = 0.004
 DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
 _FACE_SHARE = 0.06  # of the points: with fewer, a face does not measure how far the box extends along it
+_WALK = (0.012, 0.006, 0.003, 0.0015, 0.0007)  # [m]
+_WORTH = 1e-5  # of cost, that a step must save
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +36,7 @@ def fit_box(evidence: Evidence) -> BoxFit:
     starts = sorted((_start(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0))), key=lambda s: s[0])
     steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
     tried = [search(lambda x: _cost(evidence, x), start, steps, 260) for _, start in _distinct(starts)]
-    # Nelder-Mead stalls on the ledges that single pixels make: a second start from its own answer, mirrored, frees it.
-    _, best = min(tried, key=lambda found: found[0])
-    _, best = search(lambda x: _cost(evidence, x), best, -0.6 * steps, 260)
+    best = _walk_faces(evidence, *min(tried, key=lambda found: found[0]))
     guessed, best = _supply_depth(evidence, best)
     size, X_WO = _unpack(best, evidence.base_z)
     return BoxFit(Box(size), X_WO, agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)), guessed)
@@ -75,6 +76,42 @@ def _cost(evidence: Evidence, x: Array) -> float:
     size, X_WO = _unpack(x, evidence.base_z)
     small = float(np.maximum(SMALLEST - x[3:6], 0).sum()) / evidence.scale
     return agreement(evidence, cast_box(evidence.eye, evidence.rays, size, X_WO)).cost + small
+
+
+def _walk_faces(evidence: Evidence, cost: float, x: Array) -> Array:
+    """Move one face or the yaw at a time for as long as that helps, in ever smaller steps.
+
+    Nelder-Mead stalls on the ledges that single pixels make, above all where a band of pixels without depth lies
+    between the object and what is behind it: there no small move of all parameters at once pays.
+    """
+    for step in _WALK:
+        moved = True
+        while moved:
+            moved = False
+            for trial in _moves(x, step):
+                better = _cost(evidence, trial)
+                if better < cost - _WORTH:
+                    cost, x, moved = better, trial, True
+                    break
+    return x
+
+
+def _moves(x: Array, step: float) -> Iterator[Array]:
+    """Boxes with one face moved by ``step`` [m] outward or inward, or turned so that a corner moves about as far."""
+    c, s = math.cos(x[2]), math.sin(x[2])
+    for sign in (step, -step):
+        for axis, direction in ((0, (c, s)), (1, (-s, c))):
+            for side in (0.5, -0.5):
+                out = x.copy()
+                out[3 + axis] += sign
+                out[:2] += side * sign * np.array(direction)
+                yield out
+        out = x.copy()
+        out[5] += sign
+        yield out
+        out = x.copy()
+        out[2] += 2 * sign / max(x[3], x[4], SMALLEST)
+        yield out
 
 
 def _supply_depth(evidence: Evidence, x: Array) -> tuple[bool, Array]:
