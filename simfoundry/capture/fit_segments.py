@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
+from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.scene.model import Box
 from simfoundry.scene.tessellate import tessellate
 
 Progress = Callable[[str, float], None]
@@ -22,6 +25,12 @@ DOUBTFUL = 0.05
 
 CARRIED = 0.25
 """Share of an object's seen points that lie above what carries it."""
+
+FOOTHOLD = 0.01
+"""How far a carrier reaches beyond the middle of what it carries [m]."""
+
+DEEPEST = 0.12
+"""How much deeper a box may be made for that [m]."""
 
 EDGE = 0.01
 """How far they may lie beyond its edge [m]."""
@@ -46,8 +55,10 @@ def fit_segments(
             continue
         if shape.confidence < DOUBTFUL:
             skipped.append(f"segment {k}: no shape explains it (confidence {shape.confidence:.2f})")
-        else:
-            shapes[k] = shape
+            continue
+        shapes[k] = shape
+        if carriers[k]:
+            shapes[carriers[k]] = deepened(shapes[carriers[k]], shape, support.X_WC.p)
     return dict(sorted(shapes.items())), carriers, tuple(skipped)
 
 
@@ -78,6 +89,27 @@ def _carrier(frame: Frame, support: Support, segmentation: Segmentation, shapes:
         return 0
     below = shapely.MultiPoint(footprint(shapes[on])).convex_hull.buffer(EDGE)
     return on if shapely.contains(below, shapely.points(seen[:, :2])).mean() >= CARRIED else 0
+
+
+def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:
+    """A box made deep enough to reach under the middle of what stands on it.
+
+    The far side of a box is never seen, and what stands on it hides its top. Things stand, so a depth that would let
+    them fall is wrong. ``eye`` [m] is the camera in the world; the seen side stays where it is.
+    """
+    if not isinstance(carrier.geometry, Box):
+        return carrier
+    X_WO, size = carrier.X_WO, np.array(carrier.geometry.size)
+    away = X_WO.rotation.T @ (X_WO.p - eye)
+    axis = int(np.argmax(np.abs(away[:2])))
+    middle = X_WO.inverse().apply(np.append(footprint(carried).mean(axis=0), X_WO.p[2]))
+    need = float(np.sign(away[axis]) * middle[axis]) + FOOTHOLD - size[axis] / 2
+    if not 0 < need <= DEEPEST:
+        return carrier
+    shift = np.zeros(3)
+    shift[axis] = np.sign(away[axis]) * need / 2
+    size[axis] += need
+    return replace(carrier, geometry=Box(frozen_array(size)), X_WO=X_WO @ Pose.of(shift))
 
 
 def footprint(shape: FittedShape) -> NDArray[np.float64]:
