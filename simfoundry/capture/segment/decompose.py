@@ -121,7 +121,7 @@ def _instances(scene: _Scene, support: Support) -> Labels:
     regions = _without_specks(regions, scene)
     regions = join_containers(regions, scene.depth, scene.points_W, reach)
     regions = join_hidden(regions, scene.depth, scene.points_W, reach)
-    regions = join_kin(regions, scene.depth, scene.K, scene.points_W, scene.color)
+    regions = join_kin(regions, scene.depth, scene.K, scene.points_W, scene.color, scene.down, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)
     regions = _without_strangers(regions, scene, support.outline)

@@ -8,14 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.merge import renamed
-from simfoundry.capture.segment.regions import Labels
-from simfoundry.capture.segment.stacking import Part, carriers, is_over, parts_of, shared_footprint
+from simfoundry.capture.segment.regions import Border, Labels, borders
+from simfoundry.capture.segment.stacking import Part, below, carriers, footprint_hull, parts_of, shared_footprint
 from simfoundry.scene.frames import Array
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise
 COLOURED = 0.25  # share of vivid pixels of a region that has a hue
 SAME_HUE = 8.0  # of 180 in a full turn
+VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
+ONE_HUE = 4.0  # of 180 in a full turn
+SEEN_UNDER = 0.8  # share of a lower edge that may be hidden, for the rest to tell that nothing else carries it
 NEAR = 0.03  # [m] between parts of one thing
 FLUSH = 0.02  # [m] between a lid and the rim it lies in
 SLENDER = 0.35  # of the other's visible area: a handle
@@ -28,10 +31,18 @@ class Hue:
     hue: float
     vivid: float
 
+    def equals(self, other: Hue) -> bool:
+        """Whether both are of one colour throughout."""
+        return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
+
+    def apart(self, other: Hue) -> float:
+        """The angle between both hues, of 180 in a full turn."""
+        turn = abs(self.hue - other.hue)
+        return min(turn, 180 - turn)
+
     def matches(self, other: Hue) -> bool:
         """Whether both are coloured, and alike."""
-        turn = abs(self.hue - other.hue)
-        return min(self.vivid, other.vivid) > COLOURED and min(turn, 180 - turn) <= SAME_HUE
+        return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
 
 
 def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
@@ -49,32 +60,55 @@ def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
     return out
 
 
-def join_kin(labels: Labels, depth: Array, K: Array, points_W: Array, color: NDArray[np.uint8]) -> Labels:
-    """Join what cannot be a thing of its own to the nearest part of its hue: lids, handles, and heavy heads."""
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """What speaks for and against being one thing: parts, hues, carriers, hidden lower edges, and borders."""
+
+    hues: dict[int, Hue]
+    on: dict[int, int]
+    hidden: dict[int, float]
+    graph: dict[tuple[int, int], Border]
+
+    def are_one(self, part: Part, other: Part) -> bool:
+        """Whether ``part`` belongs to ``other``, of its hue."""
+        a, b = self.hues[part.label], self.hues[other.label]
+        if not a.matches(b):
+            return False
+        if part.is_grounded:
+            return a.equals(b) and _is_end(part, other, self.graph)
+        return (
+            _is_lid(part, other)
+            or _is_handle(part, other)
+            or (self.on[part.label] == other.label and self.hidden[part.label] < SEEN_UNDER and _is_head(part, other))
+        ) and distance(part, other) < NEAR
+
+
+def join_kin(
+    labels: Labels,
+    depth: Array,
+    K: Array,
+    points_W: Array,
+    color: NDArray[np.uint8],
+    down: tuple[float, float],
+    reach: int,
+) -> Labels:
+    """Join what is unlikely to be a thing of its own to the nearest part of its hue: lids, handles, heads and feet."""
     while True:
         parts = parts_of(labels, points_W, depth, K)
-        pair = _first_kin(parts, hues_of(labels, color))
+        hidden, graph = below(labels, depth, down, reach), borders(labels, depth, reach)
+        family = _Family(hues_of(labels, color), carriers(parts), hidden, graph)
+        pair = _first_kin(parts, family)
         if pair is None:
             return labels
         labels = renamed(labels, {max(pair): min(pair)})
 
 
-def _first_kin(parts: list[Part], hues: dict[int, Hue]) -> tuple[int, int] | None:
+def _first_kin(parts: list[Part], family: _Family) -> tuple[int, int] | None:
     """The smallest part that belongs to another, and that other."""
-    on = carriers(parts)
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
-        if part.is_grounded:
-            continue
-        kin = [
-            (gap, other.label)
-            for other in parts
-            if other.label != part.label
-            and hues[part.label].matches(hues[other.label])
-            and (_is_lid(part, other) or _is_handle(part, other) or _would_fall(part, other, on[part.label]))
-            and (gap := distance(part, other)) < NEAR
-        ]
+        kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
-            return part.label, min(kin)[1]
+            return part.label, min(kin, key=lambda other: (distance(part, other), other.label)).label
     return None
 
 
@@ -93,14 +127,24 @@ def _is_handle(part: Part, other: Part) -> bool:
     return part.area < SLENDER * other.area and other.bottom < part.bottom and part.top < other.top + FLUSH
 
 
-def _would_fall(part: Part, other: Part, on: int) -> bool:
-    """Whether ``part`` begins on top of ``other`` with its middle beside what is right under it."""
-    if on != other.label:
-        return False
-    under = other.points_W[other.points_W[:, 2] > other.top - FLUSH][:, :2]
-    lo, hi = np.quantile(part.points_W[:, :2], [0.02, 0.98], axis=0)
-    middle = (lo + hi) / 2
-    return len(under) > 0 and is_over(middle[None], under) < 0.5
+def _is_head(part: Part, other: Part) -> bool:
+    """Whether what is right under ``part`` is but a neck."""
+    import cv2
+
+    neck = footprint_hull(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
+    return float(cv2.contourArea(neck)) < SLENDER * float(cv2.contourArea(footprint_hull(part.points_W)))
+
+
+def _is_end(part: Part, other: Part, graph: dict[tuple[int, int], Border]) -> bool:
+    """Whether ``part`` goes on from ``other``, far larger and as high, where the two meet."""
+    low, high = sorted((part.label, other.label))
+    border = graph.get((low, high))
+    return (
+        border is not None
+        and border.meets > 0.5
+        and part.area < SLENDER * other.area
+        and abs(part.top - other.top) < FLUSH
+    )
 
 
 def distance(one: Part, other: Part) -> float:

@@ -101,6 +101,7 @@ class Border:
     """Where two regions ``a < b`` meet: pixel ``pairs`` seen across it, and means over these in units of the noise.
 
     ``bend``: positive for an inward crease, negative for an outward one. ``jump``: positive where ``b`` is in front.
+    ``meets`` is the share of the closer pairs across which the surface goes on within the noise.
     """
 
     a: int
@@ -108,6 +109,7 @@ class Border:
     pairs: float
     bend: float
     jump: float
+    meets: float
 
     @property
     def edge(self) -> float:
@@ -127,7 +129,7 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
     labels, depth = labels[used], depth[used]
     fits = tangents(np.where(labels > 0, depth, np.nan), reach, 1 + (reach - 1) // 5, labels)
     noise = noise_of(depth)
-    keys, bends, jumps = [], [], []
+    keys, bends, jumps, close = [], [], [], []
     for r in (reach, max(2, reach // 2)):
         for _, a, b in across(labels.shape, r):
             la, lb = labels[a], labels[b]
@@ -138,6 +140,7 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
             keys.append(np.sort(np.stack([la[where], lb[where]], axis=1), axis=1))
             bends.append(bend / scale)
             jumps.append(np.where(swap, -jump, jump) / scale)
+            close.append(np.full(len(bend), r < reach))
     pair = np.concatenate(keys)
     if not len(pair):
         return {}
@@ -145,7 +148,10 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
     limit = 10.0  # so that few far-off pixels do not outvote a long border
     bend = np.bincount(index.ravel(), np.clip(np.concatenate(bends), -limit, limit)) / counts
     jump = np.bincount(index.ravel(), np.clip(np.concatenate(jumps), -limit, limit)) / counts
+    near = np.concatenate(close)
+    smooth = near & (np.maximum(np.concatenate(bends), 0.8 * np.abs(np.concatenate(jumps))) < 1)
+    meets = np.bincount(index.ravel(), smooth) / np.maximum(np.bincount(index.ravel(), near), 1)
     return {
-        (int(a), int(b)): Border(int(a), int(b), float(n), float(x), float(y))
-        for (a, b), n, x, y in zip(unique, counts, bend, jump, strict=True)
+        (int(a), int(b)): Border(int(a), int(b), float(n), float(x), float(y), float(m))
+        for (a, b), n, x, y, m in zip(unique, counts, bend, jump, meets, strict=True)
     }

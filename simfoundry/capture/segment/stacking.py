@@ -76,7 +76,7 @@ def _contained_by(part: Part, parts: list[Part]) -> int:
             continue
         level = float(np.quantile(under[:, 2], 0.9))
         gap = part.bottom - level
-        if gap < 2 * CONTACT and level > height and is_over(low, other.points_W[:, :2]) > 0.5:
+        if gap < 2 * CONTACT and level > height and _is_over(low, other.points_W[:, :2]) > 0.5:
             best, height = other.label, level
     return best
 
@@ -85,16 +85,16 @@ def shared_footprint(one: Part, other: Part) -> float:
     """The area that both convex footprints cover, as a share of the smaller one."""
     import cv2
 
-    hulls = [_hull(part.points_W[:, :2]) for part in (one, other)]
+    hulls = [footprint_hull(part.points_W) for part in (one, other)]
     smaller = min(cv2.contourArea(hull) for hull in hulls)
     return float(cv2.intersectConvexConvex(*hulls)[0]) / smaller if smaller > 0 else 0.0
 
 
-def _hull(xy: Array) -> NDArray[np.float32]:
-    """Convex hull [mm] of positions [m]."""
+def footprint_hull(points_W: Array) -> NDArray[np.float32]:
+    """Convex hull [mm] of the xy of points [m], shape (n, 2) or (n, 3)."""
     import cv2
 
-    thinned = xy[:: max(1, len(xy) // 2000)] * 1000
+    thinned = points_W[:: max(1, len(points_W) // 2000), :2] * 1000
     return np.asarray(cv2.convexHull(thinned.astype(np.float32)), dtype=np.float32)
 
 
@@ -104,11 +104,11 @@ def _near(low: Array, points: Array) -> Array:
     return np.asarray(points[((points[:, :2] > lo) & (points[:, :2] < hi)).all(axis=1)])
 
 
-def is_over(low: Array, ground: Array) -> float:
+def _is_over(low: Array, ground: Array) -> float:
     """The share of feet at ``low`` that stand over the convex footprint of ``ground`` (xy [m]), or 1 cm beside it."""
     import cv2
 
-    hull = _hull(ground)
+    hull = footprint_hull(ground)
     feet = low[:: max(1, len(low) // 60)] * 1000
     return float(np.mean([cv2.pointPolygonTest(hull, (float(x), float(y)), True) > -10.0 for x, y in feet]))
 
