@@ -12,6 +12,7 @@ from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.segment.hidden import join_containers, join_hidden
 from simfoundry.capture.segment.kinship import join_kin
 from simfoundry.capture.segment.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
+from simfoundry.capture.segment.necks import split_necks
 from simfoundry.capture.segment.noise import depth_sigma, valid_depth
 from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
@@ -121,6 +122,7 @@ def _instances(scene: _Scene, support: Support) -> Labels:
     regions = _without_specks(regions, scene)
     regions = join_containers(regions, scene.depth, scene.points_W, reach)
     regions = join_hidden(regions, scene.depth, scene.points_W, reach)
+    regions = split_necks(regions, scene.points_W, scene.color, reach)
     regions = join_kin(regions, scene.depth, scene.K, scene.points_W, scene.color, scene.down, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)

@@ -47,17 +47,27 @@ class Hue:
 
 def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
     """The hue of each region 1..n of ``labels``, shape (h, w); ``color`` is RGB, shape (h, w, 3)."""
-    import cv2
-
-    hsv = cv2.cvtColor(cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2), cv2.COLOR_RGB2HSV)
-    vivid = (hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT)
+    hue, vivid = _smooth_hsv(color)[..., 0], vivid_of(color)
     out = {}
     for k in range(1, int(labels.max()) + 1):
         mask = labels == k
-        counts = np.bincount(hsv[..., 0][mask & vivid], minlength=180)
+        counts = np.bincount(hue[mask & vivid], minlength=180)
         smooth = np.sum([np.roll(counts, i) for i in range(-5, 6)], axis=0)
         out[k] = Hue(float(np.argmax(smooth)), float((mask & vivid).sum() / max(1, mask.sum())))
     return out
+
+
+def vivid_of(color: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels, shape (h, w), that have a hue: neither grey nor dark."""
+    hsv = _smooth_hsv(color)
+    return np.asarray((hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT))
+
+
+def _smooth_hsv(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    import cv2
+
+    smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
+    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_RGB2HSV), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
