@@ -28,6 +28,7 @@ BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
 WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
 FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
+FRAGMENT = 1.2e-3  # [m²] of visible area, below which what shows behind something else is too little of a thing
 GLIMPSE = 0.3  # of a thing's height; where only less than this is seen, above what hides the rest, nobody knows it
 SMALLEST = 4e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
@@ -199,14 +200,19 @@ def _within(outline: Array, xy: Array, margin: float) -> NDArray[np.bool_]:
 
 
 def _without_specks(labels: Labels, scene: _Scene) -> Labels:
-    """Give regions too small to be an object to the region around them, or to nothing."""
+    """Give regions too small to be an object to the region that they touch, or to nothing."""
     pixel_area = scene.depth**2 / (scene.K[0, 0] * scene.K[1, 1])
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     areas = np.bincount(labels[labels > 0], pixel_area[labels > 0], minlength=count)
     keep = (pixels >= FEWEST_PIXELS) & (areas >= SMALLEST)
     keep[0] = False
-    return compact(flood(np.where(keep[labels], labels, 0).astype(np.int32), labels > 0, scene.relief.edge))
+    touching = np.zeros(count, bool)
+    for border in borders(labels, scene.depth, scene.relief.reach).values():
+        if abs(border.jump) < TOUCHING:
+            touching[[border.a, border.b]] = True
+    seeds = np.where(keep[labels], labels, 0).astype(np.int32)
+    return compact(flood(seeds, (keep | touching)[labels] & (labels > 0), scene.relief.edge))
 
 
 def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
@@ -216,6 +222,7 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
     hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
     sunk = sinking(labels, scene.points_W, scene.down, scene.relief.reach)
     graph = borders(labels, scene.depth, scene.relief.reach).values()
+    behind = {b.a if b.jump > 0 else b.b for b in graph if abs(b.jump) >= TOUCHING}
     touched = {k for b in graph if abs(b.jump) < TOUCHING for k in (b.a, b.b)}
     parent = {}
     for part in parts:
@@ -230,6 +237,7 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
             (beside and not on[k])
             or seen_past
             or glimpsed
+            or (k in behind and part.area < FRAGMENT)
             or along_border > LONG_BORDER
             or (along_border > 0 and floats_alone)
             or sunk[k] > 0.3

@@ -76,7 +76,7 @@ def _contained_by(part: Part, parts: list[Part]) -> int:
             continue
         level = float(np.quantile(under[:, 2], 0.9))
         gap = part.bottom - level
-        if gap < 2 * CONTACT and level > height and _is_over(low, other.points_W[:, :2]) > 0.5:
+        if gap < 2 * CONTACT and level > height and _is_over(low, other.points_W) > 0.8:
             best, height = other.label, level
     return best
 
@@ -105,12 +105,12 @@ def _near(low: Array, points: Array) -> Array:
 
 
 def _is_over(low: Array, ground: Array) -> float:
-    """The share of feet at ``low`` that stand over the convex footprint of ``ground`` (xy [m]), or 1 cm beside it."""
+    """The share of feet at ``low`` that stand over the convex footprint of ``ground`` (xy [m])."""
     import cv2
 
     hull = footprint_hull(ground)
     feet = low[:: max(1, len(low) // 60)] * 1000
-    return float(np.mean([cv2.pointPolygonTest(hull, (float(x), float(y)), True) > -10.0 for x, y in feet]))
+    return float(np.mean([cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in feet]))
 
 
 def below(labels: Labels, depth: Array, down: tuple[float, float], reach: int) -> dict[int, float]:
