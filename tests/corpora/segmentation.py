@@ -39,11 +39,17 @@ def available(folder: str) -> bool:
     return (DATA / folder / "capture.json").is_file()
 
 
-def pictures(folder: str) -> Iterator[tuple[str, Frame, dict[str, Any]]]:
-    """Name, frame and index entry of each picture of a capture set, its depth in metres and registered to colour."""
+def pictures(folder: str, names: Sequence[str] = ()) -> Iterator[tuple[str, Frame, dict[str, Any]]]:
+    """Name, frame and index entry of the pictures ``names`` of a capture set, or of all of them.
+
+    Depth is in metres and registered to colour.
+    """
     import cv2
 
     for entry in json.loads((DATA / folder / "capture.json").read_text())["frames"]:
+        name = entry["rgb"].split("-color")[0].split(".")[0]
+        if names and name not in names:
+            continue
         color = _image(DATA / folder / entry["rgb"], cv2.IMREAD_COLOR)[..., ::-1].astype(np.uint8)
         raw = _image(DATA / folder / entry["depth"], cv2.IMREAD_UNCHANGED)
         depth = raw.astype(np.float64) * float(entry["depth_scale_to_m"])
@@ -51,9 +57,9 @@ def pictures(folder: str) -> Iterator[tuple[str, Frame, dict[str, Any]]]:
         K = np.array(entry["K"], dtype=np.float64)
         if "depth_K" in entry:
             depth_K = np.array(entry["depth_K"], dtype=np.float64)  # noqa: N806
-            X_color_depth = Pose.from_matrix(np.array(entry["T_color_depth"]))  # noqa: N806
+            X_color_depth = Pose.from_matrix(np.array(entry["T_color_depth"]))
             depth = register(depth, depth_K, X_color_depth, K, (color.shape[0], color.shape[1]))
-        yield entry["rgb"].split("-color")[0].split(".")[0], Frame(np.ascontiguousarray(color), depth, K), entry
+        yield name, Frame(np.ascontiguousarray(color), depth, K), entry
 
 
 def _image(path: Path, mode: int) -> NDArray[np.integer[Any]]:
@@ -91,7 +97,7 @@ def _numbers(labels: Labels) -> list[int]:
 
 def mirrored(frame: Frame) -> Frame:
     """The picture as a mirror shows it, left and right exchanged."""
-    K = frame.K.copy()  # noqa: N806
+    K = frame.K.copy()
     K[0, 2] = frame.depth.shape[1] - 1 - K[0, 2]
     instances = None if frame.instances is None else np.ascontiguousarray(frame.instances[:, ::-1])
     return Frame(np.ascontiguousarray(frame.color[:, ::-1]), np.ascontiguousarray(frame.depth[:, ::-1]), K, instances)
@@ -111,7 +117,7 @@ def sparser(frame: Frame) -> Frame:
 
 def cropped(frame: Frame, by: int = 20) -> Frame:
     """Without a border of ``by`` pixels."""
-    K = frame.K.copy()  # noqa: N806
+    K = frame.K.copy()
     K[:2, 2] -= by
     inner = np.s_[by:-by, by:-by]
     instances = None if frame.instances is None else frame.instances[inner]
@@ -131,10 +137,9 @@ def mosd_pictures(names: Sequence[str] = ()) -> Iterator[tuple[str, Frame]]:
     """Name and frame, its ``instances`` the true ones, of the scenes ``names``, or of all."""
     import cv2
 
-    for name, frame, entry in pictures("mosd_dev"):
-        if not names or name in names:
-            raw = _image(DATA / "mosd_dev" / str(entry["label_image"]), cv2.IMREAD_UNCHANGED).astype(np.int32)
-            yield name, replace(frame, instances=np.where(raw >= 20, raw // 10 - 1, 0).astype(np.int32))
+    for name, frame, entry in pictures("mosd_dev", names):
+        raw = _image(DATA / "mosd_dev" / str(entry["label_image"]), cv2.IMREAD_UNCHANGED).astype(np.int32)
+        yield name, replace(frame, instances=np.where(raw >= 20, raw // 10 - 1, 0).astype(np.int32))
 
 
 def mosd_scores(names: Sequence[str] = (), perturbation: str = "none") -> list[Score]:

@@ -97,7 +97,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
 
 def _found(frame: Frame, points_W: Array, support: Support) -> Labels:
     """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
-    depth, K = frame.depth, frame.K  # noqa: N806
+    depth, K = frame.depth, frame.K
     standing = _standing(depth, points_W, support.outline)
     if not standing.any():
         return np.zeros(depth.shape, np.int32)
@@ -133,7 +133,7 @@ def _instances(scene: _Scene, support: Support) -> Labels:
 
 def _scene(frame: Frame, points_W: Array, support: Support) -> _Scene | None:
     """Crop to what stands on the support; None if nothing does."""
-    depth, K = frame.depth, frame.K  # noqa: N806
+    depth, K = frame.depth, frame.K
     height = points_W[..., 2]
     near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
     high = _standing(depth, points_W, support.outline)

@@ -29,9 +29,10 @@ def split_necks(labels: Labels, points_W: Array, color: NDArray[np.uint8], reach
         mask = labels == k
         if _solidity(mask) > HOLLOW:
             continue
-        halves = [_largest(_opened(mask & tone, max(1, reach // 4))) for tone in (vivid, ~vivid)]
-        if all(_stands(half, mask, points_W) for half in halves) and _neck(*halves, reach) < NECK:
-            seeds = np.where(halves[0], 1, np.where(halves[1], 2, 0)).astype(np.int32)
+        bright, dull = (_largest(_opened(mask & tone, max(1, reach // 4))) for tone in (vivid, ~vivid))
+        both_stand = _stands(bright, mask, points_W) and _stands(dull, mask, points_W)
+        if both_stand and _neck(bright, dull, reach) < NECK:
+            seeds = np.where(bright, 1, np.where(dull, 2, 0)).astype(np.int32)
             parted = flood(seeds, mask, np.zeros(mask.shape))
             out[mask] = np.where(parted[mask] == 2, int(out.max()) + 1, k)
     return compact(out)

@@ -127,5 +127,7 @@ def _is_own(hole: Mask, mask: Mask, points_W: Array) -> bool:
     own = points_W[mask]
     own = own[np.isfinite(own[:, 2])][:, :2] * 1000
     hull = cv2.convexHull(own[:: max(1, len(own) // 1500)].astype(np.float32))
-    inside = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in seen[:: max(1, len(seen) // 100)]]
+    inside = [
+        cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in seen[:: max(1, len(seen) // 100)]
+    ]
     return float(np.mean(inside)) > INSIDE

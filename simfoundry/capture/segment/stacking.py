@@ -85,9 +85,9 @@ def shared_footprint(one: Part, other: Part) -> float:
     """The area that both convex footprints cover, as a share of the smaller one."""
     import cv2
 
-    hulls = [footprint_hull(part.points_W) for part in (one, other)]
-    smaller = min(cv2.contourArea(hull) for hull in hulls)
-    return float(cv2.intersectConvexConvex(*hulls)[0]) / smaller if smaller > 0 else 0.0
+    a, b = footprint_hull(one.points_W), footprint_hull(other.points_W)
+    smaller = min(cv2.contourArea(a), cv2.contourArea(b))
+    return float(cv2.intersectConvexConvex(a, b)[0]) / smaller if smaller > 0 else 0.0
 
 
 def footprint_hull(points_W: Array) -> NDArray[np.float32]:
