@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.segment.hidden import fill_bottoms, join_containers, join_hidden
+from simfoundry.capture.segment.hidden import join_containers, join_hidden
+from simfoundry.capture.segment.kinship import join_kin
 from simfoundry.capture.segment.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
+from simfoundry.capture.segment.necks import split_necks
 from simfoundry.capture.segment.noise import depth_sigma, valid_depth
 from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
+from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.stacking import below, carriers, parts_of, sinking
 from simfoundry.scene.frames import Array
 
@@ -25,6 +28,8 @@ BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
 WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
 FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
+FRAGMENT = 1.2e-3  # [m²] of visible area, below which what shows behind something else is too little of a thing
+GLIMPSE = 0.3  # of a thing's height; where only less than this is seen, above what hides the rest, nobody knows it
 SMALLEST = 4e-4  # [m²] of visible area
 FEWEST_PIXELS = 60
 
@@ -35,6 +40,7 @@ class _Scene:
 
     window: tuple[slice, slice]
     whole: tuple[int, int]
+    color: NDArray[np.uint8]
     depth: Array
     K: Array
     points_W: Array
@@ -56,7 +62,7 @@ def decompose(frame: Frame, support: Support) -> Segmentation:
     if frame.instances is not None:
         labels = _given(frame.instances, points_W, support)
     else:
-        labels = _found(depth, frame.K, points_W, support)
+        labels = _found(Frame(frame.color, depth, frame.K), points_W, support)
     if not labels.any():
         raise CaptureError(
             "SF504",
@@ -89,8 +95,9 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
     return compact(out)
 
 
-def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
+def _found(frame: Frame, points_W: Array, support: Support) -> Labels:
     """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
+    depth, K = frame.depth, frame.K
     standing = _standing(depth, points_W, support.outline)
     if not standing.any():
         return np.zeros(depth.shape, np.int32)
@@ -98,14 +105,13 @@ def _found(depth: Array, K: Array, points_W: Array, support: Support) -> Labels:
     small = np.array(K, dtype=np.float64)
     small[:2] /= step
     coarse = np.zeros(depth[::step, ::step].shape, np.int32)
-    scene = _scene(depth[::step, ::step], small, points_W[::step, ::step], support)
+    scene = _scene(Frame(_averaged(frame.color, step), depth[::step, ::step], small), points_W[::step, ::step], support)
     if scene is not None:
         coarse[scene.window] = _instances(scene, support)
-    if step == 1:
-        return coarse
     labels = np.kron(coarse, np.ones((step, step), np.int32))[: depth.shape[0], : depth.shape[1]]
     labels = np.pad(labels, [(0, n - m) for n, m in zip(depth.shape, labels.shape, strict=True)])
-    return np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
+    labels = np.where(np.isfinite(depth) & (points_W[..., 2] > LOWEST / 2), labels, 0).astype(np.int32)
+    return close_silhouettes(labels, depth, points_W, step + 1)
 
 
 def _instances(scene: _Scene, support: Support) -> Labels:
@@ -117,14 +123,17 @@ def _instances(scene: _Scene, support: Support) -> Labels:
     regions = _without_specks(regions, scene)
     regions = join_containers(regions, scene.depth, scene.points_W, reach)
     regions = join_hidden(regions, scene.depth, scene.points_W, reach)
+    regions = split_necks(regions, scene.points_W, scene.color, reach)
+    regions = join_kin(regions, scene.depth, scene.K, scene.points_W, scene.color, scene.down, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)
     regions = _without_strangers(regions, scene, support.outline)
-    return fill_bottoms(regions, scene.points_W)
+    return regions
 
 
-def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene | None:
+def _scene(frame: Frame, points_W: Array, support: Support) -> _Scene | None:
     """Crop to what stands on the support; None if nothing does."""
+    depth, K = frame.depth, frame.K
     height = points_W[..., 2]
     near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
     high = _standing(depth, points_W, support.outline)
@@ -142,8 +151,24 @@ def _scene(depth: Array, K: Array, points_W: Array, support: Support) -> _Scene 
     # How the picture moves when a point at the optical axis falls.
     down = gravity[:2] / max(1e-9, float(np.linalg.norm(gravity[:2])))
     return _Scene(
-        window, depth.shape[:2], depth[window], inner, points_W[window], relief, mask, (float(down[0]), float(down[1]))
+        window,
+        depth.shape[:2],
+        frame.color[window],
+        depth[window],
+        inner,
+        points_W[window],
+        relief,
+        mask,
+        (float(down[0]), float(down[1])),
     )
+
+
+def _averaged(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+    """The colour round every ``step``-th pixel."""
+    import cv2
+
+    blurred = cv2.blur(color, (2 * (step // 2) + 1,) * 2)
+    return np.ascontiguousarray(blurred[::step, ::step])
 
 
 def _standing(depth: Array, points_W: Array, outline: Array) -> NDArray[np.bool_]:
@@ -175,14 +200,19 @@ def _within(outline: Array, xy: Array, margin: float) -> NDArray[np.bool_]:
 
 
 def _without_specks(labels: Labels, scene: _Scene) -> Labels:
-    """Give regions too small to be an object to the region around them, or to nothing."""
+    """Give regions too small to be an object to the region that they touch, or to nothing."""
     pixel_area = scene.depth**2 / (scene.K[0, 0] * scene.K[1, 1])
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     areas = np.bincount(labels[labels > 0], pixel_area[labels > 0], minlength=count)
     keep = (pixels >= FEWEST_PIXELS) & (areas >= SMALLEST)
     keep[0] = False
-    return compact(flood(np.where(keep[labels], labels, 0).astype(np.int32), labels > 0, scene.relief.edge))
+    touching = np.zeros(count, bool)
+    for border in borders(labels, scene.depth, scene.relief.reach).values():
+        if abs(border.jump) < TOUCHING:
+            touching[[border.a, border.b]] = True
+    seeds = np.where(keep[labels], labels, 0).astype(np.int32)
+    return compact(flood(seeds, (keep | touching)[labels] & (labels > 0), scene.relief.edge))
 
 
 def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
@@ -192,25 +222,30 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
     hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
     sunk = sinking(labels, scene.points_W, scene.down, scene.relief.reach)
     graph = borders(labels, scene.depth, scene.relief.reach).values()
+    behind = {b.a if b.jump > 0 else b.b for b in graph if abs(b.jump) >= TOUCHING}
     touched = {k for b in graph if abs(b.jump) < TOUCHING for k in (b.a, b.b)}
     parent = {}
     for part in parts:
         k = part.label
         beside = _within(outline, part.points_W[:, :2], -EDGE_ZONE).mean() < 0.4
         floats = not part.is_grounded and not on[k]
+        glimpsed = floats and part.top - part.bottom < GLIMPSE * part.top
         floats_alone = floats and k not in touched and part.area < FLOATING
         seen_past = floats_alone and part.bottom > 0.05 and hidden[k] < 0.3
         along_border = _on_border(labels == k, scene)
         if (
             (beside and not on[k])
             or seen_past
+            or glimpsed
+            or (k in behind and part.area < FRAGMENT)
             or along_border > LONG_BORDER
             or (along_border > 0 and floats_alone)
             or sunk[k] > 0.3
             or _is_warp(labels == k, part.top, scene)
         ):
             parent[k] = 0
-    return renamed(labels, parent)
+    # What stood on something that is gone has lost its place as well.
+    return _without_strangers(renamed(labels, parent), scene, outline) if parent else labels
 
 
 def _on_border(mask: NDArray[np.bool_], scene: _Scene) -> float:

@@ -44,29 +44,6 @@ def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -
     return renamed(labels, parent)
 
 
-def fill_bottoms(labels: Labels, points_W: Array) -> Labels:
-    """Give an object the pixels it encloses, if they lie within its footprint: the bottom of a bowl, not a table.
-
-    The table seen through the handle of a mug lies behind the mug, outside of its footprint.
-    """
-    import cv2
-    from scipy.ndimage import binary_fill_holes
-
-    out = labels.copy()
-    for k in range(1, int(labels.max()) + 1):
-        mask = labels == k
-        _, holes = cv2.connectedComponents((binary_fill_holes(mask) & (labels == 0)).astype(np.uint8))
-        hull = cv2.convexHull((_thinned(points_W[mask])[:, :2] * 1000).astype(np.float32))
-        for hole in range(1, int(holes.max()) + 1):
-            pixels = (holes == hole) & np.isfinite(points_W[..., 2])
-            xy = points_W[pixels][:, :2] * 1000
-            step = max(1, len(xy) // 100)
-            inside = [cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in xy[::step]]
-            if inside and float(np.mean(inside)) > 0.7:
-                out[pixels] = k
-    return out
-
-
 def one_box(a: Array, b: Array) -> bool:
     """Whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
     small, large = sorted((a, b), key=len)

@@ -61,7 +61,8 @@ def _sum(one: Border, other: Border) -> Border:
     share = one.pairs / n
     bend = share * one.bend + (1 - share) * other.bend
     jump = share * one.jump + (1 - share) * other.jump
-    return replace(one, pairs=n, bend=bend, jump=jump)
+    meets = share * one.meets + (1 - share) * other.meets
+    return replace(one, pairs=n, bend=bend, jump=jump, meets=meets)
 
 
 def renamed(labels: Labels, parent: dict[int, int]) -> Labels:

@@ -12,6 +12,7 @@ from simfoundry.scene.frames import Array
 MOST_PLANES = 8
 HYPOTHESES = 1500
 MOST_POINTS = 6000
+SAMPLE, FINALISTS = 1200, 60  # points on which all hypotheses compete, and how many go on to all points
 TOLERANCE = 3.0  # in standard deviations of the depth
 STEEPEST_ROLL = 0.47  # tangent of the camera roll beyond which a plane is a wall beside it
 ROLL_SLACK = 0.15  # what a normal may lean sideways however steeply the camera looks down
@@ -59,16 +60,22 @@ def _best_plane(points: Array, rng: np.random.Generator) -> Plane | None:
     normals, offsets = _hypotheses(points, rng)
     if not len(normals):
         return None
+    sample = points[:: max(1, len(points) // SAMPLE)]
+    promising = np.argsort(-_support_of(sample, normals, offsets), kind="stable")[:FINALISTS]
+    best = promising[int(np.argmax(_support_of(points, normals[promising], offsets[promising])))]
+    return Plane(normals[best], float(offsets[best]))
+
+
+def _support_of(points: Array, normals: Array, offsets: Array) -> Array:
+    """The weight of the points that lie in each plane, shape (m,)."""
     tolerance = TOLERANCE * depth_sigma(points[:, 2])
     weight = 1.0 / points[:, 2]
-    scores = np.concatenate(
+    return np.concatenate(
         [
             (np.abs(points @ n.T - d) < tolerance[:, None]).T @ weight
             for n, d in zip(np.array_split(normals, 16), np.array_split(offsets, 16), strict=True)
         ]
     )
-    best = int(np.argmax(scores))
-    return Plane(normals[best], float(offsets[best]))
 
 
 def _hypotheses(points: Array, rng: np.random.Generator) -> tuple[Array, Array]:

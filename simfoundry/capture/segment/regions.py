@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.capture.segment.relief import across, bend_and_jump, edge_strength, normals_of, start_of, tangents
+from simfoundry.capture.segment.relief import CUT, across, bend_and_jump, edge_strength, normals_of, start_of, tangents
 from simfoundry.scene.frames import Array
 
 SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
 FLAT = 0.5  # edge strength, in units of `Relief.edge`, below which a pixel may seed a region
+BROKEN = 5.0  # step, likewise, across which nothing hangs together
 Labels = NDArray[np.int32]
 
 
@@ -49,7 +50,20 @@ def relief_of(depth: Array, K: Array, scale: float) -> Relief:
     h, w = depth.shape
     u, v = np.meshgrid((np.arange(w) - K[0, 2]) / K[0, 0], (np.arange(h) - K[1, 2]) / K[1, 1])
     z = 1.0 / fits[..., 0]
+    step = np.maximum(step, _breaks(depth))
     return Relief(np.stack([u * z, v * z, z], axis=-1), normals_of(fits, K), inward / noise, step / noise, reach)
+
+
+def _breaks(depth: Array) -> Array:
+    """How far [m] the depth jumps to a direct neighbour where it is no slope; this needs no surface to either side."""
+    limit = CUT + 3 * depth_sigma(depth)
+    out = np.zeros(depth.shape)
+    for axis in (0, 1):
+        jump = np.nan_to_num(np.abs(np.diff(depth, axis=axis)))
+        here, there = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
+        for side in (here, there):
+            out[side] = np.maximum(out[side], np.where(jump > limit[side], jump, 0.0))
+    return out
 
 
 def noise_of(depth: Array) -> Array:
@@ -63,7 +77,7 @@ def cut(mask: NDArray[np.bool_], relief: Relief) -> Labels:
 
     seeds = np.zeros(mask.shape, np.int32)
     flat = (mask & (relief.edge < FLAT)).astype(np.uint8)
-    _, islands = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
+    _, islands = cv2.connectedComponents((mask & (relief.step < BROKEN)).astype(np.uint8), connectivity=4)
     # A narrow strip along a silhouette makes no region of its own, unless its island would be left with none.
     for radius in (max(2, relief.reach // 2), 1, 0):
         kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
@@ -101,6 +115,7 @@ class Border:
     """Where two regions ``a < b`` meet: pixel ``pairs`` seen across it, and means over these in units of the noise.
 
     ``bend``: positive for an inward crease, negative for an outward one. ``jump``: positive where ``b`` is in front.
+    ``meets`` is the share of the closer pairs across which the surface goes on within the noise.
     """
 
     a: int
@@ -108,6 +123,7 @@ class Border:
     pairs: float
     bend: float
     jump: float
+    meets: float
 
     @property
     def edge(self) -> float:
@@ -127,7 +143,7 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
     labels, depth = labels[used], depth[used]
     fits = tangents(np.where(labels > 0, depth, np.nan), reach, 1 + (reach - 1) // 5, labels)
     noise = noise_of(depth)
-    keys, bends, jumps = [], [], []
+    keys, bends, jumps, close = [], [], [], []
     for r in (reach, max(2, reach // 2)):
         for _, a, b in across(labels.shape, r):
             la, lb = labels[a], labels[b]
@@ -138,6 +154,7 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
             keys.append(np.sort(np.stack([la[where], lb[where]], axis=1), axis=1))
             bends.append(bend / scale)
             jumps.append(np.where(swap, -jump, jump) / scale)
+            close.append(np.full(len(bend), r < reach))
     pair = np.concatenate(keys)
     if not len(pair):
         return {}
@@ -145,7 +162,10 @@ def borders(labels: Labels, depth: Array, reach: int) -> dict[tuple[int, int], B
     limit = 10.0  # so that few far-off pixels do not outvote a long border
     bend = np.bincount(index.ravel(), np.clip(np.concatenate(bends), -limit, limit)) / counts
     jump = np.bincount(index.ravel(), np.clip(np.concatenate(jumps), -limit, limit)) / counts
+    near = np.concatenate(close)
+    smooth = near & (np.maximum(np.concatenate(bends), 0.8 * np.abs(np.concatenate(jumps))) < 1)
+    meets = np.bincount(index.ravel(), smooth) / np.maximum(np.bincount(index.ravel(), near), 1)
     return {
-        (int(a), int(b)): Border(int(a), int(b), float(n), float(x), float(y))
-        for (a, b), n, x, y in zip(unique, counts, bend, jump, strict=True)
+        (int(a), int(b)): Border(int(a), int(b), float(n), float(x), float(y), float(m))
+        for (a, b), n, x, y, m in zip(unique, counts, bend, jump, meets, strict=True)
     }

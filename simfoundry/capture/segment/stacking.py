@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.scene.frames import Array
 
-LEANING = 0.02  # [m] between a thing and what it leans on
-HANGING = 0.04  # [m] above the support, from which on a foot is not merely hidden
 CONTACT = 0.015  # [m] between a thing and what carries it
+OVERLAP = 0.05  # of the smaller footprint that a thing shares with what carries it, as far as both are seen
 Labels = NDArray[np.int32]
 
 
@@ -45,47 +44,58 @@ def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Pa
 
 
 def carriers(parts: list[Part]) -> dict[int, int]:
-    """What each part stands on: the highest part that ends right below it, else 0 for the support.
+    """What each part stands on: the part that it begins on top of, else 0 for the support.
 
-    What does not reach down to the support and has nothing right below it leans on the lower part that it is nearest
-    to, if that is near; else its foot is hidden and it stands on the support.
+    What neither reaches down to the support nor has something under it has a foot that is hidden, and stands on the
+    support: to be near another part is no evidence of standing on it.
     """
-    return {p.label: 0 if p.is_grounded else _carrier(p, parts) or _leant_on(p, parts) for p in parts}
+    return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
 
 
-def _leant_on(part: Part, parts: list[Part]) -> int:
-    from scipy.spatial import cKDTree
-
-    if part.bottom < HANGING:
-        return 0
-    tree = cKDTree(part.points_W[:: max(1, len(part.points_W) // 2000)])
-    best, nearest = 0, LEANING
+def _stood_on(part: Part, parts: list[Part]) -> int:
+    """The part whose top is where ``part`` begins, and whose footprint it shares most of."""
+    best, most = 0, OVERLAP
     for other in parts:
-        if other.label == part.label or other.bottom >= part.bottom:
-            continue
-        gaps, _ = tree.query(other.points_W[:: max(1, len(other.points_W) // 1000)])
-        gap = float(np.sort(gaps)[min(5, len(gaps) - 1)])  # not the very nearest: stray points lie between things
-        if gap < nearest:
-            best, nearest = other.label, gap
+        if other.label != part.label and -CONTACT < part.bottom - other.top < 1.5 * CONTACT:
+            share = shared_footprint(part, other)
+            if share > most:
+                best, most = other.label, share
     return best
 
 
-def _carrier(part: Part, parts: list[Part]) -> int:
+def _contained_by(part: Part, parts: list[Part]) -> int:
+    """The highest part that lies right under ``part`` and may also rise beside it, as the wall of a tray does."""
     low = part.points_W[part.points_W[:, 2] < part.bottom + 0.02][:, :2]
     best, height = 0, 0.0
     for other in parts:
         if other.label == part.label or len(low) == 0:
             continue
-        # What lies directly below may also rise beside it, as the wall of a tray does: look only under its feet.
         near = _near(low, other.points_W)
         under = near[near[:, 2] < part.bottom + 1.5 * CONTACT]
         if len(under) < 5:
             continue
         level = float(np.quantile(under[:, 2], 0.9))
         gap = part.bottom - level
-        if gap < 2 * CONTACT and level > height and _shares_ground(low, other.points_W[:, :2]):
+        if gap < 2 * CONTACT and level > height and _is_over(low, other.points_W) > 0.8:
             best, height = other.label, level
     return best
+
+
+def shared_footprint(one: Part, other: Part) -> float:
+    """The area that both convex footprints cover, as a share of the smaller one."""
+    import cv2
+
+    a, b = footprint_hull(one.points_W), footprint_hull(other.points_W)
+    smaller = min(cv2.contourArea(a), cv2.contourArea(b))
+    return float(cv2.intersectConvexConvex(a, b)[0]) / smaller if smaller > 0 else 0.0
+
+
+def footprint_hull(points_W: Array) -> NDArray[np.float32]:
+    """Convex hull [mm] of the xy of points [m], shape (n, 2) or (n, 3)."""
+    import cv2
+
+    thinned = points_W[:: max(1, len(points_W) // 2000), :2] * 1000
+    return np.asarray(cv2.convexHull(thinned.astype(np.float32)), dtype=np.float32)
 
 
 def _near(low: Array, points: Array) -> Array:
@@ -94,14 +104,13 @@ def _near(low: Array, points: Array) -> Array:
     return np.asarray(points[((points[:, :2] > lo) & (points[:, :2] < hi)).all(axis=1)])
 
 
-def _shares_ground(low: Array, ground: Array) -> bool:
-    """Whether the feet at ``low`` stand over the convex footprint of ``ground`` (xy [m]), for the most part."""
+def _is_over(low: Array, ground: Array) -> float:
+    """The share of feet at ``low`` that stand over the convex footprint of ``ground`` (xy [m])."""
     import cv2
 
-    hull = cv2.convexHull((ground[:: max(1, len(ground) // 2000)] * 1000).astype(np.float32))
+    hull = footprint_hull(ground)
     feet = low[:: max(1, len(low) // 60)] * 1000
-    inside = [cv2.pointPolygonTest(hull, (float(x), float(y)), True) > -10.0 for x, y in feet]
-    return float(np.mean(inside)) > 0.5
+    return float(np.mean([cv2.pointPolygonTest(hull, (float(x), float(y)), False) >= 0 for x, y in feet]))
 
 
 def below(labels: Labels, depth: Array, down: tuple[float, float], reach: int) -> dict[int, float]:
