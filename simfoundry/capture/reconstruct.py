@@ -72,7 +72,7 @@ def reconstruct(
     grounded = [footprint(shape) for k, shape in shapes.items() if not carriers[k]]
     support = replace(support, outline=beneath(support.outline, grounded))
     slab = thickness(frame, support)
-    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, slab.value))
+    files = mesh_files(SUPPORT_NAME, support_mesh(frame, support, segmentation.labels, slab.value))
     objects = {SUPPORT_NAME: support_spec(name, support, slab)}
     materials = {SUPPORT.name: material_spec(SUPPORT)}
     for done, (k, shape) in enumerate(shapes.items()):

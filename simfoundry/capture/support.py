@@ -26,6 +26,9 @@ TEXTURE_STEP = 0.002
 """Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
 TEXTURE_LIMIT = 1024
 
+IN_FRONT = 0.02
+"""What is measured this much nearer than the top [m] hides it, whether or not it became an object."""
+
 
 MARGIN = 0.01
 """How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
@@ -97,20 +100,21 @@ def thickness(frame: Frame, support: Support) -> Thickness:
     return Thickness(value, True) if value >= 0.012 else Thickness(DEFAULT_THICKNESS, False)
 
 
-def support_mesh(frame: Frame, support: Support, height: float) -> Mesh:
+def support_mesh(frame: Frame, support: Support, labels: NDArray[np.int32], height: float) -> Mesh:
     """The slab, top at z = 0, with the picture warped onto it.
 
     Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's colour.
-    What objects hide, and what lies outside the picture, gets the colour of the nearest seen patch.
+    What objects hide (``labels``, shape (h, w), above 0), and what lies outside the picture, gets the colour of the
+    nearest seen patch.
     """
     vertices, faces = prism_mesh(support.outline, height)
     vertices = vertices - np.array([0.0, 0.0, height / 2])
     low, high = support.outline.min(axis=0), support.outline.max(axis=0)
     uv = (vertices[:, :2] - low) / (high - low)
-    return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, low, high))
+    return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, labels, low, high))
 
 
-def _texture(frame: Frame, support: Support, low: Array, high: Array) -> bytes:
+def _texture(frame: Frame, support: Support, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
     """PNG of the top seen from above: +x to the right, +y up."""
     import cv2
 
@@ -125,8 +129,11 @@ def _texture(frame: Frame, support: Support, low: Array, high: Array) -> bytes:
     u = (in_camera[..., 0] / depth * frame.K[0, 0] + frame.K[0, 2]).astype(np.float32)
     v = (in_camera[..., 1] / depth * frame.K[1, 1] + frame.K[1, 2]).astype(np.float32)
     color = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    shown = cv2.erode(support.inliers.astype(np.uint8), np.ones((5, 5), np.uint8))
-    seen = cv2.remap(shown, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    bare = cv2.erode((labels == 0).astype(np.uint8), np.ones((7, 7), np.uint8))
+    seen = cv2.remap(bare, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    measured = cv2.remap(frame.depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    with np.errstate(invalid="ignore"):
+        seen &= ~(measured < depth - IN_FRONT)  # where there is no depth, the surface is taken to be what is seen
     return _png(_filled(color, seen & (in_camera[..., 2] > 0)))
 
 
