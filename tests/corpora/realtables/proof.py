@@ -137,7 +137,8 @@ def _sizes(scene: Scene, proof: Proof) -> Cell:
         name, height = found
         error = height - height_true
         why = f"{name} is {height:.3f} m high, the cracker box {height_true} m"
-        return Cell(f"{error * 100:+.1f} cm", abs(error) <= MAX_SIZE_ERROR, why)
+        verdict = abs(error) <= MAX_SIZE_ERROR if proof.capture.name in truth.STANDING else None
+        return Cell(f"{error * 100:+.1f} cm", verdict, why)
     if "objects" in proof.capture.entry:
         name, distance = truth.bottle(proof.capture, scene)
         why = f"{name} is the nearest to the bottle: centre off by {distance * 100:.1f} cm"
