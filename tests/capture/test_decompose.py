@@ -132,6 +132,17 @@ def painted(setup: Setup, colors: dict[int, tuple[int, int, int]]) -> tuple[np.n
     return truth, segment(Frame(color, frame.depth, frame.K))[1]
 
 
+def test_a_cap_beyond_lost_readings_is_part_of_its_bottle() -> None:
+    bottle = (Cylinder((0.0, 0.02, 0.07), 0.035, 0.14), Cylinder((0.0, 0.02, 0.16), 0.018, 0.04))
+    frame, truth = photograph(Setup(bottle, eye=(-0.6, 0.1, 0.25), target=(0.0, 0.02, 0.08)))
+    rows = np.nonzero((truth == 2).any(axis=1))[0]
+    lost = np.zeros(truth.shape, bool)
+    lost[rows[-1] - 3 : rows[-1] + 4] = True
+    found = segment(Frame(frame.color, np.where(lost, np.nan, frame.depth), frame.K))[1]
+    assert found.supports == {1: 0}
+    assert (found.labels[(truth == 2) & ~lost] == 1).mean() > 0.8
+
+
 RED, BLUE = (200, 30, 25), (30, 60, 200)
 # A lying bar on a thin neck: as a drill's head on its grip.
 HAMMER = (Box((0.02, 0.03, 0.055), (0.035, 0.035, 0.11), 0.3), Box((0.02, 0.03, 0.135), (0.06, 0.2, 0.05), 0.3))

@@ -21,6 +21,7 @@ ONE_HUE = 4.0  # of 180 in a full turn
 SEEN_UNDER = 0.8  # share of a lower edge that may be hidden, for the rest to tell that nothing else carries it
 NEAR = 0.03  # [m] between parts of one thing
 FLUSH = 0.02  # [m] between a lid and the rim it lies in
+CAP = 0.2  # of the other's visible area
 SLENDER = 0.35  # of the other's visible area: a handle
 
 
@@ -78,9 +79,13 @@ class _Family:
     on: dict[int, int]
     hidden: dict[int, float]
     graph: dict[tuple[int, int], Border]
+    adjacent: frozenset[tuple[int, int]]
 
     def are_one(self, part: Part, other: Part) -> bool:
-        """Whether ``part`` belongs to ``other``, of its hue."""
+        """Whether ``part`` belongs to ``other``: it is a cap that lost readings cut off, or else of its hue."""
+        meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
+        if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
+            return True
         a, b = self.hues[part.label], self.hues[other.label]
         if not a.matches(b):
             return False
@@ -106,7 +111,7 @@ def join_kin(
     while True:
         parts = parts_of(labels, points_W, depth, K)
         hidden, graph = below(labels, depth, down, reach), borders(labels, depth, reach)
-        family = _Family(hues_of(labels, color), carriers(parts), hidden, graph)
+        family = _Family(hues_of(labels, color), carriers(parts), hidden, graph, adjacent_pairs(labels))
         pair = _first_kin(parts, family)
         if pair is None:
             return labels
@@ -120,6 +125,14 @@ def _first_kin(parts: list[Part], family: _Family) -> tuple[int, int] | None:
         if kin:
             return part.label, min(kin, key=lambda other: (distance(part, other), other.label)).label
     return None
+
+
+def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
+    """The pairs (low, high) of regions of which two pixels lie side by side."""
+    sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
+    pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return frozenset((int(a), int(b)) for a, b in pairs if a > 0)
 
 
 def _is_lid(part: Part, other: Part) -> bool:
