@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 PYBULLET_REMEDY = (
-    "pip install 'simfoundry[pybullet]' (wheels exist up to Python 3.11 on Linux; elsewhere pip compiles it, which "
-    "takes some minutes and needs a C++ compiler)"
+    "`pip install pybullet` adds it (wheels exist up to Python 3.11 on Linux; elsewhere pip compiles it, which takes "
+    "some minutes and needs a C++ compiler)"
 )
 GL_REMEDY = "install libegl1 (or libosmesa6) with the system's package manager; until then pictures are ray-cast"
 
