@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -15,6 +16,7 @@ import pytest
 import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
+from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.check import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
@@ -220,3 +222,12 @@ def test_generated_files_are_found_stale_and_written(tmp_path: Path, monkeypatch
     assert main(["--check"]) == 0
     (tmp_path / "docs" / "reference.md").write_text("edited by hand")
     assert stale(tmp_path) == ["docs/reference.md"]
+
+
+def test_the_meshes_of_the_demo_are_what_their_script_makes() -> None:
+    """Compared by shape: the letters on the textures are drawn by a font library that may change."""
+    folder = ROOT / "specs" / "captures" / "desk"
+    made = runpy.run_path(str(folder / "make_meshes.py"))["meshes"]()
+    assert {f"{name}.obj" for name in made} == {p.name for p in (folder / "meshes").glob("*.obj")}
+    for name, mesh in made.items():
+        assert obj_with_material(mesh, name)[f"{name}.obj"] == (folder / "meshes" / f"{name}.obj").read_bytes()
