@@ -45,10 +45,9 @@ class Demo:
 
 
 def own_capture() -> Path | None:
-    """The project's own capture: beside the package in a checkout, inside it where it is installed."""
-    package = Path(__file__).parent.parent
-    places = (package.parent / "specs/captures/desk", package / "data/captures/desk")
-    return next((p for p in places if (p / "capture.yaml").is_file()), None)
+    """The project's own capture, in a checkout of the repository; None where there is none."""
+    folder = Path(__file__).parents[2] / "specs" / "captures" / "desk"
+    return folder if (folder / "capture.yaml").is_file() else None
 
 
 def run_demo(
