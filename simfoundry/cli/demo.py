@@ -29,9 +29,7 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
 
     folder = capture or own_capture()
     if folder is None:
-        raise CannotError(
-            "the project's own capture comes with its repository, not with the package; give a capture folder"
-        )
+        raise CannotError("the project's own capture comes with its repository only; give a capture folder")
     with progress_bar(as_json) as progress:
         demo = run_demo(folder, out, frame, progress, force)
     if as_json:
