@@ -196,7 +196,7 @@ def drop_and_rebound(restitution: float) -> float:
 
 def test_losses_name_what_is_approximated() -> None:
     losses = {loss.path: loss for loss in compile_mjcf(full_scene()).losses}
-    assert set(losses) == {"puck.restitution", "wedge.restitution", "sky"}
+    assert set(losses) == {"puck.restitution", "wedge.restitution", "restitution", "sky"}
     assert all(loss.fidelity is Fidelity.APPROXIMATED and len(loss.reason) > 20 for loss in losses.values())
 
 
