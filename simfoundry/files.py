@@ -7,11 +7,16 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 """What programs leave in a folder by the way; nobody misses it."""
+
+STALE_S = 3600.0
+"""No run takes this long to fill a folder [s]."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -26,6 +31,24 @@ def write_atomically(path: Path, data: bytes) -> None:
     except BaseException:
         Path(staging).unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A new folder to fill beside ``folder``, whose place it takes when the block ends well, and goes otherwise.
+
+    What runs that were killed left there more than ``STALE_S`` ago goes too.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    for left in folder.parent.glob(f".{folder.name}.new.*"):
+        if time.time() - left.stat().st_mtime > STALE_S:
+            shutil.rmtree(left, ignore_errors=True)
+    staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}.new.", dir=folder.parent))
+    try:
+        yield staging
+        replace_folder(staging, folder)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
 
 
 def replace_folder(new: Path, folder: Path) -> None:

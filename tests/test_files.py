@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import os
+import time
 from pathlib import Path
 from unittest import mock
 
 import pytest
 
 from simfoundry import files
-from simfoundry.files import replace_folder, strangers, write_atomically
+from simfoundry.files import STALE_S, replace_folder, staged, strangers, write_atomically
 
 
 def folder(path: Path, **content: str) -> Path:
@@ -78,3 +79,28 @@ def test_strangers(tmp_path: Path) -> None:
     assert strangers(out, ["a", "meshes/cup"]) == ["b", "meshes/plate"]
     (out / "link").symlink_to(tmp_path)
     assert strangers(out, ["a", "b", "meshes/cup", "meshes/plate"]) == ["link"]
+
+
+def test_a_new_run_clears_what_killed_ones_left_long_ago(tmp_path: Path) -> None:
+    old, recent = tmp_path / ".out.new.old", tmp_path / ".out.new.recent"
+    kept = tmp_path / ".out.old.kept"  # the good output of a run killed between two renames
+    for folder in (old, recent, kept):
+        folder.mkdir()
+        (folder / "file").write_text("x")
+    long_ago = time.time() - STALE_S - 60
+    for folder in (old, kept):
+        os.utime(folder, (long_ago, long_ago))
+    with staged(tmp_path / "out") as staging:
+        (staging / "file").write_text("new")
+    assert (tmp_path / "out" / "file").read_text() == "new"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".out.new.recent", ".out.old.kept", "out"]
+
+
+def test_a_block_that_fails_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "file").write_text("old")
+    with pytest.raises(KeyError), staged(tmp_path / "out") as staging:
+        (staging / "file").write_text("half")
+        raise KeyError
+    assert (tmp_path / "out" / "file").read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from simfoundry.files import replace_folder
+from simfoundry.files import staged
 
 
 class Fidelity(StrEnum):
@@ -47,16 +45,11 @@ class Artifact:
 
     def write(self, folder: Path) -> None:
         """Write everything below ``folder``, replacing what was there in one step: a killed write leaves the old."""
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
+        with staged(folder) as staging:
             for path, data in {**self.files, "manifest.json": self.manifest}.items():
                 target = staging / path
                 target.parent.mkdir(parents=True, exist_ok=True)
                 target.write_bytes(data)
-            replace_folder(staging, folder)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
 
 
 def _json(data: object) -> bytes:

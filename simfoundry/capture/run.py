@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.files import replace_folder, strangers
+from simfoundry.files import staged, strangers
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
@@ -87,18 +86,13 @@ def _run(
     name = loaded.spec.name if len(loaded.spec.frames) == 1 else f"{loaded.spec.name}_{frame_name}"
     given = masks.names if masks is not None else None
     built = reconstruct(name, frame, given, lambda stage, share: progress(stage, 0.6 * share))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with staged(out) as staging:
         scene_name = f"{built.spec.name}.scene.yaml"
         built, scene, settled = _settled(built, staging / scene_name, cache, progress)
         progress("pictures", 0.95)
         _pictures(built, frame, scene, settled, staging)
         report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
         (staging / "report.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        replace_folder(staging, out)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
     return CaptureRun(shown / scene_name, built, settled, report)
 
 
