@@ -29,10 +29,8 @@ TEXTURE_LIMIT = 1024
 IN_FRONT = 0.02
 """What is measured this much nearer than the top [m] hides it, whether or not it became an object."""
 
-
 MARGIN = 0.01
 """How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
-
 
 MOST_CORNERS = 24
 """Corners of an outline: more than a person wants to read add nothing to a table."""

@@ -23,23 +23,19 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, forc
     """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
-    from simfoundry.worlds.build import build
+    from simfoundry.worlds.build import build, losses_by_target
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
         artifacts = build(lowered, targets or TARGETS, out, force)
-    losses = {a.target: a.losses for a in artifacts}
+    losses = losses_by_target(artifacts)
     if as_json:
-        report = {
-            t: [{"path": x.path, "fidelity": x.fidelity, "reason": x.reason} for x in lost]
-            for t, lost in losses.items()
-        }
-        print_json(
-            {"out": str(out), "targets": {a.target: str(out / a.target / a.entry) for a in artifacts}, "losses": report}
-        )
+        entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
+        print_json({"out": str(out), "targets": entries, "losses": losses})
     else:
         for artifact in artifacts:
-            lost = f"{len(artifact.losses)} losses" if artifact.losses else "nothing lost"
+            count = len(artifact.losses)
+            lost = f"{count} loss{'es' if count != 1 else ''}" if count else "nothing lost"
             click.echo(f"{artifact.target:<9} {out / artifact.target / artifact.entry}  ({lost})")
         if any(losses.values()):
             click.echo(f"what each target cannot keep: {out / 'loss.json'}")

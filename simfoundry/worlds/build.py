@@ -26,7 +26,8 @@ def build(scene: Scene, targets: Iterable[str], out: Path, force: bool = False) 
         _ensure_ours(out / artifact.target)
     for artifact in artifacts:
         artifact.write(out / artifact.target)
-    write_atomically(out / "loss.json", loss_report(artifacts))
+    report = json.dumps(losses_by_target(artifacts), indent=2, ensure_ascii=False) + "\n"
+    write_atomically(out / "loss.json", report.encode())
     return artifacts
 
 
@@ -45,12 +46,11 @@ def _ensure_ours(folder: Path) -> None:
         raise OutputError(f"{folder} holds files that no build wrote ({names}); choose another folder, or say --force")
 
 
-def loss_report(artifacts: Iterable[Artifact]) -> bytes:
-    """``loss.json``: per target, every field that is approximated or dropped, with the reason."""
-    report = {
+def losses_by_target(artifacts: Iterable[Artifact]) -> dict[str, list[dict[str, str]]]:
+    """Per target, every field that is approximated or dropped, with the reason: what ``loss.json`` holds."""
+    return {
         artifact.target: [
             {"path": loss.path, "fidelity": loss.fidelity.value, "reason": loss.reason} for loss in artifact.losses
         ]
         for artifact in artifacts
     }
-    return (json.dumps(report, indent=2, ensure_ascii=False) + "\n").encode()

@@ -60,23 +60,6 @@ def label_color(label: int) -> tuple[int, int, int]:
     return round(255 * r), round(255 * g), round(255 * b)
 
 
-def depth_picture(depth: NDArray[np.float64], near: float | None = None, far: float | None = None) -> Image:
-    """Depth [m], shape (h, w), as a picture: near is light, far is dark blue, no depth is black.
-
-    ``near`` and ``far`` [m] fix the range, by default that of the depth itself.
-    """
-    seen = np.isfinite(depth)
-    if not seen.any():
-        return np.zeros((*depth.shape, 3), dtype=np.uint8)
-    low = float(depth[seen].min()) if near is None else near
-    high = float(depth[seen].max()) if far is None else far
-    t = np.clip((np.where(seen, depth, low) - low) / max(high - low, 1e-9), 0.0, 1.0)
-    stops = np.array([(253, 240, 196), (244, 166, 98), (203, 71, 119), (104, 28, 129), (20, 14, 54)], dtype=np.float64)
-    at = np.linspace(0.0, 1.0, len(stops))
-    picture = np.stack([np.interp(t, at, stops[:, k]) for k in range(3)], axis=-1)
-    return np.asarray(np.rint(np.where(seen[..., None], picture, 0.0)), dtype=np.uint8)
-
-
 def png_bytes(image: Image) -> bytes:
     """The picture as a PNG; the same picture gives the same bytes."""
     from PIL import Image as Pillow

@@ -13,7 +13,7 @@ from simfoundry.backends.artifact import Artifact
 from simfoundry.errors import OutputError
 from simfoundry.scene.model import Scene
 from simfoundry.worlds import build as module
-from simfoundry.worlds.build import TARGETS, build, loss_report
+from simfoundry.worlds.build import TARGETS, build, losses_by_target
 from tests.scenes import full_scene
 
 
@@ -32,7 +32,7 @@ def test_every_target_has_its_folder_with_a_manifest_that_is_true(tmp_path: Path
         assert manifest["entry"] in files
     losses = json.loads((tmp_path / "loss.json").read_text())
     assert {t: len(v) for t, v in losses.items()} == {a.target: len(a.losses) for a in artifacts}
-    assert (tmp_path / "loss.json").read_bytes() == loss_report(artifacts)
+    assert json.loads((tmp_path / "loss.json").read_bytes()) == losses_by_target(artifacts)
 
 
 def test_building_again_gives_the_same_and_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -65,3 +65,10 @@ def test_files_of_others_are_kept(tmp_path: Path) -> None:
     assert content(tmp_path) == {"mjcf/thesis.tex": b"mine"}
     build(full_scene(), ["mjcf"], tmp_path, force=True)
     assert "mjcf/scene.xml" in content(tmp_path) and "mjcf/thesis.tex" not in content(tmp_path)
+
+
+def test_the_command_line_offers_every_backend() -> None:
+    """It names them itself, so that its help loads none."""
+    from simfoundry.cli.compile import TARGETS as OFFERED
+
+    assert sorted(OFFERED) == list(TARGETS)

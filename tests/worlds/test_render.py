@@ -14,7 +14,7 @@ from simfoundry.scene.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera, Light, LightType
 from simfoundry.scene.raycast import raycast
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.compare import depth_picture, label_color, overlay, png_bytes, save_png, side_by_side
+from simfoundry.worlds.compare import label_color, overlay, png_bytes, save_png, side_by_side
 from simfoundry.worlds.gl import Engine, RenderError, choose_engine
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.offscreen import MujocoRenderer, _aim
@@ -178,13 +178,6 @@ def test_overlay_tints_each_object_outlines_it_and_leaves_the_rest() -> None:
     assert len({label_color(k) for k in range(1, 40)}) == 39
     with pytest.raises(ValueError, match="must agree"):
         overlay(color, objects[:-1])
-
-
-def test_depth_pictures_are_black_where_there_is_none_and_darker_with_distance() -> None:
-    depth = np.array([[0.5, 1.0, 2.0, np.nan]])
-    picture = depth_picture(depth).astype(int).sum(axis=-1)[0]
-    assert picture[0] > picture[1] > picture[2] > picture[3] == 0
-    assert not depth_picture(np.full((2, 2), np.nan)).any()
 
 
 def test_a_png_has_the_same_bytes_each_time(tmp_path: object) -> None:
