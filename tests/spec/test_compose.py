@@ -44,7 +44,8 @@ def spec_of(loaded: Loaded) -> SceneSpec:
 
 
 def test_mappings_are_joined_and_the_rest_is_replaced(project: Path) -> None:
-    body = "name: b\nobjects:\n  cup: {mass: 0.3, pose: {xyz: [0.5, 0, 0.05]}}\n  plate: null\nrelations: [OnTop(cup, desk)]\n"
+    objects = "objects:\n  cup: {mass: 0.3, pose: {xyz: [0.5, 0, 0.05]}}\n  plate: null\n"
+    body = f"name: b\n{objects}relations: [OnTop(cup, desk)]\n"
     spec = spec_of(overlay(project, body))
     assert spec.name == "b" and list(spec.objects) == ["desk", "cup"]
     cup = spec.objects["cup"]
