@@ -87,7 +87,7 @@ _INTRODUCTION = """\
 
 Everything that SimFoundry can find in a document has a code that stays the same. Codes that start with `SF4` are
 warnings, and can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these
-pages, and [checking.md](checking.md) says how to run the checks in an editor, at a commit and on a server.
+pages, and [checking.md](checking.md) says how to check at each commit and on a server.
 """
 
 

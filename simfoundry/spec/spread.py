@@ -16,8 +16,8 @@ R = TypeVar("R")
 TRIAL = 32
 """So many things are done here before the time for the others is estimated."""
 
-WORTH_S = 1.0
-"""Work for less than this is not worth starting processes for, which takes about 0.2 s [s]."""
+WORTH_S = 2.0
+"""Work for less than this is not worth starting processes for: until they have imported all, 0.5 s pass [s]."""
 
 MOST = 8
 """The most processes."""
