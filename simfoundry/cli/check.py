@@ -81,7 +81,8 @@ def _documents(paths: tuple[Path, ...]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            inside = (p for p in sorted(path.rglob("*.yaml")) if not any(part.startswith(".") for part in p.parts))
+            below = ((p, p.relative_to(path).parts) for p in sorted(path.rglob("*.yaml")))
+            inside = (p for p, parts in below if not any(part.startswith(".") for part in parts))
             files += [p for p in inside if p.name.endswith(suffixes) or p.name == "capture.yaml"]
         elif path.exists():
             files.append(path)
