@@ -14,6 +14,8 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, prin
 from simfoundry.spec.report.model import FORMATS
 
 if TYPE_CHECKING:
+    from simfoundry.spec.load import Known
+    from simfoundry.spec.loaded import Loaded
     from simfoundry.spec.report.model import Checked
 
 MANY = 100
@@ -42,6 +44,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
 
     form = "json" if as_json else form
     files = _documents(paths or (Path(),))
+    _known.clear()
     with _progress(len(files)) as progress:
         checked = spread(_check, files, progress)
     report = gather(map(str, files), checked)
@@ -56,13 +59,27 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     return FINDINGS if report.findings else DONE
 
 
+_known: dict[Path, Known] = {}
+"""What this process has read during a command, by project: documents that many others use are read once."""
+
+
 def _check(file: Path) -> Checked:
     """What one document gives; also called in other processes."""
     from simfoundry.spec.load import load
+    from simfoundry.spec.loaded import project_root
     from simfoundry.spec.report.model import Checked
 
-    loaded = load(file)
-    return Checked(tuple(loaded.all_findings()), tuple(str(asset.path) for asset in loaded.assets.values()))
+    root = project_root(file)
+    loaded = load(file, root, _known.setdefault(root, {}))
+    return Checked(tuple(loaded.all_findings()), tuple(map(str, _used(loaded))))
+
+
+def _used(loaded: Loaded) -> Iterator[Path]:
+    """The files that a document extends and refers to, and so on from there."""
+    yield from loaded.bases
+    for used in loaded.uses.values():
+        yield used.path
+        yield from _used(used)
 
 
 @contextmanager
