@@ -24,7 +24,7 @@ def load(path: Path, root: Path | None = None) -> Loaded:
         document = read(path)
     except YamlError as error:
         return Loaded(path, root, None, (error.diagnostic(str(path)),))
-    model, finding = _kind(document)
+    model, finding = kind_of(document)
     if model is None:
         assert finding is not None
         return Loaded(path, root, None, (*document.duplicates, finding))
@@ -58,13 +58,13 @@ def _of_kind(path: Path, model: type[Model], kind: str) -> Loaded:
 def _load_asset(path: Path, root: Path) -> Loaded | None:
     """An asset document; None for a document of another kind, which is not read further: it might refer back."""
     try:
-        model = _kind(read(path))[0]
+        model = kind_of(read(path))[0]
     except YamlError:
         model = None
     return load(path, root) if model in (None, AssetSpec) else None
 
 
-def _kind(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
+def kind_of(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
     """The model of a document by its first key."""
     data = document.data
     if not isinstance(data, dict):
