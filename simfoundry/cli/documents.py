@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from simfoundry.cli.output import CannotError
-
-SUFFIXES = (".scene.yaml", ".asset.yaml", ".task.yaml", ".cousins.yaml", ".capture.yaml")
+from simfoundry.spec.kinds import is_document
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
@@ -18,7 +17,7 @@ def documents(paths: tuple[Path, ...]) -> list[Path]:
     for path in paths:
         if path.is_dir():
             inside = (p for p in sorted(path.rglob("*.yaml")) if not _is_hidden(p.relative_to(path)))
-            files |= dict.fromkeys(p for p in inside if p.name.endswith(SUFFIXES) or p.name == "capture.yaml")
+            files |= dict.fromkeys(p for p in inside if is_document(p))
         elif path.exists():
             files[path] = None
         else:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from simfoundry.spec.base import Model
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.kinds import model_of
 from simfoundry.spec.load import kind_of
 from simfoundry.spec.loaded import project_root
 from simfoundry.spec.text import Document, YamlError, parse, read
@@ -83,10 +84,10 @@ def _top_comments(text: str) -> list[str]:
 
 
 def _model(document: Document) -> type[Model]:
-    model, finding = kind_of(document)
-    if model is None or document.duplicates:
+    kind, finding = kind_of(document)
+    if kind is None or document.duplicates:
         raise SpecError([*document.duplicates, *([finding] if finding is not None else [])])
-    return model
+    return model_of(kind)
 
 
 def _formatted(document: Document, model: type[Model], schema: str | None) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import functools
-import types
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
-from simfoundry.spec.base import Model
+from simfoundry.spec.base import Body, DocumentSpec, Model
+from simfoundry.spec.types import flat
 
 _FIRST = (
     "simfoundry",
@@ -32,23 +32,27 @@ _FIRST = (
     "solid",
     "pose",
     "place",
-    "joints",
 )
-"""Fields that people look for come first; the others follow in the order of their model."""
-
-_RANK = {name: rank for rank, name in enumerate(_FIRST)}
+"""Fields of bodies and documents that people look for come first; the others follow in the order of their model."""
+_LAST = ("allow", "conflicts")
+_RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | {name: 1 for name in _LAST}
 
 
 def field_order(model: type[Model]) -> list[str]:
-    """The names of a model's fields in the order in which they are written."""
-    return sorted(model.model_fields, key=lambda name: _RANK.get(name, len(_RANK)))
+    """The names of a model's fields in the order in which they are written.
+
+    That is the order of the model, but for bodies and whole documents, whose models begin with what they inherit.
+    """
+    if not issubclass(model, Body | DocumentSpec):
+        return list(model.model_fields)
+    return sorted(model.model_fields, key=lambda name: _RANK.get(name, 0))
 
 
 class Place:
     """What may stand at a place of a document, as far as the order of its keys goes."""
 
     def __init__(self, *types_: Any) -> None:
-        kinds = [kind for type_ in types_ for kind in _flat(type_)]
+        kinds = [kind for type_ in types_ for _, kind in flat(type_)]
         self._fields: dict[str, Any] = {}
         for model in (k for k in kinds if isinstance(k, type) and issubclass(k, Model)):
             for name in field_order(model):
@@ -82,17 +86,3 @@ class Place:
 def place_of(model: type[Model] | None) -> Place:
     """The place of a whole document."""
     return Place(model)
-
-
-def _flat(kind: Any) -> Iterator[Any]:
-    """The plain types of a type: without annotations, aliases and unions."""
-    if hasattr(kind, "__value__"):  # a named alias, which may hold itself
-        kind = kind.__value__
-    origin = typing.get_origin(kind)
-    if origin is typing.Annotated:
-        yield from _flat(typing.get_args(kind)[0])
-    elif origin in (typing.Union, types.UnionType):
-        for member in typing.get_args(kind):
-            yield from _flat(member)
-    else:
-        yield kind

@@ -100,7 +100,7 @@ def _items(old: tuple[Tree, ...], new: tuple[Any, ...]) -> tuple[Tree, ...]:
 
 
 def read_tree(document: Document) -> Tree:
-    """The tree of a document with every comment of its text; aliases are written out.
+    """The tree of a document as it was read (without what it extends) with all its comments; aliases are written out.
 
     Raises :class:`SpecError` where a key is written twice: one of the two would be lost.
     """
