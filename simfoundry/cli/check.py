@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_findings, progress_bar, reporting
+from simfoundry.cli.documents import documents
+from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, progress_bar, reporting
 from simfoundry.spec.report.model import FORMATS
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     from simfoundry.spec.spread import spread
 
     form = "json" if as_json else form
-    files = _documents(paths or (Path(),))
+    files = documents(paths or (Path(),))
     _known.clear()
     with _progress(len(files)) as progress:
         checked = spread(_check, files, progress)
@@ -90,21 +91,3 @@ def _progress(count: int) -> Iterator[Callable[[int], object]]:
         return
     with progress_bar(False) as show:
         yield lambda done: show("check", done / count)
-
-
-def _documents(paths: tuple[Path, ...]) -> list[Path]:
-    """The files themselves, and the documents below the folders."""
-    suffixes = (".scene.yaml", ".asset.yaml", ".capture.yaml")
-    files: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            below = ((p, p.relative_to(path).parts) for p in sorted(path.rglob("*.yaml")))
-            inside = (p for p, parts in below if not any(part.startswith(".") for part in parts))
-            files += [p for p in inside if p.name.endswith(suffixes) or p.name == "capture.yaml"]
-        elif path.exists():
-            files.append(path)
-        else:
-            raise CannotError(f"there is no file {path}")
-    if not files:
-        raise CannotError(f"there is no document below {', '.join(map(str, paths))}")
-    return files

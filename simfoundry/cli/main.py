@@ -16,6 +16,7 @@ COMMANDS = {
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "doctor": "Say what is installed, what is missing and how to get it.",
     "explain": "Explain the code of a finding, or list all codes.",
+    "fmt": "Write documents in their canonical form; comments stay.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
     "settle": "Let a scene come to rest in physics, with a report.",
