@@ -88,6 +88,9 @@ def test_json_has_the_shape_that_is_promised() -> None:
         ],
     }
     assert run("check", "--json").out == run("check", "--format=json").out
+    for way in (["--json"], ["--format", "json"], ["--format=json"]):
+        nothing = run("check", "nowhere", *way)
+        assert (nothing.code, nothing.err, nothing.json) == (2, "", {"error": "there is no file nowhere"})
     assert run("check", "good.scene.yaml", "--json").json["findings"] == []
     described = (REPOSITORY / "docs" / "checking.md").read_text()
     assert all(f"`{key}`" in described for key in (*done.json, *done.json["findings"][0]))
@@ -336,6 +339,15 @@ def test_what_several_scenes_use_is_reported_once(tree: Path) -> None:
     done = run("check", "scenes")
     assert done.err.count("SF101") == 1 and done.out == "1 error in 1 of 4 documents\n"
     assert done.err.startswith(f"{Path('assets/box.asset.yaml')}:3:60: error[SF101]")
+    for k in range(3):
+        overlay = f"simfoundry: scene/1\nextends: ../bad.scene.yaml\nname: overlay_{k}\n"
+        (tree / "scenes" / f"overlay_{k}.scene.yaml").write_text(overlay)
+    overlays = run("check", *sorted((tree / "scenes").glob("overlay_*")))
+    assert overlays.out == "1 error in 1 of 4 documents\n" and overlays.err.startswith(
+        "bad.scene.yaml:3:40: error[SF101]"
+    )
+    for path in (tree / "scenes").glob("overlay_*"):
+        path.unlink()
     other = run("check", tree / "scenes", "scenes", "./scenes/../assets/box.asset.yaml")
     assert other.out == done.out and other.err.count("SF101") == 1
 

@@ -19,6 +19,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SCENE = """\
 simfoundry: scene/1
 name: desk
+
 objects:
   cup:
     shape: {sphere: 0.04}
