@@ -5,6 +5,7 @@ pre-commit clones the last commit of this repository and installs it, so this ta
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -74,6 +75,22 @@ def prepared(folder: Path) -> Path:
     return user
 
 
+def explained(folder: Path) -> bool:
+    """Whether the package that pre-commit built and installed brings the pages of all codes."""
+    program = next((folder / "pre-commit").glob("repo*/py_env-*/bin/simfoundry"))
+    env = {**os.environ, "PYTHONPATH": ""}
+    done = subprocess.run(
+        [program, "check", "--format", "sarif", "user"],
+        cwd=folder,
+        env=env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    rules = json.loads(done.stdout)["runs"][0]["tool"]["driver"]["rules"]
+    return all("**How to mend it.**" in rule["help"]["markdown"] for rule in rules)
+
+
 def main() -> int:
     """Print a line for each step; the exit code is 1 where one went otherwise."""
     failed = 0
@@ -92,6 +109,9 @@ def main() -> int:
             )
             if not right:
                 print(done.stdout, done.stderr, sep="\n")
+        pages = explained(Path(folder))
+        failed += not pages
+        print(f"{'ok' if pages else 'FAILED':<7}the installed package explains every code")
     return 1 if failed else 0
 
 
