@@ -168,7 +168,7 @@ def wrong_choice(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
     """A word that is not among the valid ones."""
     for s in _scalars(found):
         if s.path[-1:] and s.path[-1] in CHOICES and "objects" not in s.path[:1]:
-            yield s, s.node.plain, f"{s.node.plain}x"
+            yield s, s.node.plain, s.node.plain + rng.choice(["x", "_z"])
 
 
 def dangling_name(found: list[Spot], rng: random.Random) -> Iterator[Candidate]:
@@ -363,7 +363,7 @@ def findings(path: Path) -> tuple[Loaded, list[Diagnostic]]:
 
 
 def corrupt(count: int, seed: int = 0, root: Path = REPOSITORY / "specs") -> tuple[dict[str, Tally], Counter[str]]:
-    """Check ``count`` corruptions of the documents below ``root``, drawn evenly over the kinds; counts of the codes too."""
+    """Check ``count`` corruptions of the documents below ``root``, evenly of each kind; counts of the codes too."""
     tallies: dict[str, Tally] = {}
     codes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -419,9 +419,8 @@ def main() -> int:
     tallies, codes = corrupt(options.count, options.seed)
     print("| corruption | count | crashed | silent | line pointed at |\n|---|---|---|---|---|")
     for kind, t in tallies.items():
-        print(
-            f"| {kind} | {t.count} | {len(t.crashed)} | {len(t.silent)} | {1 - (len(t.elsewhere) + len(t.silent)) / t.count:.3f} |"
-        )
+        share = 1 - (len(t.elsewhere) + len(t.silent)) / t.count
+        print(f"| {kind} | {t.count} | {len(t.crashed)} | {len(t.silent)} | {share:.3f} |")
         for line in (*t.crashed, *t.silent, *t.elsewhere) if options.show else t.crashed[:3]:
             print(f"  {line}", file=sys.stderr)
     total = sum(t.count for t in tallies.values())
