@@ -57,6 +57,8 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
         from simfoundry.spec.report.as_text import summary
 
         click.echo(summary(report))
+    if form == "text" and report.findings and sys.stdout.isatty():
+        click.echo(f"`simfoundry explain {report.findings[0].code}` says more")
     return FINDINGS if report.findings else DONE
 
 

@@ -99,7 +99,7 @@ class SpecError(Exception):
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     """Findings in reading order, each once."""
-    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message))
+    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:

@@ -284,6 +284,16 @@ def test_a_finding_of_a_whole_file_has_no_line(tree: Path) -> None:
     assert "region" not in region["physicalLocation"] and "logicalLocations" not in region
 
 
+@settings(derandomize=True, deadline=None, max_examples=30)
+@given(st.randoms(use_true_random=False))
+def test_findings_come_in_one_order_however_they_were_found(random: Any) -> None:
+    alike = [Diagnostic("SF101", Severity.ERROR, "no", "a.yaml", 1, 1, path, hint) for path in "pqr" for hint in "xyz"]
+    shuffled = [*alike, *alike]
+    random.shuffle(shuffled)
+    parts = [Checked(tuple(shuffled[:5])), Checked(tuple(shuffled[5:]))]
+    assert list(gather(["a.yaml"], parts).findings) == alike
+
+
 @pytest.mark.parametrize("form", FORMATS)
 def test_long_lists_are_shown_whole_and_every_run_is_alike(tree: Path, form: str) -> None:
     for k in range(12):
@@ -449,10 +459,12 @@ def test_a_terminal_shows_colour_unless_it_is_asked_not_to() -> None:
     shown = terminal("check", "bad.scene.yaml")
     assert "\x1b[1;31merror[SF101]\x1b[0m" in shown and "\x1b[1;31m^\x1b[0m" in shown
     plain = run("check", "bad.scene.yaml")
-    assert re.sub(r"\x1b\[[0-9;]*m", "", shown) == plain.err + plain.out
+    more = "`simfoundry explain SF101` says more\n"
+    assert re.sub(r"\x1b\[[0-9;]*m", "", shown) == plain.err + plain.out + more
     assert "\x1b[1;33mwarning[SF401]\x1b[0m" in terminal("check", "warned.scene.yaml")
     for env in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
-        assert terminal("check", "bad.scene.yaml", **env) == plain.err + plain.out
+        assert terminal("check", "bad.scene.yaml", **env) == plain.err + plain.out + more
+    assert "explain" not in terminal("check", "good.scene.yaml")
     assert "\x1b" not in plain.err + plain.out
 
 

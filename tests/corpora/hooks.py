@@ -93,6 +93,9 @@ def explained(folder: Path) -> bool:
 
 def main() -> int:
     """Print a line for each step; the exit code is 1 where one went otherwise."""
+    if not (REPOSITORY / ".git").exists():
+        print("pre-commit clones a repository, and this copy is none", file=sys.stderr)
+        return 1
     failed = 0
     with tempfile.TemporaryDirectory() as folder:
         user = prepared(Path(folder))

@@ -47,7 +47,7 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> Report:
     for name in (*files, *(use for each in checked for use in each.uses)):
         seen.setdefault(absolute(name), name)
     findings: set[Diagnostic] = set()
-    for finding in {d for each in checked for d in each.findings}:
+    for finding in dict.fromkeys(d for each in checked for d in each.findings):
         name = seen.setdefault(absolute(finding.file), finding.file)
         findings.add(finding if name == finding.file else replace(finding, file=name))
     return Report(files, len(seen), tuple(ordered(findings)))
