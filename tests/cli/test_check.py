@@ -23,6 +23,7 @@ from simfoundry.spec.pages import page
 from simfoundry.spec.report import as_github, as_text
 from simfoundry.spec.report.model import FORMATS, Checked, Report, gather, renderer
 from simfoundry.spec.spread import TRIAL, spread
+from simfoundry.spec.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
 
@@ -360,6 +361,27 @@ def test_what_several_scenes_use_is_reported_once(tree: Path) -> None:
         path.unlink()
     other = run("check", tree / "scenes", "scenes", "./scenes/../assets/box.asset.yaml")
     assert other.out == done.out and other.err.count("SF101") == 1
+
+
+def test_what_several_scenes_use_is_read_once_and_anew_by_each_command(
+    tree: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tree / "assets").mkdir()
+    (tree / "assets" / "box.asset.yaml").write_text(ASSET)
+    (tree / "scenes").mkdir()
+    for k in range(20):
+        (tree / "scenes" / f"{k}.scene.yaml").write_text(USER)
+    reads: list[str] = []
+
+    def counted(path: Path) -> Document:
+        reads.append(path.name)
+        return read(path)
+
+    monkeypatch.setattr("simfoundry.spec.load.read", counted)
+    assert run("check", "scenes").out == "1 error in 1 of 21 documents\n"
+    assert reads.count("box.asset.yaml") <= 2 and len(set(reads)) == 21
+    (tree / "assets" / "box.asset.yaml").write_text(ASSET.replace(", colour: red", ""))
+    assert run("check", "scenes").out == "no findings in 21 documents\n"
 
 
 # -- many documents -------------------------------------------------------------------------------------------------
