@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def heights(above: Hulls, below: Hulls) -> Array:
     touch, because they do not lie above one another.
     """
     out = np.full((len(above.radius), len(below.radius)), -np.inf)
-    a, b = _upper(_narrowed(above).flipped()), _upper(below)
+    a, b = _upper(_narrowed(above).flipped()), _landing(below)
     flat, width = out.reshape(-1), len(below.radius)
     for mine, yours, height in _meetings(a, b):
         np.maximum.at(flat, mine * width + yours, height)
@@ -113,9 +114,15 @@ def _upper(shape: Hulls) -> _Upper:
     return _Upper(
         _Group.of(at[corners][:, None], shape.part[corners], shape.radius, none),
         _Group.of(at[shape.edges[edges]], shape.part[shape.edges[edges, 0]], shape.radius, none),
-        _Group.of(at[shape.triangles[faces]], shape.part[shape.triangles[faces, 0]], shape.radius, shape.normals[faces]),
+        _Group.of(
+            at[shape.triangles[faces]], shape.part[shape.triangles[faces, 0]], shape.radius, shape.normals[faces]
+        ),
         shape.radius,
     )
+
+
+_landing = lru_cache(maxsize=16)(_upper)
+"""Many things land on one desk."""
 
 
 def _pairs(a: _Group, b: _Group, rounded: bool = False) -> Iterator[tuple[Index, Index]]:

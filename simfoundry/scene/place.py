@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,8 +109,10 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
         raise PlaceError(f"`{item.name}` has no shape that could be placed")
     xy = _position(place, shape, upright, carrier, placed, viewer)
     held = shape.moved(np.array([*xy, 0.0]))
-    z = _above(item.name, xy, held, carrier) if place.on is not None else _within(item.name, xy, held, carrier)
-    return Pose.of(np.round([*xy, z + CLEARANCE], DIGITS) + 0.0, upright.q)
+    lift = _lift(held, carrier, walled=place.inside is not None)
+    if lift is None:
+        raise _unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
+    return Pose.of(np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0, upright.q)
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
@@ -117,6 +120,10 @@ def seen_by_camera(X_WC: Pose) -> Pose:
     forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
     x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
+
+
+_standing = lru_cache(maxsize=16)(hulls)
+"""The parts of what stands already: many things stand on one desk."""
 
 
 def _carrier_name(place: Place) -> str | None:
@@ -144,7 +151,7 @@ class _Carrier:
         if owner not in placed:
             raise PlaceError(f"`{owner}` has no place itself", "put it somewhere that does not depend on this")
         item = placed[owner]
-        whole = hulls(item)
+        whole = _standing(item)
         part, number, X_WC = whole, None, item.X_WO
         if link:
             names = [each.name for each in item.links]
@@ -201,28 +208,21 @@ def _axes(viewer: Pose | None) -> tuple[Array, Array]:
     return np.array([x, y, 0.0]) / length, np.array([-y, x, 0.0]) / length
 
 
-def _above(name: str, xy: Array, held: Hulls, carrier: _Carrier) -> float:
-    """How far the thing must be lifted to lie on the carrier."""
-    lift = float(heights(held, carrier.part).max())
-    if lift == -math.inf:
-        raise _beside(name, xy, carrier)
-    return lift
+def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
+    """How far the thing must be lifted to touch its carrier from above [m]; None where it cannot lie there.
 
-
-def _within(name: str, xy: Array, held: Hulls, carrier: _Carrier) -> float:
-    """How far the thing must be lifted to lie in the carrier: in the highest free space with walls around it."""
+    Of a carrier that covers itself, as a cabinet does its drawer, the highest free space counts in which the thing lies
+    on the part that is named and, if it must be ``walled``, has walls around it.
+    """
     touching = heights(held, carrier.whole)
-    if touching.max() == -math.inf:
-        raise _beside(name, xy, carrier)
+    if carrier.link is None and not walled:
+        return float(touching.max()) if np.isfinite(touching.max()) else None
     leaving = -heights(held.flipped(), carrier.whole.flipped())
     for lift, part in _spaces(leaving, touching):
-        on_named_link = carrier.link is None or carrier.whole.link[part] == carrier.link
-        if on_named_link and surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part):
+        on_it = carrier.link is None or carrier.whole.link[part] == carrier.link
+        if on_it and (not walled or surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part)):
             return lift
-    own = _size(held.size())
-    room = _size(np.diff([carrier.part.extent(axis) for axis in carrier.X_WC.rotation.T])[:, 0])
-    message = f"`{name}` ({own}) does not fit inside `{carrier.name}` ({room} outside)"
-    raise PlaceError(message, "open what closes it, turn the thing, make it smaller or put it elsewhere")
+    return None
 
 
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
@@ -240,11 +240,17 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
         ceiling = min(ceiling, float(bottom))
 
 
-def _beside(name: str, xy: Array, carrier: _Carrier) -> PlaceError:
-    (left, right), (near, far) = (carrier.part.extent(axis) for axis in np.eye(3)[:2])
-    spans = f"which spans x {left:.3f} to {right:.3f} and y {near:.3f} to {far:.3f}"
-    message = f"`{name}` at ({xy[0]:.3f}, {xy[1]:.3f}) is not above `{carrier.name}`, {spans}"
-    return PlaceError(message, f"give it a position over `{carrier.name}`")
+def _unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+    """Why a thing cannot lie where it is: it misses its carrier, or does not fit."""
+    if not np.isfinite(heights(held, carrier.part)).any():
+        (left, right), (near, far) = (carrier.part.extent(axis) for axis in np.eye(3)[:2])
+        spans = f"which spans x {left:.3f} to {right:.3f} and y {near:.3f} to {far:.3f}"
+        message = f"`{name}` at ({xy[0]:.3f}, {xy[1]:.3f}) is not above `{carrier.name}`, {spans}"
+        return PlaceError(message, f"move it over `{carrier.name}`")
+    own = _size(held.size())
+    room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
+    message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"
+    return PlaceError(message, "open what closes it, turn the thing, make it smaller or move it")
 
 
 def _size(extents: Array) -> str:
