@@ -1,8 +1,8 @@
 """How far one object can be lowered onto another: exact for rounded polyhedra.
 
 Two convex parts that move towards each other along z touch first where a corner meets a face, a face a corner or an
-edge an edge; where one is rounded, also where a corner meets an edge or a corner. Each such meeting has a closed formula
-for the height at which it happens, if at all. None happens before the first touch, so the highest of them is that.
+edge an edge; where one is rounded, also where a corner meets an edge or a corner. Each such meeting has a closed
+formula for the height at which it happens, if at all. None happens before the first touch, so the highest is that.
 
 The upper object is mirrored at z = 0, so that what faces down in it faces up like what it lands on. Then the two have
 the same part in every formula, and a height is the sum of two: that of the lower surface, that of the mirrored one.

@@ -90,7 +90,9 @@ class Hulls:
 def hulls(item: SceneObject) -> Hulls:
     """The colliders of all links of an object where it stands; of a link without colliders what is seen of it."""
     poses = link_poses(item)
-    points, sides, rods, part, radii, links = [], [], [], [], [], []
+    points, sides, rods, part = [], [], [], []
+    radii: list[float] = []
+    links: list[int] = []
     count = 0
     for number, link in enumerate(item.links):
         X_WL = item.X_WO @ poses[link.name]
@@ -164,7 +166,7 @@ def _normals(corners: Array, triangles: Index) -> Array:
     a, b, c = (corners[triangles[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-14)
+    return np.asarray(np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-14))
 
 
 def _edges(triangles: Index, normals: Array) -> tuple[Index, Index]:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,7 @@ from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.walls import hollow, surrounded
-
-if TYPE_CHECKING:
-    from simfoundry.spec.place import Place
+from simfoundry.spec.place import Place
 
 CLEARANCE = 1e-4
 """How far above what carries it a thing is put [m], so that nothing interpenetrates."""
@@ -116,7 +113,7 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
-    """The frame with x away and y left of who looks through a camera; of one that looks straight down, x is up in it."""
+    """The frame, x away and y left, of who looks through a camera; away is up in the picture of one that looks down."""
     forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
     x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
     return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
@@ -188,8 +185,6 @@ def _position(
     along: dict[int, float] = {}
     for word, name in words:
         axis, side = RELATIONS[word]
-        if axis in along:
-            raise PlaceError(f"`{words[0][0]}` and `{word}` both say where it is along one line", "leave one out")
         anchor = _Carrier.of(name, placed)
         (low, high), (mine_low, mine_high) = anchor.part.extent(axes[axis]), shape.extent(axes[axis])
         along[axis] = high + place.gap - mine_low if side > 0 else low - place.gap - mine_high
