@@ -1,7 +1,8 @@
 """The convex parts of an object as corners, edges and triangles in the world: what placing measures on.
 
 A part is a polyhedron that may be rounded: a sphere is a corner with a radius, a capsule an edge with one. A cylinder
-counts as a prism around it whose corners stand out by at most :data:`PROUD`; everything else is exact.
+counts as a prism around it whose corners stand out by at most :data:`PROUD`, and by 5 ppm of its radius where that is
+more than 10 m; everything else is exact.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ Index = NDArray[np.int64]
 
 PROUD = 5e-5
 """How far the corners of the prism around a cylinder stand out of it [m], at most."""
+
+MOST_SIDES = 1024
+"""Sides that the prism around a cylinder has at most."""
 
 FLAT = 1e-12
 """An edge between triangles whose normals' cosine differs from 1 by less than this is none."""
@@ -150,7 +154,8 @@ def _core(geometry: Geometry) -> Core:
 @lru_cache(maxsize=64)
 def _prism(radius: float, height: float) -> Core:
     """The prism around a cylinder, with a multiple of four sides, so that it is exact along its x and y."""
-    sides = 4 * max(3, math.ceil(math.pi / math.acos(radius / (radius + PROUD)) / 4))
+    half = math.acos(min(radius / (radius + PROUD), 1 - 1e-12))
+    sides = min(4 * max(3, math.ceil(math.pi / half / 4)), MOST_SIDES)
     angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
     ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (radius / math.cos(math.pi / sides))
     low, high = (np.column_stack([ring, np.full(sides, z)]) for z in (-height / 2, height / 2))

@@ -94,6 +94,7 @@ def place_all(
     return {name: placed.get(name, item) for name, item in objects.items()}, errors
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None) -> Pose:
     """The pose ``X_WO`` of a thing at its place among the things already placed; raises :class:`PlaceError`.
 
@@ -109,7 +110,10 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
     lift = _lift(held, carrier, walled=place.inside is not None)
     if lift is None:
         raise _unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
-    return Pose.of(np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0, upright.q)
+    at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
+    if not np.isfinite(at).all():
+        raise PlaceError(f"`{item.name}` would be beyond all numbers", "check the sizes and positions around it")
+    return Pose.of(at, upright.q)
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
@@ -238,15 +242,24 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
 def _unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
     """Why a thing cannot lie where it is: it misses its carrier, or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
-        (left, right), (near, far) = (carrier.part.extent(axis) for axis in np.eye(3)[:2])
-        spans = f"which spans x {left:.3f} to {right:.3f} and y {near:.3f} to {far:.3f}"
-        message = f"`{name}` at ({xy[0]:.3f}, {xy[1]:.3f}) is not above `{carrier.name}`, {spans}"
+        spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
+        spot = ", ".join(map(_metres, xy))
+        message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
         return PlaceError(message, f"move it over `{carrier.name}`")
+    if where == "inside" and len(set(carrier.part.part)) == 1:
+        message = f"`{name}` cannot be inside `{carrier.name}`, whose colliders are one convex part without a hollow"
+        return PlaceError(
+            message, "write `on`, or give it a hollow: a lathe, a mesh with `collision: decompose`, parts"
+        )
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"
     return PlaceError(message, "open what closes it, turn the thing, make it smaller or move it")
 
 
+def _metres(value: float) -> str:
+    return f"{value:.3f}" if abs(value) < 1e4 else f"{value:.3g}"
+
+
 def _size(extents: Array) -> str:
-    return " x ".join(f"{100 * v:.1f}" for v in extents) + " cm"
+    return " x ".join(f"{100 * v:.1f}" if v < 1e4 else f"{100 * v:.3g}" for v in extents) + " cm"

@@ -13,12 +13,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from simfoundry.assets.convex import hull
 from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.hulls import PROUD
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, SceneObject, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera, solve
 from simfoundry.scene.poses import with_poses
+from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.place import Place
@@ -240,6 +242,34 @@ def test_nothing_interpenetrates_and_nothing_floats(
     assert distance(lower, under) <= 2e-6 or _beside_one_another(over, under)
 
 
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(st.integers(0, 10**6), st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)))
+def test_meshes_of_many_corners_touch_and_do_not_interpenetrate(seed: int, xy: tuple[float, float]) -> None:
+    rng = np.random.default_rng(seed)
+    one, two = (hull(rng.normal(size=(int(rng.integers(4, 65)), 3)) * rng.uniform(0.01, 0.05, 3)) for _ in range(2))
+    under = meshed("under", Mesh(frozen_array(one[0]), one[1]), Pose.of([0, 0, 0.4], rng.normal(size=4)))
+    over = meshed("over", Mesh(frozen_array(two[0]), two[1]), pose(0, 0, 0))
+    try:
+        over = put(over, Place(on="under", xy=xy, rpy_deg=(30, -50, 70)), under)
+    except PlaceError:
+        assume(False)
+    assert 0 <= distance(over, under) <= CLEARANCE + 1e-6
+    assert 0 < vertical_gap(over, under) <= CLEARANCE + 2e-6
+
+
+def vertical_gap(a: SceneObject, b: SceneObject) -> float:
+    """How far ``a`` can be lowered before it meets ``b`` [m], by a linear program over their corners."""
+    from scipy.optimize import linprog
+
+    corners = [o.X_WO.apply(tessellate(o.links[0].colliders[0].geometry).vertices) for o in (a, b)]
+    n, m = map(len, corners)
+    level = np.concatenate([corners[0][:, :2].T, -corners[1][:, :2].T], axis=1)
+    sums = np.array([[1.0] * n + [0.0] * m, [0.0] * n + [1.0] * m])
+    height = np.concatenate([corners[0][:, 2], -corners[1][:, 2]])
+    found = linprog(height, A_eq=np.concatenate([level, sums]), b_eq=[0, 0, 1, 1], bounds=(0, None))
+    return float(found.fun)
+
+
 def _beside_one_another(a: SceneObject, b: SceneObject) -> bool:
     """Whether they overlap in the plane by less than a hair, so that lowering one hardly brings them closer."""
     below = replace(a, X_WO=Pose.of([*a.X_WO.p[:2], b.X_WO.p[2]], a.X_WO.q))
@@ -327,8 +357,11 @@ def test_what_rests_on_the_rim_is_not_inside(things: dict[str, SceneObject]) -> 
 
 def test_a_block_has_no_inside() -> None:
     block = solid("block", CUBE, pose(0, 0, 0))
-    with pytest.raises(PlaceError, match=r"`ball` .* does not fit inside `block`"):
+    with pytest.raises(PlaceError) as error:
         put(solid("ball", Sphere(0.01), pose(0, 0, 0)), Place(inside="block"), block)
+    assert error.value.message == (
+        "`ball` cannot be inside `block`, whose colliders are one convex part without a hollow"
+    )
 
 
 # -- a drawer ---------------------------------------------------------------------------------------------------------
@@ -455,8 +488,6 @@ def test_gaps_of_round_and_tilted_things_are_between_their_surfaces(yaw: float) 
 
 def surface(item: SceneObject) -> Array:
     """Many points of the first collider in the world, shape (n, 3)."""
-    from simfoundry.scene.tessellate import tessellate
-
     return item.X_WO.apply(tessellate(item.links[0].colliders[0].geometry, 240).vertices)
 
 
@@ -667,3 +698,11 @@ def test_places_give_the_same_bytes_twice(tmp_path: Path) -> None:
     path.write_text(SCENE)
     first, second = ([item.X_WO.p.tobytes() + item.X_WO.q.tobytes() for item in lower_file(path).objects] for _ in "ab")
     assert first == second
+
+
+def test_numbers_beyond_all_bounds_are_refused() -> None:
+    huge = solid("huge", box(1e100, 1e100, 1e100), pose(0, 0, 0))
+    for place in (Place(on="huge", xy=(1e308, 0)), Place(on="huge", left_of="huge", gap=1e308)):
+        with pytest.raises(PlaceError) as error:
+            put(solid("ball", Sphere(1e100), pose(0, 0, 0)), place, huge)
+        assert len(error.value.message) < 200
