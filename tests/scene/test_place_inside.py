@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.scene.hulls import PROUD
 from simfoundry.scene.lower import lower_file
-from simfoundry.scene.model import SceneObject, Sphere
+from simfoundry.scene.model import Capsule, SceneObject, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, place_all
 from simfoundry.spec.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -146,6 +146,24 @@ def test_what_rests_on_the_rim_is_not_inside(things: dict[str, SceneObject]) -> 
     )
     assert "make it smaller" in error.value.hint
     put(things["plate"], Place(on="cup"), things["cup"])
+
+
+def test_rounded_rails_are_walls() -> None:
+    """A tray of a floor and four lying capsules, away from its frame; the rails along y stand 0.3 m apart."""
+    tray = solid("tray", box(0.4, 0.2, 0.01), pose(0.5, 0.2, 0.1, yaw=0.6))
+    link = tray.links[0]
+    rails = [
+        (Capsule(0.02, 0.2), pose(0.1, 0, 0.03, math.pi / 2)),
+        (Capsule(0.02, 0.2), pose(-0.2, 0, 0.03, math.pi / 2)),
+        (Capsule(0.02, 0.4), pose(0, 0.1, 0.03, 0, math.pi / 2)),
+        (Capsule(0.02, 0.4), pose(0, -0.1, 0.03, 0, math.pi / 2)),
+    ]
+    fence = tuple(replace(link.colliders[0], geometry=shape, X_LG=X_LG) for shape, X_LG in rails)
+    tray = replace(tray, links=(replace(link, colliders=(*link.colliders, *fence)),))
+    ball = put(solid("ball", Sphere(0.03), pose(0, 0, 0)), Place(inside="tray"), tray)
+    assert (tray.X_WO.inverse() @ ball.X_WO).p == pytest.approx([-0.05, 0, 0.035 + CLEARANCE], abs=2 * ROUNDING)
+    with pytest.raises(PlaceError, match=r"does not fit inside `tray`"):
+        put(solid("lid", box(0.4, 0.3, 0.01), pose(0, 0, 0)), Place(inside="tray", yaw_deg=math.degrees(0.6)), tray)
 
 
 def test_a_block_has_no_inside() -> None:
