@@ -242,7 +242,11 @@ class _Reader:
     def _owned(self, kind: str, path: Path_, end: int) -> None:
         """Something was read; the comments before it are its own."""
         if self.pending:
-            self._at(path).above += [c.text for c in self.pending]
+            notes = self._at(path)
+            if notes.beside:  # beside the key, and the value comes lines later
+                notes.above.append(notes.beside)
+                notes.beside = ""
+            notes.above += [c.text for c in self.pending]
             self.pending = []
         self.owner = (kind, path, end)
 
@@ -257,18 +261,22 @@ class _Reader:
             node = children[path[-1]]
         if event.flow_style:
             self._owned("open", path, event.end_mark.index)
-        elif in_list:
-            count = self._before_dash(start)
+        else:
+            count = self._about_whole(start, in_list)
             self._at(path).above += [c.text for c in self.pending[:count]]
             del self.pending[:count]
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
-    def _before_dash(self, start: int) -> int:
-        """How many of the pending comments are above the dash of an item that starts here, or beside it."""
+    def _about_whole(self, start: int, in_list: bool) -> int:
+        """How many of the pending comments are about all of what starts here, not about its first entry.
+
+        They stand above the dash of an item, beside its dash, or beside a colon that has a line of its own.
+        """
         ends = [c.start for c in self.pending[1:]] + [start]
         for k in range(len(self.pending) - 1, -1, -1):
             comment = self.pending[k]
-            if not comment.alone or "-" in self.text[comment.start + len(comment.text) : ends[k]]:
+            dash = in_list and "-" in self.text[comment.start + len(comment.text) : ends[k]]
+            if dash or not comment.alone:
                 return k + 1
         return 0
 
@@ -325,11 +333,9 @@ class _Reader:
             self.pending.append(_Pending(start, start - line, alone, text))
 
     def _beside(self, text: str) -> None:
-        kind, path, end = self.owner
+        kind, path, _ = self.owner
         notes = self._at(path)
-        if kind == "open" and notes.beside:
-            self.pending.append(_Pending(end, 0, True, text))
-        elif kind == "close" and notes.beside:
+        if kind == "close" and notes.beside:
             notes.end.append(text)
         else:
             notes.above += [notes.beside] * bool(notes.beside)

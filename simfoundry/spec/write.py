@@ -165,7 +165,7 @@ class _Writer:
             if nested:
                 yield from self.nested_item(item, place.item, indent)
             else:
-                yield from self.short(f"{' ' * indent}-", item, place.item, indent)
+                yield from self.short(f"{' ' * indent}-", item, place.item, indent, item.beside)
         yield from _comments(tree.end, indent)
 
     def nested_item(self, item: Tree, place: Place, indent: int) -> Iterator[Line]:
@@ -187,49 +187,48 @@ class _Writer:
 
     def entry(self, key: str, tree: Tree, place: Place, indent: int, section: str) -> Iterator[Line]:
         """One key with its value."""
-        pad = " " * indent
+        pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
         if len(key) > MAX_KEY:
-            yield f"{pad}? {key_text(key)}", ""
-            head = f"{pad}:"
-        value = tree.value
+            yield f"{pad}? {key_text(key)}", beside
+            head, beside = f"{pad}:", ""
         if isinstance(value, dict) and value:
             section_or_member = indent == 0 or (indent == 2 and section in _BLOCKS)
             if section_or_member or self.is_block(tree, place, len(head) + 1):
-                yield head, tree.beside
+                yield head, beside
                 yield from self.entries(tree, place, indent + 2, section)
                 return
         elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, place, indent + 2):
-            yield head, tree.beside
+            yield head, beside
             yield from self.items(tree, place, indent + 2)
             return
-        yield from self.short(head, tree, place, indent)
+        yield from self.short(head, tree, place, indent, beside)
 
-    def short(self, head: str, tree: Tree, place: Place, indent: int) -> Iterator[Line]:
+    def short(self, head: str, tree: Tree, place: Place, indent: int, beside: str) -> Iterator[Line]:
         """What is no block: on one line, or a long list or text over several."""
         if isinstance(tree.value, str):
-            yield from self.text(head, tree, indent)
+            yield from self.text(head, tree.value, indent, beside)
             return
         flow = self.flow(tree, place, "block")
         if isinstance(tree.value, tuple) and len(head) + 1 + len(flow) > WIDTH:
             items = [self.flow(item, place.item, "item") for item in tree.value]
             *lines, last = _wrapped(f"{head} [", items, indent + 2)
             yield from ((line, "") for line in lines)
-            yield last, tree.beside
+            yield last, beside
         else:
-            yield f"{head} {flow}", tree.beside
+            yield f"{head} {flow}", beside
 
-    def text(self, head: str, tree: Tree, indent: int) -> Iterator[Line]:
+    def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
         """A text: on one line, or over several where it has several or does not fit."""
-        lines = literal(tree.value)
-        line = f"{head} {string(tree.value, 'block')}"
+        lines = literal(text)
+        line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
-            lines = folded(tree.value, WIDTH - indent - 2)
+            lines = folded(text, WIDTH - indent - 2)
         if lines is None:
-            yield line, tree.beside
+            yield line, beside
             return
-        yield f"{head} {lines[0]}", tree.beside
-        yield from ((f"{' ' * (indent + 2)}{text}" if text else "", "") for text in lines[1:])
+        yield f"{head} {lines[0]}", beside
+        yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
 
     def is_block(self, tree: Tree, place: Place, column: int) -> bool:
         """Whether a mapping or list that starts at a column is written over several lines."""
