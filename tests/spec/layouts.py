@@ -87,10 +87,9 @@ class Untidy:
             text += self.flow(data, ()) + "\n"
         else:
             text += self.mapping(data, 0, ())
-            if self.chance(0.3):
-                text += f"{self.comment(())}\n"
+            text += self.lines((), 0)
         if self.chance(0.1):
-            text += f"...\n{self.comment(())}\n"
+            text += f"...\n{self.lines((), 2)}"
         text = text.rstrip("\n") if self.chance(0.2) and not text.endswith("\n\n") else text
         text = text.replace("\n", "\r\n") if self.chance(0.2) else text
         return "\ufeff" + text if self.chance(0.2) else text
@@ -120,10 +119,8 @@ class Untidy:
             head += self.tail(path, False) + "\n"
             dash = isinstance(value, tuple) and in_mapping and self.chance(0.4)
             inside = indent if dash else indent + more
-            if isinstance(value, dict):
-                body = self.mapping(value, inside, path)
-            else:
-                body = self.sequence(value, inside, path)
+            write = self.mapping if isinstance(value, dict) else self.sequence
+            body = write(value, inside, path)
             end = "" if dash or not self.chance(self.often) else f"{' ' * inside}{self.comment(path)}\n"
             return head + body + end
         anchor = f"&b{self.rng.randrange(10**6)} " if self.chance(0.1) else ""
@@ -134,7 +131,8 @@ class Untidy:
                 return f" {anchor}{head}{self.tail(path)}\n" + "".join(f"{' ' * (indent + 3)}{x}\n" for x in lines)
         written = self.flow(value, path) if container else self.scalar(value, False)
         if self.chance(0.1):
-            return f"{self.tail(path, False)}\n{self.lines(path, indent + 1)}{' ' * (indent + 1)}{anchor}{written}{self.tail(path)}\n"
+            before = f"{self.tail(path, False)}\n{self.lines(path, indent + 1)}{' ' * (indent + 1)}"
+            return f"{before}{anchor}{written}{self.tail(path)}\n"
         return f" {anchor}{written}{self.tail(path)}\n"
 
     def flow(self, value: Any, path: tuple[str | int, ...]) -> str:
@@ -190,11 +188,13 @@ class Untidy:
         return quoted(value)
 
 
-def untidy(data: dict[str, Any], seed: int, kind: str = "scene/1") -> tuple[str, dict[str, tuple[str | int, ...]], int]:
-    """A document in a layout by chance; the path that each of its comments belongs to where that is clear; their number."""
+def untidy(
+    data: dict[str, Any], seed: int, kind: str = "scene/1", comments: bool = True
+) -> tuple[str, dict[str, tuple[str | int, ...]], int]:
+    """A document in a layout by chance, the path of each of its comments where that is clear, and their number."""
     rng = random.Random(seed)
     entries = [*data.items()]
     entries.insert(rng.choice([0, 0, len(entries)]), ("simfoundry", kind))
-    writer = Untidy(rng, rng.choice([0.1, 0.25, 0.5]))
+    writer = Untidy(rng, rng.choice([0.1, 0.25, 0.5]) if comments else 0.0)
     text = writer.document(dict(entries))
     return text, writer.expected, writer.count

@@ -16,7 +16,7 @@ from simfoundry.spec.tree import Tree, plain_tree, read_tree, with_data
 from simfoundry.spec.write import write_tree
 from tests.spec.layouts import DOCUMENTS, VALUES, untidy
 
-many = settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+many = settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32)
 
 
@@ -153,7 +153,7 @@ def test_a_tree_takes_any_data(data: dict[str, Any], other: Any, seed: int) -> N
     for new in (other, {**data, "x": other}):
         changed = with_data(tree, new)
         assert repr(changed.data) == repr(new)
-        assert set(c for _, c in changed.comments()) <= set(c for _, c in tree.comments())
+        assert {c for _, c in changed.comments()} <= {c for _, c in tree.comments()}
         again = write_tree(changed, SceneSpec)
         assert sorted(c for _, c in read_tree(parse(again)).comments()) == sorted(
             c if c[1:2] in " !" else f"# {c[1:]}" for _, c in changed.comments()
