@@ -15,6 +15,7 @@ COMMANDS = {
     "compile": "Compile a scene for simulators.",
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "doctor": "Say what is installed, what is missing and how to get it.",
+    "fmt": "Write documents in their canonical form; comments stay.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
     "settle": "Let a scene come to rest in physics, with a report.",
