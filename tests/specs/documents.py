@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 SPECS = REPOSITORY / "specs"
 ASSETS = sorted((SPECS / "assets").glob("*.asset.yaml"))
-SCENES = sorted((SPECS / "scenes").glob("*.scene.yaml"))
+GALLERY = SPECS / "assets" / "gallery.scene.yaml"
+SCENES = [*sorted((SPECS / "scenes").glob("*.scene.yaml")), GALLERY]
 TASKS = sorted((SPECS / "tasks").glob("*.task.yaml"))
 TURN_STEP_DEG = 10.0
 
