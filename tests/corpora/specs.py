@@ -131,8 +131,9 @@ def set_up(path: Path, starts: list[Start | None]) -> Scene:
             objects[name] = objects[name].model_copy(update={"place": None, "pose": pose})
         for name, joints in start.joints.items():
             objects[name] = objects[name].model_copy(update={"joints": {**objects[name].joints, **joints}})
-    spec = scene.spec.model_copy(update={"objects": objects, "relations": ()})
-    return lower(replace(scene, spec=spec))
+    carried = [(n, o.place.on or o.place.inside or "") for n, o in objects.items() if o.place is not None]
+    relations = tuple(f"OnTop({name}, {carrier.partition('.')[0]})" for name, carrier in carried)
+    return lower(replace(scene, spec=scene.spec.model_copy(update={"objects": objects, "relations": relations})))
 
 
 def end_of(name: str, task: TaskSpec) -> Start:
@@ -148,15 +149,15 @@ def _place(call: Call, more: dict[str, object]) -> Place:
 
 
 def _rest(scene: Scene, engine: str) -> Rest:
-    """What settling does to a scene."""
+    """What settling does to a scene. A ball may roll in what holds it, because nothing here resists rolling."""
     with open_world(scene, engine) as world:
         settled: Settled = settle(world)
     balls = {o.name for o in scene.objects if is_ball(o)}
-    return Rest(
-        max((o.drift for o in settled.objects), default=0.0),
-        max((o.tilt_deg for o in settled.objects if o.name not in balls), default=0.0),
-        tuple(f"{o.name} {problem}" for o in settled.objects for problem in o.problems),
-    )
+    steady = [o for o in settled.objects if o.name not in balls]
+    problems = [f"{o.name} {problem}" for o in steady for problem in o.problems]
+    problems += [f"{o.name} left what held it" for o in settled.objects if o.name in balls and not o.support_kept]
+    drift, tilt = max((o.drift for o in steady), default=0.0), max((o.tilt_deg for o in steady), default=0.0)
+    return Rest(drift, tilt, tuple(problems))
 
 
 def _faults(rest: Rest) -> list[str]:
