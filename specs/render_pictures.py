@@ -21,6 +21,10 @@ CAMERAS = {"pot_on_stove": "top", "gallery": "view"}
 WIDTHS = {"gallery": 800}
 """Width of a picture [px]; the others are 480 wide."""
 
+MARGINS = {"gallery": 0.0}
+"""Share of each side that is cut off; the exterior cameras see more than the things."""
+
+MAX_BYTES = 60_000
 CELLS = ("droid", "yam")
 """Scenes without things, which have no picture."""
 
@@ -35,7 +39,7 @@ def main() -> int:
         return 2
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names:
-        picture = small(rendered(by_name[name], CAMERAS.get(name, "exterior_left")), WIDTHS.get(name, 480))
+        picture = small(rendered(by_name[name], CAMERAS.get(name, "exterior_left")), WIDTHS.get(name, 480), MARGINS.get(name, 0.06))
         (PICTURES / f"{name}.png").write_bytes(picture)
         print(f"{name}.png  {len(picture) / 1000:.0f} kB")
     return 0
@@ -51,12 +55,20 @@ def rendered(scene: Path, camera: str) -> Image.Image:
             return picture.convert("RGB")
 
 
-def small(picture: Image.Image, width: int) -> bytes:
-    """The picture at a width [px], as PNG of 256 colours."""
+def small(picture: Image.Image, width: int, margin: float) -> bytes:
+    """The picture without a margin (share of its size) at a width [px]; of 256 colours where it were large otherwise."""
+    x, y = margin * picture.width, margin * picture.height
+    box = (x, y, picture.width - x, picture.height - y)
     height = round(picture.height * width / picture.width)
-    resized = picture.resize((width, height), Image.Resampling.LANCZOS)
+    resized = picture.resize((width, height), Image.Resampling.LANCZOS, box)
+    data = png(resized)
+    return data if len(data) <= MAX_BYTES else png(resized.quantize(256, Image.Quantize.MEDIANCUT, kmeans=4))
+
+
+def png(picture: Image.Image) -> bytes:
+    """A picture as PNG."""
     stream = io.BytesIO()
-    resized.quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(stream, "PNG", optimize=True)
+    picture.save(stream, "PNG", optimize=True)
     return stream.getvalue()
 
 
