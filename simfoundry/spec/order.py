@@ -35,7 +35,7 @@ _FIRST = (
 )
 """Fields of bodies and documents that people look for come first; the others follow in the order of their model."""
 _LAST = ("allow", "conflicts")
-_RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | {name: 1 for name in _LAST}
+_RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fromkeys(_LAST, 1)
 
 
 def field_order(model: type[Model]) -> list[str]:
