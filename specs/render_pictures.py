@@ -18,7 +18,7 @@ PICTURES = SPECS.parent / "docs" / "images" / "specs"
 CAMERAS = {"pot_on_stove": "top", "gallery": "view"}
 """Which camera shows a scene; the others are seen by ``exterior_left``."""
 
-WIDTHS = {"gallery": 800}
+WIDTHS = {"gallery": 640}
 """Width of a picture [px]; the others are 480 wide."""
 
 MARGINS = {"gallery": 0.0}
