@@ -39,7 +39,8 @@ def main() -> int:
         return 2
     PICTURES.mkdir(parents=True, exist_ok=True)
     for name in names:
-        picture = small(rendered(by_name[name], CAMERAS.get(name, "exterior_left")), WIDTHS.get(name, 480), MARGINS.get(name, 0.06))
+        whole = rendered(by_name[name], CAMERAS.get(name, "exterior_left"))
+        picture = small(whole, WIDTHS.get(name, 480), MARGINS.get(name, 0.06))
         (PICTURES / f"{name}.png").write_bytes(picture)
         print(f"{name}.png  {len(picture) / 1000:.0f} kB")
     return 0
@@ -56,7 +57,7 @@ def rendered(scene: Path, camera: str) -> Image.Image:
 
 
 def small(picture: Image.Image, width: int, margin: float) -> bytes:
-    """The picture without a margin (share of its size) at a width [px]; of 256 colours where it were large otherwise."""
+    """The picture without a margin (share of its size) at a width [px]; of 256 colours where it must."""
     x, y = margin * picture.width, margin * picture.height
     box = (x, y, picture.width - x, picture.height - y)
     height = round(picture.height * width / picture.width)

@@ -68,7 +68,8 @@ class Rest:
 def main() -> int:
     """Prove all specs; returns the exit code."""
     failures: list[str] = []
-    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{'mujoco':>18}{'pybullet':>18}  losses {' '.join(BACKENDS)}")
+    simulators = "".join(f"{engine:>18}" for engine in ENGINES)
+    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{simulators}  losses {' '.join(BACKENDS)}")
     for path in SCENES:
         _scene(path, failures)
     print(f"\n{'task':<28}{'steps':>6}{'starts at rest':>16}{'end: mujoco':>18}{'end: pybullet':>18}")
@@ -140,7 +141,8 @@ def end_of(name: str, task: TaskSpec) -> Start:
     """A state in which the goal holds: each thing is put on or in what the goal says, with its joints as they start."""
     calls = [parse_call(text) for text, _ in texts(task.goal)]
     more = AT_THE_END.get(name, {})
-    return Start(place={c.args[0]: _place(c, more.get(c.args[0], {})) for c in calls if c.predicate in ("OnTop", "Inside")})
+    moving = [c for c in calls if c.predicate in ("OnTop", "Inside")]
+    return Start(place={c.args[0]: _place(c, more.get(c.args[0], {})) for c in moving})
 
 
 def _place(call: Call, more: dict[str, object]) -> Place:

@@ -68,7 +68,7 @@ def footprint(item: SceneObject, X_WO: Pose) -> Array:
 
 
 def swept(item: SceneObject, region: ResetRegion | None) -> Polygon:
-    """The ground that an object may cover, seen from above: convex, and never too small but for the turn between steps."""
+    """The ground that an object may cover, seen from above: a convex outline, its turns taken in steps."""
     from shapely.geometry import MultiPoint
 
     if region is None:

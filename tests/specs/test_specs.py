@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -13,7 +14,6 @@ from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.expressions import parse_call, texts
 from simfoundry.spec.format import format_file
 from simfoundry.spec.load import load
@@ -241,3 +241,17 @@ def test_the_trash_can_takes_a_cup_and_its_lid_stays_open_or_falls_shut() -> Non
     assert end.poses["cup"].p[2] < 0.03 and np.linalg.norm(offset(end, "cup", "trash_can")[:2]) < 0.04
     end = run("throw_away_trash", {}, {"trash_can.lid": math.radians(60)})
     assert math.degrees(end.joints["trash_can.lid"]) == pytest.approx(0, abs=0.5)
+
+
+def test_the_readme_shows_every_scene_and_task() -> None:
+    page = (SPECS / "README.md").read_text()
+    linked = {(SPECS / target).resolve() for target in re.findall(r"\]\(([^)#]+)\)", page)}
+    assert [p for p in linked if not p.exists()] == []
+    assert set(SCENES) - linked == set()
+    pictures = {p for p in linked if p.suffix == ".png"}
+    assert {p.stem for p in pictures} == {name_of(p) for p in SCENES} - set(CELLS)
+    assert [p.name for p in pictures if p.stat().st_size > 60_000] == []
+    for path in TASKS:
+        task = task_at(path)[1]
+        row = next(line for line in page.splitlines() if f"](tasks/{path.name})" in line)
+        assert (task.instruction if name_of(path) in PAPER else next(texts(task.goal))[0]) in row
