@@ -113,11 +113,11 @@ def _too_wide(
     name, widest = max(openings.items(), key=lambda item: item[1])
     seen = set[str]()
     for call, path in wanted:
-        thing = drawn.things[call.args[0].partition(".")[0]]
-        if call.predicate not in CARRYING or thing.name in seen or not (thing.usable and thing.sure):
+        thing = drawn.things.get(call.args[0].partition(".")[0])
+        if thing is None or call.predicate not in CARRYING or thing.name in seen:
             continue
         seen.add(thing.name)
-        width = grasp_width(thing)
+        width = grasp_width(thing) if thing.usable and thing.sure else 0.0
         if width > widest + SLACK:
             message = f"`{thing.name}` is {length(width)} wide at its narrowest, and `{name}` opens {length(widest)}"
             hint = "make it narrower, give it a handle or a rim, or turn it; `opening` says how far a robot opens"
