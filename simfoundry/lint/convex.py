@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from simfoundry.lint.frames import Frame, Vec, cross, dot, minus, unit
 
@@ -15,8 +15,7 @@ ROUNDS = 80
 """Support points that are looked at for one pair; round shapes need about twenty."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class Piece(NamedTuple):
     """The hull of ``points`` [m], of discs about them, or of balls about them.
 
     With ``radii`` each point is the centre of a disc at right angles to ``axis``; ``margin`` [m] is the radius of the

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from simfoundry.assets.faults import MeshError
 from simfoundry.lint.frames import WORLD, Frame, about, frame_of, looking, turned
@@ -22,7 +23,9 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.place import Place
 from simfoundry.spec.scene import CameraSpec, Degrees, ObjectSpec, SceneSpec
-from simfoundry.spec.task import Start
+
+if TYPE_CHECKING:
+    from simfoundry.spec.task import Start
 
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull; as in :mod:`simfoundry.assets.convex`."""

@@ -1,7 +1,7 @@
 """Shapes as convex pieces: boxes, balls, cylinders and capsules exactly, lathes and prisms cut into pieces.
 
-A lathe is cut at the heights of its corners; what reaches the axis is a frustum, a ring is cut into ``SECTORS``, as it
-is for the simulators. A mesh is its hull of at most 64 corners; where it is not nearly convex it is not ``sure``: what
+A lathe is cut at the heights of its corners; what reaches the axis is a frustum, a ring is cut into ``SECTORS``. Both are
+no wider than what the simulators get. A mesh is its hull of at most 64 corners; where it is not nearly convex it is not ``sure``: what
 lies within the hull may lie in a hollow.
 """
 
@@ -19,6 +19,10 @@ from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, LatheSha
 
 SECTORS = 16
 """Sectors of a ring; as in :mod:`simfoundry.assets.lathe`."""
+
+FLATTEST = math.cos(math.pi / 12)
+"""Simulators get a frustum as a body of 12 to 24 sides with its corners on the circle; between two corners the radius is
+short by at most this factor, and what stands there does not touch it."""
 
 THINNEST = 1e-6
 """Slices and pieces thinner than this [m] are left out."""
@@ -88,7 +92,7 @@ def _turned(profile: tuple[Point, ...]) -> Iterator[Piece]:
             if max(c - a, d - b) < THINNEST:
                 continue
             if max(a, b) < THINNEST:
-                yield Piece.of_discs(((0.0, 0.0, low), (0.0, 0.0, high)), (c, d))
+                yield Piece.of_discs(((0.0, 0.0, low), (0.0, 0.0, high)), (c * FLATTEST, d * FLATTEST))
                 continue
             section = ((a, low), (c, low), (b, high), (d, high))
             for first, second in pairwise(around):
