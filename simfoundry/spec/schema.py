@@ -41,7 +41,7 @@ PREDICATE = rf"^\s*({'|'.join(PREDICATES)})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 LISTED = "Listed"
 """The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
 
-REMOVES = {"label": "null", "description": "Removes what the document below says here.", "body": "null"}
+REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
 NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
 
 
@@ -66,7 +66,7 @@ def schema(kind: str) -> Schema:
         "title": f"SimFoundry {kind}",
         "description": parts["Document"]["description"],
         "$defs": {**parts, **overlay},
-        "if": {"required": ["extends"], "properties": {"extends": {"type": "string"}}},
+        "if": {"required": ["extends"], "properties": {"extends": {"title": "extends", "type": "string"}}},
         "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
         "else": {"$ref": "#/$defs/Document"},
     }
@@ -141,7 +141,8 @@ class _Parts:
             return {"$ref": body["$ref"]}
         if "patternProperties" in body:
             ((pattern, value),) = body["patternProperties"].items()
-            keys = {**_pattern(pattern), **body.get("propertyNames", {}), "title": NAMES[pattern][0]}
+            title, text = NAMES[pattern]
+            keys = {"title": title, "description": _sentence(text), **_pattern(pattern), **body.get("propertyNames", {})}
             bounds = {key: body[key] for key in ("minProperties",) if key in body}
             return {"type": "object", "propertyNames": keys, "additionalProperties": self.member(value), **bounds}
         if isinstance(body.get("additionalProperties"), dict):
@@ -232,6 +233,10 @@ def _special(union: str) -> Schema:
 
 def _pattern(pattern: str) -> Schema:
     return {"pattern": pattern, "patternErrorMessage": NAMES[pattern][1]}
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _fragments(properties: Schema) -> Schema:
