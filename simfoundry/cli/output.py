@@ -73,7 +73,8 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     cameras = {c.name: c for c in scene.cameras}
     if not cameras:
         raise CannotError(f"{scene.name} has no camera; add one under `cameras`")
-    chosen = name or spec.viewpoint or next(iter(cameras))
+    viewpoint = spec.viewpoint if spec.viewpoint in cameras else None
+    chosen = name or viewpoint or next(iter(cameras))
     if chosen not in cameras:
         raise CannotError(f"no camera is called `{chosen}`; {nearest(chosen, cameras)}")
     return cameras[chosen]

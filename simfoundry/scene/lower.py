@@ -22,6 +22,7 @@ from simfoundry.scene.model import (
     Camera,
     Joint,
     JointType,
+    LeftOut,
     Light,
     LightType,
     Link,
@@ -62,10 +63,22 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
         objects=tuple(o for o in objects if o is not None),
-        cameras=tuple(camera(n, c) for n, c in spec.cameras.items()),
+        cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
+        left_out=tuple(_left_out(spec)),
     )
+
+
+def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
+    """What the language can say and the lowered scene cannot hold."""
+    for name in spec.robots:
+        yield LeftOut(f"robots.{name}", "robots are not compiled yet")
+    for name, item in spec.cameras.items():
+        if item.mount is not None:
+            yield LeftOut(f"cameras.{name}", f"it rides on `{item.mount}`, and mounted cameras are not compiled yet")
+    if spec.background is not None:
+        yield LeftOut("background", "backgrounds are not compiled yet")
 
 
 def _relation(text: str) -> Relation:

@@ -14,15 +14,13 @@ from typing import Any
 
 from simfoundry.spec.expressions import PREDICATES
 from simfoundry.spec.kinds import KINDS, model_of
+from simfoundry.spec.overlays import OVERLAY, loose
 from simfoundry.spec.snippets import CHOICES, FIRST, MEMBERS, NAMES, WORDS, Body, predicates, robots
 from simfoundry.spec.write import number
 
 Schema = dict[str, Any]
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-OVERLAY = "Overlay"
-"""What the names of loosened parts begin with."""
-
 UNIONS = {
     "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
     "Condition": {"AllOf", "AnyOf", "NoneOf"},
@@ -41,9 +39,6 @@ PREDICATE = rf"^\s*({'|'.join(PREDICATES)})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 LISTED = "Listed"
 """The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
 
-REMOVES = {"label": "null", "description": "Removes what the extended document says here.", "body": "null"}
-NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultSnippets": [REMOVES]}
-
 
 def schemas() -> dict[str, str]:
     """File name to text of every schema, as checked in below ``schemas/``."""
@@ -56,7 +51,7 @@ def schema(kind: str) -> Schema:
     A document that extends another is held against a looser copy: nothing is required, and null removes.
     """
     parts = _Parts(model_of(kind).model_json_schema()).all()
-    overlay = {f"{OVERLAY}{name}": _loose(part) for name, part in parts.items()}
+    overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
     overlay[f"{OVERLAY}Document"]["properties"] |= {
         key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")
     }
@@ -142,7 +137,12 @@ class _Parts:
         if "patternProperties" in body:
             ((pattern, value),) = body["patternProperties"].items()
             title, text = NAMES[pattern]
-            keys = {"title": title, "description": _sentence(text), **_pattern(pattern), **body.get("propertyNames", {})}
+            keys = {
+                "title": title,
+                "description": _sentence(text),
+                **_pattern(pattern),
+                **body.get("propertyNames", {}),
+            }
             bounds = {key: body[key] for key in ("minProperties",) if key in body}
             return {"type": "object", "propertyNames": keys, "additionalProperties": self.member(value), **bounds}
         if isinstance(body.get("additionalProperties"), dict):
@@ -228,7 +228,9 @@ def _special(union: str) -> Schema:
     if union == "Condition":
         message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES)}"
         return {"pattern": PREDICATE, "patternErrorMessage": message, "defaultSnippets": predicates()}
-    return {"Shape": {"allOf": [{"maxProperties": 1}]}, "RobotModel": {"defaultSnippets": robots()}}.get(union, {})
+    if union == "Shape":  # apart from its keys, because an editor offers none of them where one is the most
+        return {"allOf": [{"maxProperties": 1}]}
+    return {"defaultSnippets": robots()} if union == "RobotModel" else {}
 
 
 def _pattern(pattern: str) -> Schema:
@@ -286,32 +288,6 @@ def _flow(body: Body) -> str:
         case list():
             return f"[{', '.join(map(_flow, body))}]"
     return body
-
-
-def _loose(part: Any) -> Any:
-    """The same schema without required keys, in which null may stand for any member; lists are replaced whole."""
-    if isinstance(part, list):
-        return [_loose(item) for item in part]
-    if not isinstance(part, dict):
-        return part
-    strict = ("required", "minProperties", "maxProperties")
-    out = {key: value if key == "items" else _loose(value) for key, value in part.items() if key not in strict}
-    if "$ref" in out:
-        out["$ref"] = out["$ref"].replace("#/$defs/", f"#/$defs/{OVERLAY}")
-    if "properties" in part:
-        out["properties"] = {name: _nullable(item) for name, item in out["properties"].items()}
-    if isinstance(out.get("additionalProperties"), dict):
-        out["additionalProperties"] = _nullable(out["additionalProperties"])
-    return out
-
-
-def _nullable(item: Schema) -> Schema:
-    """A value, or null to remove it; the words that an editor shows stay outside."""
-    kept = ("title", "description", "markdownDescription", "defaultSnippets")
-    words = {key: item[key] for key in kept if key in item}
-    core = {key: value for key, value in item.items() if key not in kept}
-    options = core.get("allOf") or core.get("anyOf") or [core]
-    return {**words, "anyOf": [*options, NULL]}
 
 
 def _text(kind: str) -> str:
