@@ -48,7 +48,6 @@ class Server:
     published: dict[str, queue.Queue[list[Message]]] = field(default_factory=dict)
     count: int = 0
     writing: threading.Lock = field(default_factory=threading.Lock)
-    versions: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         threading.Thread(target=self._listen, daemon=True).start()
@@ -89,18 +88,15 @@ class Server:
         """Send a notification."""
         self._send({"method": method, "params": params})
 
-    def show(self, path: Path, text: str) -> list[Message]:
-        """Open a document, or change it, and wait for its diagnostics."""
-        uri = path.as_uri()
-        version = self.versions[uri] = self.versions.get(uri, 0) + 1
-        heard = self.published[uri] = queue.Queue()
-        if version == 1:
-            document = {"uri": uri, "languageId": "yaml", "version": version, "text": text}
-            self.tell("textDocument/didOpen", textDocument=document)
-        else:
-            changed = {"uri": uri, "version": version}
-            self.tell("textDocument/didChange", textDocument=changed, contentChanges=[{"text": text}])
-        return heard.get(timeout=PATIENCE)
+    def open(self, path: Path, text: str) -> None:
+        """Open a document."""
+        self.published[path.as_uri()] = queue.Queue()
+        document = {"uri": path.as_uri(), "languageId": "yaml", "version": 1, "text": text}
+        self.tell("textDocument/didOpen", textDocument=document)
+
+    def diagnostics(self, path: Path) -> list[Message]:
+        """What the server says of a document that was opened, once it does."""
+        return self.published[path.as_uri()].get(timeout=PATIENCE)
 
     def completions(self, path: Path, line: int, character: int) -> list[Message]:
         """What is offered at a place, counted from 0."""
