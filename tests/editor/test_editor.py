@@ -66,7 +66,7 @@ class Editor:
 
 def _underlined(text: str, found: Message) -> str:
     start, end = found["range"]["start"], found["range"]["end"]
-    line = text.splitlines()[start["line"] - 1]  # without the line that names the schema
+    line: str = text.splitlines()[start["line"] - 1]  # without the line that names the schema
     return line[start["character"] : end["character"] if start["line"] == end["line"] else None]
 
 
