@@ -20,6 +20,7 @@ COMMANDS = {
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "migrate": "Bring documents of older versions up to date.",
+    "new": "Start a document of any kind, with comments that teach.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
     "settle": "Let a scene come to rest in physics, with a report.",
