@@ -192,9 +192,9 @@ def _space(section: Path_) -> str:
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
     if isinstance(value, dict):
-        names = _new_names(value, {**spaces.get(_space(path), {}), **local.get(path, {})})
-        new_keys: list[str] = [names.get(key, key) for key in value]
-        items = zip(new_keys, value.values(), strict=True)
+        mapping: dict[str, Any] = value
+        names = _new_names(mapping, {**spaces.get(_space(path), {}), **local.get(path, {})})
+        items = ((names.get(key, key), item) for key, item in mapping.items())
         return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
     if not spaces or not path:
         return copied(value)
