@@ -17,7 +17,7 @@ import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.spec.check import MESH_SUFFIXES, PICTURE_SUFFIXES
+from simfoundry.spec.files import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
 from simfoundry.spec.reference import EXAMPLES, reference

@@ -27,7 +27,7 @@ from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support import beneath, support_mesh, thickness
 from simfoundry.spec.base import Origin
-from simfoundry.spec.relations import parse_relation
+from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.scene import LightSpec, SceneSpec
 
 Progress = Callable[[str, float], None]
@@ -114,9 +114,10 @@ def without(built: Reconstruction, names: Collection[str], reason: str) -> Recon
     files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
     relations = []
     for text in built.spec.relations:
-        predicate, (upper, lower) = parse_relation(text)
+        call = parse_call(text)
+        upper, lower = call.args
         if upper not in gone:
-            relations.append(f"{predicate}({upper}, {SUPPORT_NAME if lower in gone else lower})")
+            relations.append(f"{call.predicate}({upper}, {SUPPORT_NAME if lower in gone else lower})")
     objects = {name: item for name, item in built.spec.objects.items() if name not in gone}
     used = {item.material for item in objects.values()}
     materials = {name: item for name, item in built.spec.materials.items() if name in used}
@@ -135,9 +136,10 @@ def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> Sce
     """The spec whose ``OnTop`` relations are those that hold: the ones it has where they do, else what carries now."""
     relations = []
     for text in spec.relations:
-        predicate, (upper, lower) = parse_relation(text)
+        call = parse_call(text)
+        upper, lower = call.args
         holds = supports.get(upper, ())
-        relations += [text] if lower in holds else [f"{predicate}({upper}, {other})" for other in holds]
+        relations += [text] if lower in holds else [f"{call.predicate}({upper}, {other})" for other in holds]
     return spec.model_copy(update={"relations": tuple(relations)})
 
 

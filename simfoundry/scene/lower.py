@@ -31,10 +31,10 @@ from simfoundry.scene.model import (
 )
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
-from simfoundry.spec.check import is_document
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
+from simfoundry.spec.expressions import parse_call
+from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.relations import parse_relation
 from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
 Progress = Callable[[str, int, int], None]
@@ -64,8 +64,13 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         objects=tuple(o for o in objects if o is not None),
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items()),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
-        relations=tuple(Relation(*parse_relation(text)) for text in spec.relations),
+        relations=tuple(_relation(text) for text in spec.relations),
     )
+
+
+def _relation(text: str) -> Relation:
+    call = parse_call(text)
+    return Relation(call.predicate, call.args)
 
 
 def pose(spec: base.Pose) -> Pose:
@@ -110,8 +115,8 @@ class _Lowering:
         category = item.category or name
         joints: tuple[Joint, ...] = ()
         if item.asset is not None and is_document(item.asset):
-            asset = self.loaded.assets[str(self.loaded.file(item.asset))]
-            assert isinstance(asset.spec, AssetSpec)
+            asset = self.loaded.used(item.asset)
+            assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
             links, joints = self.articulated(asset, asset.spec, item)
         else:

@@ -10,6 +10,8 @@ from pydantic_core import PydanticCustomError
 from simfoundry.spec.base import (
     Body,
     Color,
+    DocumentSpec,
+    FileName,
     Material,
     Model,
     Name,
@@ -28,7 +30,7 @@ class Part(Model):
     """One piece of a link: a shape or a mesh, posed in the link."""
 
     shape: Shape | None = Field(None, description="A primitive.")
-    mesh: str | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
+    mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
     pose: Pose = Field(Pose(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
@@ -103,12 +105,10 @@ class JointSpec(Model):
         return self
 
 
-class AssetSpec(Model):
+class AssetSpec(DocumentSpec):
     """A reusable object of one or more links."""
 
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(description="What the asset is called: lower-case letters, digits and `_`.")
-    description: str | None = Field(None, description="For people.")
     category: Name | None = Field(None, description="What it is, as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+PartName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$", max_length=129)]
+"""``cabinet``, or ``cabinet.drawer``: one link of it."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Code = Annotated[str, StringConstraints(pattern=r"^SF[0-9]{3}$")]
+Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 Vec2 = tuple[Number, Number]
 Vec3 = tuple[Number, Number, Number]
 Size3 = tuple[Positive, Positive, Positive]
@@ -21,6 +26,14 @@ Color = Annotated[
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
     Discriminator(lambda v: "rgba" if isinstance(v, tuple | list) and len(v) == 4 else "rgb"),
 ]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Marks a text that names a file relative to its document, so that another document can take it over."""
+
+
+FileName = Annotated[str, Reference()]
 
 
 class Model(BaseModel):
@@ -224,4 +237,35 @@ class Body(Model):
     )
 
 
-KINDS = ("scene/1", "asset/1", "capture/1")
+class Conflict(Model):
+    """Two edits of one value that a merge could not unite; the document holds ours until somebody decides."""
+
+    base: Any = Field(None, description="What both started from.")
+    ours: Any = Field(None, description="What this side made of it; it stands in the document.")
+    theirs: Any = Field(None, description="What the other side made of it.")
+
+
+Silence = Annotated[
+    Annotated[Reason, Tag("everywhere")] | Annotated[dict[str, Reason], Tag("places")],
+    Discriminator(lambda v: "places" if isinstance(v, dict) else "everywhere"),
+]
+
+
+class DocumentSpec(Model):
+    """What every kind of document can say."""
+
+    extends: FileName | None = Field(
+        None,
+        description="A document of the same kind that this one changes, relative to this document. Mappings are joined "
+        "key by key, all else is replaced, and `null` removes.",
+    )
+    name: Name = Field(description="What it is called: lower-case letters, digits and `_`.")
+    description: str | None = Field(None, description="For people.")
+    allow: dict[Code, Silence] = Field(
+        {},
+        description="Warnings that are meant to be, each with the reason: `SF402: why`, or for one thing alone "
+        "`SF402: {cup: why}`.",
+    )
+    conflicts: dict[str, Conflict] = Field(
+        {}, description="What a merge left to decide, by path: mend the value there, then remove the entry."
+    )

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.base import Model, Name, Number, Pose, Positive
+from simfoundry.spec.base import DocumentSpec, FileName, Model, Name, Number, Pose, Positive
 
 
 class Intrinsics(Model):
@@ -22,7 +22,7 @@ class Intrinsics(Model):
 class DepthImage(Model):
     """A depth picture: 16-bit PNG, TIFF or NumPy array; the value is the distance along the optical axis."""
 
-    image: str = Field(description="File, relative to this document.")
+    image: FileName = Field(description="File, relative to this document.")
     scale: Positive = Field(0.001, description="Metres of one unit of the picture; 0.001 where it is in millimetres.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
     camera: Intrinsics | None = Field(None, description="The depth camera, where it is not the colour camera.")
@@ -40,7 +40,7 @@ class DepthImage(Model):
 class Masks(Model):
     """Instance masks: a picture in which each object has a number of its own."""
 
-    image: str = Field(description="File, relative to this document; as large as the colour picture.")
+    image: FileName = Field(description="File, relative to this document; as large as the colour picture.")
     background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that are no object.")
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Names of objects by their number.")
 
@@ -48,19 +48,17 @@ class Masks(Model):
 class Shot(Model):
     """One picture: colour, depth, the camera, and masks where there are some."""
 
-    color: str = Field(description="Colour picture, relative to this document.")
+    color: FileName = Field(description="Colour picture, relative to this document.")
     depth: DepthImage
     camera: Intrinsics = Field(description="The colour camera.")
     masks: Masks | None = Field(None, description="Instance masks.")
 
 
-class CaptureSpec(Model):
+class CaptureSpec(DocumentSpec):
     """A capture of a real scene."""
 
     simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(description="What the capture is called: lower-case letters, digits and `_`.")
-    description: str | None = Field(None, description="For people.")
     frames: dict[Name, Shot] = Field(
         min_length=1, description="Pictures by name; the first is reconstructed by default."
     )
-    truth: str | None = Field(None, description="A scene document that says what is really there, to compare with.")
+    truth: FileName | None = Field(None, description="A scene that says what is really there.")

@@ -30,11 +30,24 @@ CODES = {
     "SF204": "a path that leaves the project",
     "SF205": "a joint state outside its limits",
     "SF206": "links and joints that do not form a tree",
+    "SF207": "a document that extends itself",
+    "SF208": "places that depend on each other",
+    "SF209": "a merge conflict that is left to decide",
+    "SF210": "a place that cannot be solved",
     "SF301": "a mesh that cannot be used",
     "SF302": "a mesh that is not closed",
     "SF303": "a mesh of an implausible size",
     "SF401": "an unused material",
     "SF402": "an implausible density",
+    "SF403": "an `allow` that silences nothing",
+    "SF404": "a goal that asks for nothing",
+    "SF405": "a goal that is true at the start",
+    "SF406": "a relation that does not hold",
+    "SF407": "a thing wider than the gripper",
+    "SF408": "a thing out of reach",
+    "SF409": "a thing out of every camera's view",
+    "SF410": "things that overlap",
+    "SF411": "a thing that nothing carries",
     "SF501": "a capture whose files do not fit together",
     "SF502": "a capture without usable depth",
     "SF503": "a capture without a support plane",
@@ -56,7 +69,10 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a place: ``line`` and ``column`` count from 1, 0 where the whole file is meant."""
+    """A finding at a place: ``line`` and ``column`` count from 1, 0 where the whole file is meant.
+
+    ``about`` names the things that it concerns beside those of ``path``, for an ``allow`` that silences it for one.
+    """
 
     code: str
     severity: Severity
@@ -66,10 +82,11 @@ class Diagnostic:
     column: int = 0
     path: str = ""
     hint: str = ""
+    about: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """A plain mapping for ``--json``."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
 class SpecError(Exception):

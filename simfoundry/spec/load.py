@@ -1,79 +1,95 @@
-"""Files to checked documents: the text, the types, the names and the files that they refer to."""
+"""Files to checked documents: the text, what it extends, the types, the names and the files that it refers to."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Model
-from simfoundry.spec.capture import CaptureSpec
+from simfoundry.spec.allow import sift
 from simfoundry.spec.check import check
+from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
+from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.loaded import Loaded, project_root
-from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import Document, YamlError, read
 from simfoundry.spec.validate import sound_part, validate
 
-KINDS: dict[str, type[Model]] = {"scene/1": SceneSpec, "asset/1": AssetSpec, "capture/1": CaptureSpec}
+Known = dict[tuple[str, str], Loaded | None]
+"""Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""
 
 
-def load(path: Path, root: Path | None = None) -> Loaded:
-    """Read and check one document; the findings say what is wrong, nothing is raised."""
+def load(path: Path, root: Path | None = None, known: Known | None = None) -> Loaded:
+    """Read and check one document; the findings say what is wrong, nothing is raised.
+
+    Documents that it uses are taken from ``known`` where they are, and added to it.
+    """
     root = (root or project_root(path)).resolve()
+    known = {} if known is None else known
     try:
         document = read(path)
     except YamlError as error:
         return Loaded(path, root, None, (error.diagnostic(str(path)),))
-    model, finding = _kind(document)
-    if model is None:
+    kind, finding = kind_of(document)
+    if kind is None:
         assert finding is not None
-        return Loaded(path, root, None, (*document.duplicates, finding))
-    spec, findings = validate(model, document)
+        return Loaded(path, root, None, (*document.duplicates, finding), document)
+    document, findings, bases = compose(document, kind, root)
+    if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of what is said
+        return Loaded(path, root, None, tuple(findings), document, tuple(bases))
+    model = model_of(kind)
+    spec, wrong = validate(model, document)
     sound = spec if spec is not None else sound_part(model, document)
-    loaded = Loaded(path, root, spec, ())
-    findings += check(document, loaded, sound, spec is not None, _load_asset)
-    return Loaded(path, root, spec, tuple(findings), loaded.assets)
+    loaded = Loaded(path, root, None if findings else spec, (), document, tuple(bases))
+
+    def use(target: Path, kinds: tuple[str, ...]) -> Loaded | None:
+        return _use(target, kinds, root, known)
+
+    findings += [*wrong, *check(loaded, sound, spec is not None, use)]
+    kept, silenced = sift(findings, spec.allow if spec is not None else {})
+    return Loaded(path, root, loaded.spec, tuple(kept), document, tuple(bases), loaded.uses, tuple(silenced))
 
 
 def load_scene(path: Path) -> Loaded:
     """A scene document without errors; raises :class:`SpecError` with every finding otherwise."""
-    return _of_kind(path, SceneSpec, "scene/1")
+    return load_kind(path, "scene/1")
 
 
 def load_capture(path: Path) -> Loaded:
     """A capture document without errors; raises :class:`SpecError` with every finding otherwise."""
-    return _of_kind(path, CaptureSpec, "capture/1")
+    return load_kind(path, "capture/1")
 
 
-def _of_kind(path: Path, model: type[Model], kind: str) -> Loaded:
+def load_kind(path: Path, *kinds: str) -> Loaded:
+    """A document of one of the kinds without errors; raises :class:`SpecError` with every finding otherwise."""
     loaded = load(path)
     if loaded.errors:
         raise SpecError(loaded.errors)
-    if not isinstance(loaded.spec, model):
-        message = f"expected a `{kind}` document"
+    if not isinstance(loaded.spec, tuple(model_of(kind) for kind in kinds)):
+        message = f"expected a {' or '.join(f'`{kind}`' for kind in kinds)} document"
         raise SpecError([Diagnostic("SF006", Severity.ERROR, message, str(path), 1, 1, "simfoundry")])
     return loaded
 
 
-def _load_asset(path: Path, root: Path) -> Loaded | None:
-    """An asset document; None for a document of another kind, which is not read further: it might refer back."""
-    try:
-        model = _kind(read(path))[0]
-    except YamlError:
-        model = None
-    return load(path, root) if model in (None, AssetSpec) else None
+def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
+    """A document that another uses; None for one of another kind, which is not read further: it might refer back."""
+    key = (str(path.resolve()), kinds[0])
+    if key not in known:
+        try:
+            kind = kind_of(read(path))[0]
+        except YamlError:
+            kind = None
+        known[key] = load(path, root, known) if kind is None or kind in kinds else None
+    return known[key]
 
 
-def _kind(document: Document) -> tuple[type[Model] | None, Diagnostic | None]:
-    """The model of a document by its first key."""
+def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
+    """The kind that the first key of a document says, or why there is none."""
     data = document.data
     if not isinstance(data, dict):
         message, value = "a document is a mapping that starts with `simfoundry: scene/1`", None
     else:
         value = data.get("simfoundry")
         if isinstance(value, str) and value in KINDS:
-            return KINDS[value], None
+            return value, None
         message = f"`{value}` is not a kind of document" if "simfoundry" in data else "the key `simfoundry` is missing"
-    line, column = document.place(("simfoundry",))
     hint = nearest(str(value), KINDS) if value is not None else "start the document with `simfoundry: scene/1`"
-    return None, Diagnostic("SF006", Severity.ERROR, message, document.file, line, column, "simfoundry", hint)
+    return None, document.finding("SF006", ("simfoundry",), message, hint)

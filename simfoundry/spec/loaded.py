@@ -2,51 +2,59 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from simfoundry.spec.base import Model
+from simfoundry.spec.base import DocumentSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.text import YamlError, read
+from simfoundry.spec.files import located, shown
+from simfoundry.spec.text import Document
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """A checked document: its typed ``spec`` (None where errors forbid one), findings, and the assets it uses."""
+    """A checked document.
+
+    ``spec`` is its typed content with all that it extends (None where errors forbid one), ``document`` the text behind
+    it (None where it cannot be read), ``bases`` the files that it extends, ``uses`` the documents that it refers to, by
+    resolved path: assets, and the scene of a task. ``silenced`` are warnings that its ``allow`` took away.
+    """
 
     path: Path
     root: Path
-    spec: Model | None
+    spec: DocumentSpec | None
     findings: tuple[Diagnostic, ...]
-    assets: dict[str, Loaded] = field(default_factory=dict)
+    document: Document | None = None
+    bases: tuple[Path, ...] = ()
+    uses: dict[str, Loaded] = field(default_factory=dict)
+    silenced: tuple[Diagnostic, ...] = ()
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """Findings that forbid any further work, assets' included."""
+        """Findings that forbid any further work, those of the documents in use included."""
         return [d for d in self.all_findings() if d.severity is Severity.ERROR]
 
     def all_findings(self) -> list[Diagnostic]:
-        """Findings of this document and of the assets it uses."""
-        return [*self.findings, *(d for a in self.assets.values() for d in a.all_findings())]
+        """Findings of this document and of those that it uses."""
+        return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
-        """An error at a place of this document, whose text is read again to find it."""
-        try:
-            line, column = read(self.path).place(path)
-        except YamlError:
-            line, column = 0, 0
-        dotted = ".".join(str(p) for p in path)
-        return Diagnostic(code, Severity.ERROR, message, str(self.path), line, column, dotted, hint)
+        """An error at a place of this document."""
+        if self.document is None:
+            return Diagnostic(code, Severity.ERROR, message, str(self.path), 0, 0, ".".join(map(str, path)), hint)
+        return self.document.finding(code, path, message, hint)
 
     def file(self, reference: str) -> Path:
         """The file that a path in this document means."""
-        return (self.path.parent / reference).resolve()
+        return located(reference, self.path)
+
+    def used(self, reference: str) -> Loaded | None:
+        """The document that a path in this document means, if it was read."""
+        return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
         """The same file by the path that a person would write, relative where this document's own is."""
-        plain = Path(os.path.normpath(self.path.parent / reference))
-        return plain if plain.resolve() == self.file(reference) else self.file(reference)
+        return shown(reference, self.path)
 
 
 def project_root(path: Path) -> Path:

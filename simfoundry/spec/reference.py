@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from simfoundry.spec.load import KINDS
+from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.write import number
 
 Schema = dict[str, Any]
@@ -27,7 +27,7 @@ EXAMPLES = {
     "scene/1": """\
 simfoundry: scene/1
 name: breakfast
-viewpoint: front
+viewpoint: arm
 
 materials:
   wood: {density: 700, friction: 0.5}
@@ -44,10 +44,17 @@ objects:
     material: ceramic
     mass: {value: 0.31, range: [0.25, 0.4], by: category_table}
     pose: {xyz: [0.4, 0.1, 0.05]}
+  saucer:
+    shape: {cylinder: {radius: 0.07, height: 0.012}}
+    material: ceramic
+    place: {on: table, left_of: cup, gap: 0.05}
   cabinet:
     asset: drawer_cabinet.asset.yaml
     joints: {drawer_slide: 0.05}
     pose: {xyz: [0.6, -0.15, 0.1], yaw_deg: 180}
+
+robots:
+  arm: {model: franka_robotiq, joints: home}
 
 cameras:
   front: {size: [1280, 720], fx: 900, fy: 900, pose: {xyz: [1.4, 0, 0.6], look_at: [0.45, 0, 0]}}
@@ -57,6 +64,23 @@ lights:
 
 relations:
   - OnTop(cup, table)
+""",
+    "task/1": """\
+simfoundry: task/1
+name: cup_on_saucer
+scene: breakfast.scene.yaml
+instruction: Put the cup on the saucer.
+goal:
+  all:
+    - OnTop(cup, saucer)
+    - Released(cup)
+subtasks:
+  pick_up_cup: {goal: Grasped(cup)}
+  cup_on_saucer: {goal: OnTop(cup, saucer)}
+reset:
+  objects:
+    cup: {x: [0.35, 0.45], y: [0, 0.15], yaw_deg: [-180, 180]}
+horizon: 450
 """,
     "asset/1": """\
 simfoundry: asset/1
@@ -98,14 +122,32 @@ frames:
     camera: {fx: 615.3, fy: 615.1, cx: 319.5, cy: 239.5}
     masks: {image: masks.png, names: {mug: 1, stapler: 2}}
 """,
+    "cousins/1": """\
+simfoundry: cousins/1
+name: breakfasts
+twin: cup_on_saucer.task.yaml
+count: 50
+seed: 7
+scene:
+  anchor: saucer
+  objects:
+    cup: [LeftOf, RightOf, InFrontOf, Behind]
+distractors: {count: [1, 3], mass: {most: 0.5}}
+""",
 }
 
-_NAME = "^[a-z][a-z0-9_]*$"
+_PATTERNS = {
+    "^[a-z][a-z0-9_]*$": "name",
+    r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$": "name or name.part",
+    "^SF[0-9]{3}$": "code",
+    "^[A-Za-z_][A-Za-z0-9_./-]*$": "joint",
+}
+"""What the texts of a pattern are called."""
 
 
 def reference() -> str:
     """The text of the page."""
-    schemas = {kind: model.model_json_schema() for kind, model in KINDS.items()}
+    schemas = {kind: model_of(kind).model_json_schema() for kind in KINDS}
     uses = [set(schema["$defs"]) for schema in schemas.values()]
     shared = {name for name in set().union(*uses) if sum(name in names for names in uses) > 1}
     lines = [INTRODUCTION]
@@ -167,15 +209,20 @@ def _type(field: Schema) -> str:
         case {"items": item}:
             return f"list of {_type(item)}{_length(field)}"
         case {"patternProperties": patterns}:
-            return f"name → {_type(next(iter(patterns.values())))}"
-        case {"pattern": pattern} if pattern == _NAME:
-            return "name"
+            pattern, value = next(iter(patterns.items()))
+            return f"{_PATTERNS[pattern]} → {_type(value)}"
+        case {"pattern": pattern}:
+            return _PATTERNS[pattern]
+        case {"type": "object", "additionalProperties": dict(value)}:
+            return f"text → {_type(value)}"
         case {"type": "string"}:
             return "text"
         case {"type": "boolean"}:
             return "`true`, `false`"
         case {"type": kind}:
             return f"{kind}{_range(field)}"
+        case {"title": _}:
+            return "anything"
     raise ValueError(f"no words for {field}")
 
 

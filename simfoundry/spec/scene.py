@@ -12,18 +12,23 @@ from simfoundry.spec.base import (
     Body,
     CameraPose,
     Color,
+    DocumentSpec,
+    FileName,
     Material,
     Model,
     Name,
     NonNegative,
     Number,
     Origin,
+    PartName,
     Pose,
     Positive,
     Shape,
     Vec3,
     exclusive,
 )
+from simfoundry.spec.place import Place
+from simfoundry.spec.robot import RobotSpec
 
 
 class Degrees(Model):
@@ -42,16 +47,17 @@ class ObjectSpec(Body):
     """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
 
     shape: Shape | None = Field(None, description="A primitive.")
-    asset: str | None = Field(
+    asset: FileName | None = Field(
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
-    visual: str | None = Field(
+    visual: FileName | None = Field(
         None, description="A mesh that is shown in place of the shape; it has no effect in physics."
     )
     category: Name | None = Field(None, description="What it is, as `mug`; default: its name.")
     fixed: bool = Field(False, description="Welded to the world.")
     pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
+    place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {}, description="Joint positions by name: metres, radians, or `{deg: 30}`; default 0."
     )
@@ -61,6 +67,7 @@ class ObjectSpec(Body):
     def _one_geometry(self) -> Self:
         exclusive(self, "shape", "asset", needed=True)
         exclusive(self, "mass", "density")
+        exclusive(self, "pose", "place")
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
         return self
@@ -76,7 +83,10 @@ class CameraSpec(Model):
     fy: Positive = Field(description="Focal length in y [px].")
     cx: Number | None = Field(None, description="Principal point in x [px]; default: the middle, (width - 1) / 2.")
     cy: Number | None = Field(None, description="Principal point in y [px]; default: the middle, (height - 1) / 2.")
-    pose: CameraPose = Field(description="Pose in the world.")
+    pose: CameraPose = Field(description="Pose in the world, or in the frame of what it is mounted on.")
+    mount: PartName | None = Field(
+        None, description="What carries it: a robot's link (`arm.hand`), an object, or a link of one."
+    )
 
 
 class LightSpec(Model):
@@ -95,17 +105,34 @@ class LightSpec(Model):
         return self
 
 
-class SceneSpec(Model):
+class Background(Model):
+    """What is seen around the scene; nothing touches it."""
+
+    mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
+    splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
+    pose: Pose = Field(Pose(), description="Pose in the world.")
+    scale: Positive = Field(1.0, description="Factor from the units of the file to metres.")
+
+    @model_validator(mode="after")
+    def _one_file(self) -> Self:
+        exclusive(self, "mesh", "splat", needed=True)
+        return self
+
+
+class SceneSpec(DocumentSpec):
     """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(description="What the scene is called: lower-case letters, digits and `_`.")
-    description: str | None = Field(None, description="For people.")
-    viewpoint: Name | None = Field(None, description="The camera from which left, right, front and behind are seen.")
+    viewpoint: Name | None = Field(
+        None,
+        description="The camera or robot from which left, right, front and behind are seen; default: x away, y left.",
+    )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")
     materials: dict[Name, Material] = Field({}, description="What things are made of, by name.")
     objects: dict[Name, ObjectSpec] = Field({}, description="The things in the scene, by name.")
+    robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
     cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
+    background: Background | None = Field(None, description="What is seen around the scene.")
     relations: tuple[str, ...] = Field((), description="What should hold, as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Where the scene comes from.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from simfoundry.spec.load import KINDS
+from simfoundry.spec.kinds import KINDS, model_of
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -16,9 +16,54 @@ def schemas() -> dict[str, str]:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    """The JSON Schema of one kind of document, as ``scene/1``."""
-    body = _closed(KINDS[kind].model_json_schema())
-    return {"$schema": DIALECT, "$id": f"simfoundry/{kind}", **body, "title": f"SimFoundry {kind}"}
+    """The JSON Schema of one kind of document, as ``scene/1``.
+
+    A document that extends another is held against a looser copy: nothing is required, and null removes.
+    """
+    body = _closed(model_of(kind).model_json_schema())
+    parts: dict[str, Any] = body.pop("$defs")
+    title, described = f"SimFoundry {kind}", {key: body.pop(key) for key in ("description",) if key in body}
+    overlay = {f"{OVERLAY}{name}": _overlay(part) for name, part in {**parts, "Document": body}.items()}
+    return {
+        "$schema": DIALECT,
+        "$id": f"simfoundry/{kind}",
+        "title": title,
+        **described,
+        "$defs": {**parts, "Document": body, **overlay},
+        "if": {"required": ["extends"], "properties": {"extends": {"type": "string"}}},
+        "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
+        "else": {"$ref": "#/$defs/Document"},
+    }
+
+
+OVERLAY = "Overlay"
+"""What the names of loosened parts begin with."""
+
+
+def _overlay(part: Any) -> Any:
+    """The same schema without required keys, in which null may stand for any member."""
+    if isinstance(part, list):
+        return [_overlay(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    out = {key: _overlay(value) for key, value in part.items() if key != "required"}
+    if "$ref" in out:
+        out["$ref"] = out["$ref"].replace("#/$defs/", f"#/$defs/{OVERLAY}")
+    for key in ("properties", "patternProperties"):
+        if key in out and isinstance(part[key], dict):
+            out[key] = {name: _nullable(item) for name, item in out[key].items()}
+    if isinstance(out.get("additionalProperties"), dict):
+        out["additionalProperties"] = _nullable(out["additionalProperties"])
+    return out
+
+
+def _nullable(item: dict[str, Any]) -> dict[str, Any]:
+    """A value, or null to remove it; the words that an editor shows stay outside."""
+    if not isinstance(item, dict) or any(option == {"type": "null"} for option in item.get("anyOf", ())):
+        return item
+    words = {key: item[key] for key in ("description", "title", "default") if key in item}
+    inner = {key: value for key, value in item.items() if key not in words}
+    return {**words, "anyOf": [inner, {"type": "null"}]}
 
 
 def _closed(body: Any) -> Any:

@@ -41,7 +41,8 @@ Path_ = tuple[str | int, ...]
 class Node:
     """A value with its place (counted from 1); a mapping knows the places of its keys, an unquoted scalar its text.
 
-    ``weight`` counts the values in it, each as often as an alias repeats it.
+    ``weight`` counts the values in it, each as often as an alias repeats it. ``file`` is set where the value, and the
+    key before it, comes from another file than the document itself: one that it extends.
     """
 
     value: Any
@@ -51,6 +52,7 @@ class Node:
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     plain: str = ""
     weight: int = 1
+    file: str = ""
 
 
 class YamlError(Exception):
@@ -85,6 +87,25 @@ class Document:
         for _, key, node in self._walk(path):
             leaf = key if isinstance(node.children, dict) else (node.line, node.column)
         return key if of_key else leaf
+
+    def source(self, path: Sequence[str | int]) -> str:
+        """The file in which :meth:`place` finds ``path``."""
+        files = [self.root.file, *(node.file for _, _, node in self._walk(path))]
+        return files[-1] or self.file
+
+    def finding(
+        self,
+        code: str,
+        path: Sequence[str | int],
+        message: str,
+        hint: str = "",
+        severity: Severity = Severity.ERROR,
+        of_key: bool = False,
+    ) -> Diagnostic:
+        """A finding at ``path``."""
+        line, column = self.place(path, of_key)
+        dotted = ".".join(map(str, path))
+        return Diagnostic(code, severity, message, self.source(path), line, column, dotted, hint)
 
     def known(self, path: Sequence[str | int]) -> Path_:
         """The parts of ``path`` that the data has."""
@@ -263,10 +284,13 @@ class _Composer:
                 raise YamlError(
                     "SF004", "merge keys (<<) are not YAML 1.2", node.line, node.column, "write the keys out"
                 )
-            self.stack[-1] = (parent, (text, node.line, node.column), start)
+            self.stack[-1] = (parent, (text, node.line, node.column, node.plain), start)
             return
-        name, line, column = key
-        if name in parent.children:
+        name, line, column, plain = key
+        last = next(reversed(parent.children.values()), None)
+        if start.flow_style and last is not None and _is_open(last) and plain and node.value is None and not node.plain:
+            last.value = last.plain = f"{last.plain}, {plain}"  # `{goal: OnTop(cup, desk)}` is one text, as in a list
+        elif name in parent.children:
             first = parent.keys[name][0]
             message = f"`{name}` is written twice in one mapping"
             hint = f"it stands first in line {first}; remove or rename one of the two"
@@ -285,12 +309,17 @@ def _rejoined(items: list[Node]) -> list[Node]:
     out: list[Node] = []
     for item in items:
         last = out[-1] if out else None
-        if last is not None and last.plain and item.plain and last.plain.count("(") > last.plain.count(")"):
+        if last is not None and item.plain and _is_open(last):
             joined = f"{last.plain}, {item.plain}"
             out[-1] = Node(joined, last.line, last.column, plain=joined)
         else:
             out.append(item)
     return out
+
+
+def _is_open(node: Node) -> bool:
+    """Whether a plain text has a parenthesis that is not closed."""
+    return bool(node.plain) and node.plain.count("(") > node.plain.count(")")
 
 
 def _mark(event: Any) -> tuple[int, int]:

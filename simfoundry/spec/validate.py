@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import types
-import typing
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, Tag, ValidationError
+from pydantic import ValidationError
 
 from simfoundry.spec.base import SHAPE_KEYS, Model
-from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.diagnostics import Diagnostic, nearest
 from simfoundry.spec.text import Document
+from simfoundry.spec.types import models_at
 
 M = TypeVar("M", bound=Model)
 
@@ -102,8 +100,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
         path += loc[-1:]
     elif kind.startswith("sf") and "at" in error.get("ctx", {}):
         path += (error["ctx"]["at"],)
-    line, column = document.place(path, of_key=of_key)
-    return Diagnostic(code, Severity.ERROR, message, document.file, line, column, _dotted(path), hint)
+    return document.finding(code, path, message, hint, of_key=of_key)
 
 
 def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
@@ -113,7 +110,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
     if kind.startswith("sf"):
         return error["msg"], ""
     if kind == "extra_forbidden":
-        names = {n for m in _models(model, loc[:-1]) for n in m.model_fields}
+        names = {n for m in models_at(model, loc[:-1]) for n in m.model_fields}
         if _is_shape(model, loc):
             names = set(SHAPE_KEYS)
         return f"unknown key `{last}`", nearest(str(last), names)
@@ -182,59 +179,17 @@ def _as_name(text: str) -> str:
     return name if name[:1].isalpha() else ""
 
 
-def _dotted(loc: tuple[Any, ...]) -> str:
-    return ".".join(str(p) for p in loc)
-
-
 def _is_shape(model: type[Model], loc: tuple[Any, ...]) -> bool:
     return any(loc[-2:-1] == (key,) for key in SHAPE_KEYS) and any(
-        set(m.model_fields) <= set(SHAPE_KEYS) for m in _models(model, loc[:-1])
+        set(m.model_fields) <= set(SHAPE_KEYS) for m in models_at(model, loc[:-1])
     )
 
 
 def _description(model: type[Model], loc: tuple[Any, ...]) -> str:
     """What the documentation says of the nearest field at or above ``loc``."""
     for end in range(len(loc), 0, -1):
-        for owner in _models(model, loc[: end - 1]):
+        for owner in models_at(model, loc[: end - 1]):
             info = owner.model_fields.get(str(loc[end - 1]))
             if info is not None and info.description:
                 return f"`{loc[end - 1]}`: {info.description}"
     return ""
-
-
-def _models(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
-    """The model classes that may stand at ``loc`` below the type ``root``."""
-    current = list(_flat(root))
-    for part in loc:
-        following: list[Any] = []
-        for tag, kind in current:
-            if tag is not None and tag == part:
-                following += [(None, kind)]
-            following += [t for inner in _inside(kind, part) for t in _flat(inner)]
-        current = following
-    return [kind for _, kind in current if isinstance(kind, type) and issubclass(kind, BaseModel)]
-
-
-def _inside(kind: Any, part: Any) -> Iterator[Any]:
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        if part in kind.model_fields:
-            info = kind.model_fields[part]
-            yield typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
-    elif typing.get_origin(kind) is dict:
-        yield typing.get_args(kind)[1]
-    elif typing.get_origin(kind) is tuple and isinstance(part, int):
-        yield typing.get_args(kind)[0]
-
-
-def _flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
-    """The plain types of a type, each with its union tag."""
-    origin = typing.get_origin(kind)
-    if origin is typing.Annotated:
-        inner, *metadata = typing.get_args(kind)
-        tags = [m.tag for m in metadata if isinstance(m, Tag)]
-        yield from _flat(inner, tags[0] if tags else tag)
-    elif origin in (typing.Union, types.UnionType):
-        for member in typing.get_args(kind):
-            yield from _flat(member, tag)
-    else:
-        yield tag, kind

@@ -82,14 +82,34 @@ def test_a_valid_document_validates_and_a_slip_does_not(kind: str, text: str, ri
     assert errors(kind, yaml.safe_load(text.replace(right, wrong))) != []
 
 
+OVERLAY = """
+simfoundry: scene/1
+extends: twin.scene.yaml
+objects:
+  cup: {mass: 0.3, pose: {yaw_deg: 30}}
+  plate: null
+  bowl: {place: null, pose: {xyz: [0, 0, 1]}}
+cameras: {front: {fx: 510}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"), [("mass: 0.3", "mas: 0.3"), ("yaw_deg: 30", "yaw_deg: east"), ("fx: 510", "fx: -1")]
+)
+def test_an_overlay_need_not_be_whole_and_slips_are_still_seen(right: str, wrong: str) -> None:
+    assert errors("scene/1", yaml.safe_load(OVERLAY)) == []
+    assert errors("scene/1", yaml.safe_load(OVERLAY.replace(right, wrong))) != []
+    assert errors("scene/1", yaml.safe_load(OVERLAY.replace("extends: twin.scene.yaml", "name: a"))) != []
+
+
 def test_every_field_is_described() -> None:
     for name, text in schemas().items():
         for title, model in json.loads(text)["$defs"].items():
             for field, body in model.get("properties", {}).items():
-                described = "description" in body or "$ref" in body
+                described = "description" in body or "$ref" in {**body, **body.get("anyOf", [{}])[0]}
                 assert described, (name, title, field)
 
 
 def test_documents_name_the_schema_files() -> None:
-    assert set(schemas()) == {"scene.schema.json", "asset.schema.json", "capture.schema.json"}
+    assert set(schemas()) == {f"{kind}.schema.json" for kind in ("scene", "task", "asset", "capture", "cousins")}
     assert Path(REPOSITORY / "schemas").is_dir()

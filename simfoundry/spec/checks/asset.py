@@ -1,0 +1,60 @@
+"""Assets: materials, masses, meshes, and the tree of links and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.checks.checker import Checker
+from simfoundry.spec.files import MESH_SUFFIXES
+from simfoundry.spec.plausible import volume
+
+
+def check_asset(c: Checker, spec: AssetSpec) -> None:
+    """Findings of an asset."""
+    for name, link in spec.links.items():
+        path = ("links", name)
+        c.material(link, path)
+        c.mass(link, [part.material or link.material for part in link.parts.values()], spec.materials, path)
+        shapes = [part.shape for part in link.parts.values()]
+        solid = sum(volume(shape) for shape in shapes if shape is not None)
+        c.density(link, path, None if None in shapes else solid)
+        for part_name, part in link.parts.items():
+            part_path = (*path, "parts", part_name)
+            if part.mesh is not None:
+                c.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
+            if part.material is not None:
+                c.name(part.material, c.names("materials"), (*part_path, "material"), "material")
+    links = spec.links.values()
+    c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
+    c.densities(spec.materials)
+    _tree(c, spec)
+
+
+def _tree(c: Checker, spec: AssetSpec) -> None:
+    """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
+    parents: dict[str, str] = {}
+    links = c.names("links")
+    root = next(iter(links))
+    for name, joint in spec.joints.items():
+        path = ("joints", name)
+        c.name(joint.parent, links, (*path, "parent"), "link")
+        c.name(joint.child, links, (*path, "child"), "link")
+        if joint.child in parents:
+            c.add("SF206", (*path, "child"), f"`{joint.child}` is the child of two joints")
+        if joint.child == root:
+            c.add("SF206", (*path, "child"), f"`{root}` is the first link, so it is the root and no joint's child")
+        parents[joint.child] = joint.parent
+    for link in spec.links if c.whole else ():
+        if link != root and link not in parents:
+            c.add("SF206", ("links", link), f"no joint carries `{link}`", "add a joint with it as `child`")
+        elif link in set(_ancestors(link, parents)):
+            c.add("SF206", ("links", link), f"`{link}` is carried by itself, through a ring of joints")
+
+
+def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:
+    seen: set[str] = set()
+    while link in parents and link not in seen:
+        seen.add(link)
+        link = parents[link]
+        yield link

@@ -1,0 +1,201 @@
+"""``extends``: a document joined with the one that it changes; every value remembers the file that it stands in."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from pathlib import Path, PurePosixPath
+
+from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.files import FileError, reachable
+from simfoundry.spec.kinds import model_of, suffix
+from simfoundry.spec.text import Document, Node, YamlError, read
+
+MAX_BASES = 16
+
+EXCLUSIVE = (
+    ("shape", "asset"),
+    ("mass", "density"),
+    ("pose", "place"),
+    ("yaw_deg", "rpy_deg", "quat_wxyz"),
+    ("look_at", "quat_wxyz"),
+    ("box", "sphere", "cylinder", "capsule", "prism", "lathe"),
+    ("on", "inside"),
+    ("xy", "at", "left_of"),
+    ("xy", "at", "right_of"),
+    ("xy", "at", "in_front_of"),
+    ("xy", "at", "behind"),
+    ("left_of", "right_of"),
+    ("in_front_of", "behind"),
+    ("mesh", "splat"),
+    ("shape", "mesh"),
+    ("all", "any", "not"),
+)
+"""Keys of which a mapping has one: what changes a document replaces one of them by another."""
+
+_RIVALS: dict[str, set[str]] = {
+    key: {k for group in EXCLUSIVE if key in group for k in group} - {key} for key in chain.from_iterable(EXCLUSIVE)
+}
+
+
+def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
+    """The document with what it extends, findings on the way, and the files that it extends, nearest first.
+
+    Where a base cannot be used the document comes back as it is, with the reason among the findings.
+    """
+    chained, findings, bases = [document], list[Diagnostic](), list[Path]()
+    path = Path(document.file)
+    while "extends" in _keys(chained[-1].root):
+        found = _base(chained[-1], path, kind, root, [Path(document.file), *bases])
+        if isinstance(found, Diagnostic):
+            return document, [*findings, found], bases
+        path = Path(found.file)
+        bases.append(path)
+        chained.append(found)
+        findings += found.duplicates
+    if not bases:
+        return document, findings, bases
+    whole = chained[-1].root
+    for upper in reversed(chained[:-1]):
+        _take_over(whole, kind, whole.file or chained[-1].file, upper.file)
+        _own(upper.root, "" if upper is document else upper.file)
+        joining = _Joining(kind, upper.file)
+        whole = joining.join(whole, upper.root, ())
+        findings += joining.findings
+    return replace(document, data=whole.value, root=whole), findings, bases
+
+
+def _keys(node: Node) -> dict[str, Node]:
+    return node.children if isinstance(node.children, dict) else {}
+
+
+def _base(document: Document, path: Path, kind: str, root: Path, before: list[Path]) -> Document | Diagnostic:
+    """The document that one extends, or why there is none."""
+    written = _keys(document.root)["extends"].value
+    place = ("extends",)
+    if not isinstance(written, str):
+        return document.finding(
+            "SF103", place, "expected a text, the path of a document", "write `extends: a.scene.yaml`"
+        )
+    try:
+        target = reachable(written, path, root, (suffix(kind), ".yaml"))
+    except FileError as wrong:
+        return document.finding(wrong.code, place, str(wrong), wrong.hint)
+    if any(target == b.resolve() for b in before):
+        ring = " extends ".join(f"`{b.name}`" for b in [*before, target])
+        return document.finding("SF207", place, f"{ring}, which is a ring", "let one of them stand alone")
+    if len(before) > MAX_BASES:
+        return document.finding("SF005", place, f"more than {MAX_BASES} documents extend each other")
+    shown = Path(os.path.normpath(path.parent / written))
+    try:
+        base = read(shown if shown.resolve() == target else target)
+    except YamlError as error:
+        return error.diagnostic(str(shown))
+    found = _keys(base.root).get("simfoundry")
+    if found is None or found.value != kind:
+        named = f"a `{found.value}`" if found is not None else "no"
+        message = f"`{written}` is {named} document, and this is a `{kind}` one"
+        return document.finding("SF006", place, message, "a document extends another of its own kind")
+    _own(base.root, base.file)
+    return base
+
+
+def _own(node: Node, file: str) -> None:
+    """Mark every value with the file that it stands in."""
+    todo = [node]
+    while todo:
+        node = todo.pop()
+        if node.file == file and node.children:
+            continue  # an alias: done before
+        node.file = file
+        children = node.children
+        todo += children.values() if isinstance(children, dict) else children or ()
+
+
+@dataclass
+class _Joining:
+    """Joins the document ``file`` with what it extends."""
+
+    kind: str
+    file: str
+    findings: list[Diagnostic] = field(default_factory=list)
+
+    def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
+        """``base`` as ``over`` changes it: mappings key by key, all else replaced, null removed."""
+        if not isinstance(base.children, dict) or not isinstance(over.children, dict):
+            return over
+        children, keys = dict(base.children), dict(base.keys)
+        for key, node in over.children.items():
+            if node.value is None:
+                if key not in children:
+                    self.nothing_to_remove(over.keys[key], (*path, key))
+                children.pop(key, None)
+                continue
+            for rival in self.rivals(key, path, children):
+                if rival not in over.children:
+                    del children[rival]
+            children[key] = self.join(children[key], node, (*path, key)) if key in children else node
+            keys[key] = over.keys[key]
+        return _mapping(over, children, {key: keys[key] for key in children})
+
+    def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
+        """The keys that ``key`` replaces; none in a mapping by name, where keys are names."""
+        rivals = sorted(_RIVALS.get(key, set()) & children.keys())
+        if rivals:
+            from simfoundry.spec.types import models_at
+
+            return rivals if models_at(model_of(self.kind), path) else []
+        return rivals
+
+    def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...]) -> None:
+        message = f"`{path[-1]}` is not in what this document extends, so it cannot be removed"
+        dotted = ".".join(path)
+        self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, dotted, "remove the line"))
+
+
+def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, int]]) -> Node:
+    value = {key: child.value for key, child in children.items()}
+    weight = 1 + sum(child.weight for child in children.values())
+    return Node(value, like.line, like.column, children, keys, "", weight, like.file)
+
+
+def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
+    """Rewrite the files that a base names so that they are meant from where the upper document stands."""
+    here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
+    if here == there:
+        return
+    from simfoundry.spec.types import file_patterns
+
+    step = PurePosixPath(Path(os.path.relpath(here, there)).as_posix())
+    for pattern in file_patterns(model_of(kind)):
+        if pattern != ("extends",):
+            for leaf in _leaves(node, pattern):
+                if isinstance(leaf.value, str) and ":" not in leaf.value and not leaf.value.startswith("/"):
+                    leaf.value = os.path.normpath(step / leaf.value)
+    _refresh(node)
+
+
+def _leaves(node: Node, pattern: tuple[str, ...]) -> Iterator[Node]:
+    if not pattern:
+        yield node
+        return
+    children = node.children
+    if pattern[0] == "*":
+        for child in children.values() if isinstance(children, dict) else children or ():
+            yield from _leaves(child, pattern[1:])
+    elif isinstance(children, dict) and pattern[0] in children:
+        yield from _leaves(children[pattern[0]], pattern[1:])
+
+
+def _refresh(node: Node) -> None:
+    """Compute the values of collections anew from what stands in them."""
+    if isinstance(node.children, dict):
+        for child in node.children.values():
+            _refresh(child)
+        node.value = {key: child.value for key, child in node.children.items()}
+    elif isinstance(node.children, list):
+        for child in node.children:
+            _refresh(child)
+        node.value = tuple(child.value for child in node.children)

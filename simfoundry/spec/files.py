@@ -1,0 +1,96 @@
+"""Files that documents name: relative, below the project, of the right kind, and there."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from simfoundry.spec.diagnostics import nearest
+
+MESH_SUFFIXES = (".glb", ".obj", ".stl", ".ply")
+ASSET_SUFFIX = ".asset.yaml"
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
+MAX_PATH = 512
+
+_PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
+_DESCRIPTION = re.compile(r"robot_descriptions:[a-z0-9_]+\Z")
+
+
+class FileError(Exception):
+    """Why a document cannot use a file."""
+
+    def __init__(self, code: str, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.code, self.hint = code, hint
+
+
+def is_document(reference: str) -> bool:
+    """Whether an object's ``asset`` is an asset document, not a mesh."""
+    return reference.lower().endswith(ASSET_SUFFIX)
+
+
+def is_description(reference: str) -> bool:
+    """Whether a robot's model is one of the package robot_descriptions, which fetches it when it is first used."""
+    return _DESCRIPTION.match(reference) is not None
+
+
+def located(reference: str, document: Path) -> Path:
+    """The file that ``reference`` means in ``document``: beside it, or ``pkg:package/path`` in an installed package.
+
+    Raises :class:`FileError` where there is no such package.
+    """
+    named = _PACKAGE.match(reference)
+    if named is None:
+        return (document.parent / reference).resolve()
+    from importlib.util import find_spec
+
+    package, path = named.groups()
+    spec = find_spec(package)  # finds the folder and runs nothing
+    if spec is None or not spec.submodule_search_locations:
+        hint = f"install it (`pip install {package}`), or give a path relative to this document"
+        raise FileError("SF203", f"there is no package `{package}` here", hint)
+    folder = Path(spec.submodule_search_locations[0]).resolve()
+    target = (folder / path).resolve()
+    if not target.is_relative_to(folder):
+        raise FileError("SF204", f"`{reference}` leaves the package", "name a file of the package")
+    return target
+
+
+def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
+    """The file that ``reference`` means in ``document``: below the project ``root``, or one of an installed package.
+
+    Raises :class:`FileError`.
+    """
+    if "\0" in reference or "\\" in reference or len(reference) > MAX_PATH:
+        hint = f"separate folders with `/`, and use at most {MAX_PATH} characters"
+        raise FileError("SF204", f"`{reference[:MAX_PATH]}` is not a portable path", hint)
+    try:
+        packaged = _PACKAGE.match(reference) is not None
+        target = located(reference, document)
+        return _found(reference, target, target.parent if packaged else root, suffixes)
+    except (OSError, RuntimeError) as error:  # a ring of links, a folder that may not be read, a name too long
+        reason = getattr(error, "strerror", None) or "its links form a ring"
+        raise FileError("SF203", f"`{reference}` cannot be reached: {reason}") from None
+
+
+def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
+    if Path(reference).is_absolute() or not target.is_relative_to(root):
+        hint = f"files must lie below the project, {root}; copy it there and give a relative path"
+        raise FileError("SF204", f"`{reference}` leaves the project", hint)
+    if suffixes and not reference.lower().endswith(suffixes):
+        raise FileError("SF203", f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
+    if target.is_file() or (not suffixes and target.is_dir()):
+        return target
+    folder = target.parent
+    if not folder.is_dir():
+        raise FileError("SF203", f"there is no file `{reference}`", f"there is no folder `{folder.name}`")
+    near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
+    hint = nearest(target.name, near) or f"there is none in the folder `{folder.name}`"
+    raise FileError("SF203", f"there is no {'file' if suffixes else 'folder'} `{reference}`", hint)
+
+
+def shown(reference: str, document: Path) -> Path:
+    """The file by the path that a person would write, relative where the document's own is."""
+    plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
+    return plain if plain.resolve() == target else target
