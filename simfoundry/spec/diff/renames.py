@@ -23,6 +23,7 @@ SECTIONS = (
     "frames",
     "subtasks",
     "place",
+    "pose",
 )
 """Keys of mappings whose members have names."""
 
@@ -44,12 +45,14 @@ _REFERENCES = {
     "in_front_of": ("objects",),
     "behind": ("objects",),
     "viewpoint": ("cameras", "robots"),
-    "robot": ("robots",),
-    "mount": ("robots",),
+    "robots": ("robots",),
+    "mount": ("robots", "objects"),
+    "anchor": ("objects",),
+    "objects": ("objects",),
     "parent": ("links",),
     "child": ("links",),
 }
-"""Keys whose text is a name, and the sections in which it is looked up."""
+"""Keys whose text is a name, or a list of some, and the sections in which it is looked up."""
 
 _EXPRESSIONS = ("relations", "goal", "all", "any", "not")
 """Keys of expressions, whose arguments are names of objects or robots."""
@@ -183,7 +186,7 @@ def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
 
 def _space(section: Path_) -> str:
     """The section in which the names of a mapping are defined; empty where nothing refers to them."""
-    if section[-1:] == ("objects",) or section[-2:] in (("start", "joints"), ("start", "place")):
+    if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
         return "objects"
     if len(section) == 2 and section[0] == "allow":
         return "objects"
@@ -198,9 +201,8 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
         return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
     if not spaces or not path:
         return copied(value)
-    if path[-1] in _REFERENCES and isinstance(value, str):
-        head, dot, tail = value.partition(".")
-        return _name(head, _REFERENCES[path[-1]], spaces) + dot + tail
+    if path[-1] in _REFERENCES:
+        return _reference(value, _REFERENCES[path[-1]], spaces)
     if path[-1] in _EXPRESSIONS:
         return _expression(value, spaces)
     return copied(value)
@@ -229,6 +231,15 @@ def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
         case tuple() | list():
             return tuple(_expression(item, spaces) for item in value)
     return value
+
+
+def _reference(value: Any, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> Any:
+    if isinstance(value, tuple | list):
+        return tuple(_reference(item, sections, spaces) for item in value)
+    if not isinstance(value, str):
+        return value
+    head, dot, tail = value.partition(".")
+    return _name(head, sections, spaces) + dot + tail
 
 
 def _name(name: str, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> str:
