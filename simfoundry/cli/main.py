@@ -14,6 +14,7 @@ COMMANDS = {
     "check": "Check documents; every finding with its place.",
     "compile": "Compile a scene for simulators.",
     "demo": "Capture, compile and run, from the project's own picture or yours.",
+    "diff": "Say what changed between two documents or revisions.",
     "doctor": "Say what is installed, what is missing and how to get it.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",

@@ -63,9 +63,10 @@ class Describing:
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
             return [_shape(old, new)]
-        if key == "pose" and isinstance(old or {}, dict) and isinstance(new or {}, dict):
+        whole = isinstance(old or {}, dict) and isinstance(new or {}, dict) and path[-2:-1] != ("start",)
+        if key == "pose" and whole:
             return self._pose(path, old or {}, new or {})
-        if key == "place" and isinstance(old or {}, dict) and isinstance(new or {}, dict) and "start" not in path:
+        if key == "place" and whole:
             return [f"{_label(path)} {values.pair('', _place(old), _place(new))}"]
         if isinstance(old if was else {}, dict) and isinstance(new if is_ else {}, dict) and not _quantity(old, new):
             return list(self._mapping(path, old if was else {}, new if is_ else {}))

@@ -24,7 +24,7 @@ AXIS_DEG = 1.0
 
 @dataclass(frozen=True)
 class Motion:
-    """From one pose to another in the same parent: a ``shift`` [m] and a turn by ``angle`` [deg] about unit ``axis``."""
+    """From one pose to another in one parent: a ``shift`` [m], and a turn by ``angle`` [deg] about a unit ``axis``."""
 
     shift: Vector
     angle: float
