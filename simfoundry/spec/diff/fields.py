@@ -86,6 +86,8 @@ class Describing:
             words += [f"{key} {self._with_unit((section, '*', key), item[key])}" for key in item if key != "color"]
         if section == "subtasks" and "goal" in item:
             words.append(expression(item["goal"]))
+        if not words and len(item) <= values.FEW and not any(isinstance(v, dict) for v in item.values()):
+            words.append(values.value("", item))
         return ", ".join(words)
 
     # -- where it is ------------------------------------------------------------------------------------------------
