@@ -39,7 +39,7 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
+schemas: $(READY) ## Write schemas/, docs/reference.md and docs/findings.md from simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
 
 goldens: $(READY) ## Write the expected texts of the tests anew; review the diff

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from typing import cast
 
-from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss
 from simfoundry.scene.model import Scene
 
 BACKENDS: dict[str, str] = {
@@ -24,4 +25,6 @@ def compile_scene(scene: Scene, target: str) -> Artifact:
         raise ValueError(f"no backend {target!r}; there are: {', '.join(BACKENDS)}")
     module, function = BACKENDS[target].split(":")
     backend = cast(Callable[[Scene], Artifact], getattr(import_module(module), function))
-    return backend(scene)
+    artifact = backend(scene)
+    left_out = tuple(Loss(part.path, Fidelity.DROPPED, part.reason) for part in scene.left_out)
+    return replace(artifact, losses=(*artifact.losses, *left_out))

@@ -222,9 +222,20 @@ class Relation:
         return f"{self.predicate}({', '.join(self.args)})"
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """A part of the spec, by its path, that no target gets yet, and why."""
+
+    path: str
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit."""
+    """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
+
+    ``left_out`` is what the spec says beyond that; every target reports it as lost.
+    """
 
     name: str
     gravity: Array
@@ -232,6 +243,7 @@ class Scene:
     cameras: tuple[Camera, ...] = ()
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
+    left_out: tuple[LeftOut, ...] = ()
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""

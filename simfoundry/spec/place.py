@@ -44,6 +44,6 @@ class Place(Model):
         exclusive(self, *DEPTHS)
         beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
         exclusive(self, "xy", "at", *([beside] if beside else []))
-        if beside is None and "gap" in self.model_fields_set:
+        if beside is None and self.gap != Place.model_fields["gap"].default:
             raise PydanticCustomError("sf107", "`gap` is for left_of, right_of, in_front_of and behind", {"at": "gap"})
         return self

@@ -22,13 +22,12 @@ def schema(kind: str) -> dict[str, Any]:
     """
     body = _closed(model_of(kind).model_json_schema())
     parts: dict[str, Any] = body.pop("$defs")
-    title, described = f"SimFoundry {kind}", {key: body.pop(key) for key in ("description",) if key in body}
     overlay = {f"{OVERLAY}{name}": _overlay(part) for name, part in {**parts, "Document": body}.items()}
     return {
         "$schema": DIALECT,
         "$id": f"simfoundry/{kind}",
-        "title": title,
-        **described,
+        "title": f"SimFoundry {kind}",
+        "description": body.pop("description"),
         "$defs": {**parts, "Document": body, **overlay},
         "if": {"required": ["extends"], "properties": {"extends": {"type": "string"}}},
         "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
@@ -59,9 +58,9 @@ def _overlay(part: Any) -> Any:
 
 def _nullable(item: dict[str, Any]) -> dict[str, Any]:
     """A value, or null to remove it; the words that an editor shows stay outside."""
-    if not isinstance(item, dict) or any(option == {"type": "null"} for option in item.get("anyOf", ())):
+    if any(option == {"type": "null"} for option in item.get("anyOf", ())):
         return item
-    words = {key: item[key] for key in ("description", "title", "default") if key in item}
+    words: dict[str, Any] = {key: item[key] for key in ("description", "title", "default") if key in item}
     inner = {key: value for key, value in item.items() if key not in words}
     return {**words, "anyOf": [inner, {"type": "null"}]}
 

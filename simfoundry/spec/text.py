@@ -174,6 +174,7 @@ _SYNTAX = (
     ("expected '-' indicator", "a `-` should stand here", "indent it like the items beside it"),
     ("expected ',' or ']'", "a `,` or `]` should stand here", "the list that starts in line {start} is not closed"),
     ("expected ',' or '}'", "a `,` or `}}` should stand here", "the mapping that starts in line {start} is not closed"),
+    ("expected node content", "a value should stand here", "is a bracket not closed, or a comma too many?"),
     ("unexpected end of stream", "these quotes are not closed", ""),
     ("unknown escape character", "this escape is not known", "in double quotes a backslash is written twice"),
     ("tab character", "a tab may not stand here", "indent with spaces, not tabs"),

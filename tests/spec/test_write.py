@@ -131,6 +131,7 @@ def test_the_form_of_a_scene_is_the_one_people_know() -> None:
 simfoundry: scene/1
 name: desk
 gravity: [0, 0, -1.62]
+
 objects:
   table:
     fixed: true
@@ -141,6 +142,7 @@ objects:
     shape: {cylinder: {radius: 0.04, height: 0.1}}
     mass: {value: 0.2, range: [0.1, 0.3], by: "material: ceramic"}
     pose: {xyz: [0.4, 0.1, 0.05], yaw_deg: 30}
+
 relations:
   - OnTop(cup, table)
   - Upright(cup)

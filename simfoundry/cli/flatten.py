@@ -1,0 +1,49 @@
+"""``simfoundry flatten``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import DONE, CannotError, json_option, print_json, reporting
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file, not to the screen."
+)
+@click.option("--hash", "only_hash", is_flag=True, help="Print the SHA-256 of the text alone.")
+@click.option("--force", is_flag=True, help="Replace the file that is there.")
+@json_option
+@reporting
+def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
+    """Write a document out in full: what it extends joined in, every default spelled out.
+
+    Two documents that say the same have the same text, and so the same hash. Files that it names are made relative to
+    where the text is written.
+    """
+    from simfoundry.files import write_atomically
+    from simfoundry.spec.diagnostics import SpecError
+    from simfoundry.spec.flatten import digest, flatten
+    from simfoundry.spec.load import load
+
+    loaded = load(file)
+    if loaded.spec is None or loaded.errors:
+        raise SpecError(loaded.errors)
+    text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
+    if out is not None:
+        if out.exists() and (out.samefile(file) or not force):
+            hint = "choose another file" if out.samefile(file) else "choose another file, or say --force"
+            raise CannotError(f"{out} is there already; {hint}")
+        write_atomically(out, text.encode())
+    if as_json:
+        print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
+    elif only_hash:
+        click.echo(digest(text))
+    elif out is None:
+        click.echo(text, nl=False)
+    else:
+        click.echo(f"wrote {out}")
+    return DONE

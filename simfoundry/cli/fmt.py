@@ -1,0 +1,123 @@
+"""``simfoundry fmt``."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.documents import documents
+from simfoundry.cli.output import (
+    CANNOT,
+    DONE,
+    FINDINGS,
+    CannotError,
+    json_option,
+    print_findings,
+    print_json,
+    reporting,
+)
+from simfoundry.spec.diagnostics import Diagnostic, SpecError
+
+if TYPE_CHECKING:
+    from simfoundry.spec.format import Formatted
+
+STDIN = Path("-")
+
+
+@click.command()
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
+@click.option("--check", is_flag=True, help="Write nothing; exit code 1 where something would change.")
+@click.option("--diff", is_flag=True, help="Write nothing; show what would change.")
+@json_option
+@reporting
+def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
+    """Write documents in their canonical form; comments and meaning stay.
+
+    PATHS are files, or folders with documents below them (default: here); `-` reads standard input and writes standard
+    output. A text that cannot be read is reported and left as it is (exit code 2).
+    """
+    if STDIN in paths:
+        if len(paths) > 1 or as_json:
+            raise CannotError("`-` stands alone: it takes no other file and no --json")
+        return _stream(check, diff)
+    texts, findings = _formatted(documents(paths or (Path(),)))
+    changed = {path: text for path, text in texts.items() if text.changed}
+    if not (check or diff):
+        for path, text in changed.items():
+            _write(path, text.after)
+    if as_json:
+        print_json(_report(texts, changed, findings, diff))
+    else:
+        for path, text in changed.items():
+            said = "would change" if check else "wrote"
+            click.echo(_diff(path, text) if diff else f"{said} {path}", nl=not diff)
+        if findings:
+            print_findings(findings)
+        if not diff:
+            click.echo(_summary(len(texts), len(changed), check))
+    return CANNOT if findings else FINDINGS if check and changed else DONE
+
+
+def _formatted(files: list[Path]) -> tuple[dict[Path, Formatted], list[Diagnostic]]:
+    from simfoundry.spec.format import format_file
+
+    texts: dict[Path, Formatted] = {}
+    findings: list[Diagnostic] = []
+    for path in files:
+        try:
+            texts[path] = format_file(path)
+        except SpecError as error:
+            findings += error.diagnostics
+    return texts, findings
+
+
+def _stream(check: bool, diff: bool) -> int:
+    from simfoundry.spec.diagnostics import Severity
+    from simfoundry.spec.format import Formatted, format_text
+
+    try:
+        before = sys.stdin.buffer.read().decode("utf-8")
+    except UnicodeDecodeError:
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is no UTF-8 text", "<stdin>")]) from None
+    text = Formatted(before, format_text(before, "<stdin>"))
+    if diff:
+        click.echo(_diff(STDIN, text), nl=False)
+    elif not check:
+        click.echo(text.after, nl=False)
+    return FINDINGS if check and text.changed else DONE
+
+
+def _write(path: Path, text: str) -> None:
+    """Write the file itself, not a link to it, with the rights that it has."""
+    from simfoundry.files import write_atomically
+
+    target = path.resolve()
+    mode = target.stat().st_mode
+    write_atomically(target, text.encode())
+    target.chmod(mode)
+
+
+def _diff(path: Path, text: Formatted) -> str:
+    before, after = (t.splitlines(keepends=True) for t in (text.before, text.after))
+    lines = difflib.unified_diff(before, after, f"{path}", f"{path} (formatted)")
+    return "".join(line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+
+
+def _report(
+    texts: dict[Path, Formatted], changed: dict[Path, Formatted], findings: list[Diagnostic], diff: bool
+) -> dict[str, Any]:
+    report: dict[str, Any] = {
+        "files": [str(p) for p in texts],
+        "changed": [str(p) for p in changed],
+        "findings": [d.to_json() for d in findings],
+    }
+    return report | {"diffs": {str(p): _diff(p, t) for p, t in changed.items()}} if diff else report
+
+
+def _summary(files: int, changed: int, check: bool) -> str:
+    count = f"{files} document{'s' if files != 1 else ''}"
+    return f"{count}: {changed or 'none'} {'would change' if check else 'changed'}"

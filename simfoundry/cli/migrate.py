@@ -1,0 +1,54 @@
+"""``simfoundry migrate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.documents import documents
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, json_option, print_findings, print_json, reporting
+
+
+@click.command()
+@click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--check", is_flag=True, help="Write nothing; exit code 1 where a document is of an older version.")
+@json_option
+@reporting
+def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
+    """Bring documents of older versions up to date, in place; comments stay.
+
+    PATHS are files, or folders with documents below them (default: here). A document's first key names its version.
+    """
+    from simfoundry.files import write_atomically
+    from simfoundry.spec.diagnostics import Diagnostic, SpecError
+    from simfoundry.spec.migrate import migrated
+    from simfoundry.spec.text import YamlError, read
+
+    files = documents(paths or (Path(),))
+    newer: dict[Path, str] = {}
+    findings: list[Diagnostic] = []
+    for path in files:
+        try:
+            text = read(path).text
+            new = migrated(text, str(path))
+        except YamlError as error:
+            findings.append(error.diagnostic(str(path)))
+        except SpecError as error:
+            findings += error.diagnostics
+        else:
+            if new != text:
+                newer[path] = new
+    for path, text in newer.items() if not check else ():
+        write_atomically(path.resolve(), text.encode())
+    if as_json:
+        listed = {"files": [str(p) for p in files], "older": [str(p) for p in newer]}
+        print_json({**listed, "findings": [d.to_json() for d in findings]})
+    else:
+        for path in newer:
+            click.echo(f"{'would bring' if check else 'brought'} {path} up to date")
+        if findings:
+            print_findings(findings)
+        count = f"{len(files)} document{'s' if len(files) != 1 else ''}"
+        click.echo(f"{count}: {len(newer) or 'none'} of an older version")
+    return CANNOT if findings else FINDINGS if check and newer else DONE

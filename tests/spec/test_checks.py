@@ -1,0 +1,191 @@
+"""Names in tasks, recipes, places and mounts; what `allow` silences; what a merge left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from simfoundry.spec.allow import unused
+from simfoundry.spec.diagnostics import Severity
+from simfoundry.spec.load import load
+
+SCENE = """\
+simfoundry: scene/1
+name: kitchen
+viewpoint: arm
+objects:
+  desk: {fixed: true, shape: {box: [1.4, 0.7, 0.04]}, pose: {xyz: [0.4, 0, -0.02]}}
+  cup: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2, pose: {xyz: [0.4, 0.1, 0.05]}}
+  bowl: {shape: {cylinder: {radius: 0.1, height: 0.02}}, mass: 0.4, place: {on: desk, left_of: cup}}
+  cabinet: {asset: cabinet.asset.yaml, fixed: true, pose: {xyz: [0.6, -0.2, 0.1]}}
+robots:
+  arm: {model: franka_robotiq, joints: {joint1: 0.3}}
+cameras:
+  wrist: {size: [64, 48], fx: 60, fy: 60, mount: arm.hand, pose: {look_at: [0, 0, 1]}}
+"""
+ASSET = """\
+simfoundry: asset/1
+name: cabinet
+links:
+  body: {density: 600, parts: {board: {shape: {box: [0.2, 0.2, 0.02]}}}}
+  tray: {density: 600, parts: {board: {shape: {box: [0.2, 0.2, 0.02]}}}}
+joints:
+  drawer: {type: prismatic, parent: body, child: tray, limits: [0, 0.2]}
+"""
+TASK = """\
+simfoundry: task/1
+name: store
+scene: kitchen.scene.yaml
+instruction: Put the cup in the drawer.
+robots: [arm]
+goal: {all: [Inside(cup, cabinet.drawer), Closed(cabinet.drawer), {not: Grasped(cup, arm)}]}
+subtasks:
+  open: {goal: Open(cabinet.drawer)}
+  place: {goal: Inside(cup, cabinet.tray), start: {joints: {cabinet: {drawer: 0.15}}, place: {cup: {on: desk}}}}
+start: {pose: {bowl: {xyz: [0.2, 0.2, 0.01]}}}
+reset: {objects: {cup: {x: [0.3, 0.5], y: [0, 0.2]}}}
+"""
+COUSINS = """\
+simfoundry: cousins/1
+name: kitchens
+twin: store.task.yaml
+scene: {anchor: bowl, objects: {cup: [LeftOf, Behind]}}
+object: {objects: {bowl: {}}}
+task: {objects: [cup]}
+"""
+FILES = {
+    "kitchen.scene.yaml": SCENE,
+    "cabinet.asset.yaml": ASSET,
+    "store.task.yaml": TASK,
+    "kitchens.cousins.yaml": COUSINS,
+}
+
+
+def found(folder: Path, file: str, right: str = "", wrong: str = "") -> list[tuple[str, int, str]]:
+    """Code, line and message of what is found in ``file`` where ``right`` is replaced by ``wrong``."""
+    for name, text in FILES.items():
+        if name == file and right:
+            assert right in text, right
+        (folder / name).write_text(text.replace(right, wrong) if name == file and right else text)
+    return [(d.code, d.line, d.message) for d in load(folder / file).all_findings()]
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
+    assert found(tmp_path, file) == []
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "code", "line", "words"),
+    [
+        ("{on: desk, left_of", "{on: dsk, left_of", "SF201", 7, "no object is called `dsk`"),
+        ("left_of: cup", "left_of: cpu", "SF201", 7, "no object is called `cpu`"),
+        ("left_of: cup", "left_of: bowl", "SF208", 7, "depends on itself: `bowl` → `bowl`"),
+        ("{on: desk, left", "{on: cabinet.shelf, left", "SF201", 7, "no link or joint of `cabinet`"),
+        ("{on: desk, left", "{on: cup.rim, left", "SF201", 7, "`cup` has no parts"),
+        ("left_of: cup}", "gap: 0.1}", "SF107", 7, "`gap` is for"),
+        ("left_of: cup}", "left_of: cup, right_of: cup}", "SF107", 7, "give one of `left_of`, `right_of`"),
+        ("left_of: cup}", "xy: [0, 0], left_of: cup}", "SF107", 7, "give one of `xy`, `at`, `left_of`"),
+        ("franka_robotiq", "franka_robotic", "SF201", 10, "no robot is called `franka_robotic`"),
+        ("joint1", "joint9", "SF201", 10, "no joint of `franka_robotiq` is called `joint9`"),
+        ("franka_robotiq, joints: {joint1: 0.3}", "{mjcf: arm.xml}", "SF203", 10, "there is no file `arm.xml`"),
+        ("franka_robotiq, joints: {joint1: 0.3}", "{}", "SF107", 10, "one of `mjcf`, `urdf`, `usd`"),
+        ("arm.hand", "arm.hnd", "SF201", 12, "no link of `arm` is called `hnd`"),
+        ("arm.hand", "leg.hand", "SF201", 12, "no robot or object is called `leg`"),
+        ("viewpoint: arm", "viewpoint: are", "SF201", 3, "no camera or robot is called `are`"),
+    ],
+)
+def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
+    ((got_code, got_line, message),) = found(tmp_path, "kitchen.scene.yaml", right, wrong)
+    assert (got_code, got_line) == (code, line)
+    assert words in message
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "code", "line", "words"),
+    [
+        ("kitchen.scene", "kitchn.scene", "SF203", 3, "there is no file `kitchn.scene.yaml`"),
+        ("kitchen.scene.yaml", "cabinet.asset.yaml", "SF006", 3, "of another kind"),
+        ("robots: [arm]", "robots: [leg]", "SF201", 5, "no robot is called `leg`"),
+        ("Grasped(cup, arm)", "Grasped(cup, leg)", "SF201", 6, "no robot is called `leg`"),
+        ("Closed(cabinet.drawer)", "Closed(cup)", "SF201", 6, "`cup` has no joints"),
+        ("Closed(cabinet.drawer)", "Closed(cabinet.door)", "SF201", 6, "no joint of `cabinet` is called `door`"),
+        ("Closed(cabinet.drawer)", "Shut(cabinet.drawer)", "SF202", 6, "`Shut` is not a predicate"),
+        ("Closed(cabinet.drawer)", "At(cup, 0.4)", "SF202", 6, "`At` takes 3 or 4 arguments, not 2"),
+        ("Closed(cabinet.drawer)", "At(cup, x, 0.4)", "SF202", 6, "`x` is not a number"),
+        ("{not: Grasped(cup, arm)}", "{not: {all: []}}", "SF404", 6, "lists nothing succeeds at once"),
+        ("{not: Grasped(cup, arm)}", "{any: []}", "SF404", 6, "lists nothing never succeeds"),
+        ("{drawer: 0.15}", "{drawer: 0.25}", "SF205", 9, "outside its limits"),
+        ("{drawer: 0.15}", "{door: 0.15}", "SF201", 9, "no joint is called `door`"),
+        ("{cup: {on: desk}}", "{desk: {on: cup}}", "SF107", 9, "`desk` is fixed in the scene"),
+        ("{cup: {on: desk}}", "{cup: {on: cup}}", "SF208", 9, "depends on itself"),
+        ("{objects: {cup: {x: [0.3", "{objects: {cup: {x: [0.6", "SF104", 11, "the lower end"),
+        ("{objects: {cup: {x", "{objects: {mug: {x", "SF201", 11, "no object is called `mug`"),
+    ],
+)
+def test_slips_in_a_task(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
+    ((got_code, got_line, message),) = found(tmp_path, "store.task.yaml", right, wrong)
+    assert (got_code, got_line) == (code, line)
+    assert words in message
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "code", "line", "words"),
+    [
+        ("store.task", "stor.task", "SF203", 3, "there is no file"),
+        ("anchor: bowl", "anchor: bowls", "SF201", 4, "no object is called `bowls`"),
+        ("anchor: bowl", "anchor: cup", "SF107", 4, "`cup` is the anchor"),
+        ("{cup: [LeftOf, Behind]}", "{desk: [LeftOf]}", "SF107", 4, "`desk` is fixed"),
+        ("[LeftOf, Behind]", "[]", "SF105", 4, "no predicate is allowed"),
+        ("[LeftOf, Behind]", "[LeftOf, Beside]", "SF106", 4, "`Beside` is not valid here"),
+        ("{bowl: {}}", "{bowls: {}}", "SF201", 5, "no object is called `bowls`"),
+        ("[cup]", "[cupp]", "SF201", 6, "no object is called `cupp`"),
+    ],
+)
+def test_slips_in_a_recipe(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
+    ((got_code, got_line, message),) = found(tmp_path, "kitchens.cousins.yaml", right, wrong)
+    assert (got_code, got_line) == (code, line)
+    assert words in message
+
+
+FOAM = """\
+simfoundry: scene/1
+name: foam
+objects:
+  block: {shape: {box: [0.1, 0.1, 0.1]}, density: 3, fixed: true}
+  brick: {shape: {box: [0.1, 0.1, 0.1]}, density: 3, fixed: true, pose: {xyz: [1, 0, 0]}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("allow", "left", "idle"),
+    [
+        ("", {"objects.block.density", "objects.brick.density"}, set()),
+        ("allow: {SF402: aerogel}\n", set(), set()),
+        ("allow: {SF402: {block: aerogel}}\n", {"objects.brick.density"}, set()),
+        ("allow: {SF402: {block: aerogel, brock: aerogel}}\n", {"objects.brick.density"}, {"allow.SF402.brock"}),
+        ("allow: {SF401: keep}\n", {"objects.block.density", "objects.brick.density"}, {"allow.SF401"}),
+    ],
+)
+def test_a_warning_is_silenced_with_a_reason(tmp_path: Path, allow: str, left: set[str], idle: set[str]) -> None:
+    path = tmp_path / "a.scene.yaml"
+    path.write_text(FOAM + allow)
+    loaded = load(path)
+    assert loaded.spec is not None and loaded.document is not None
+    assert {d.path for d in loaded.findings} == left
+    assert {d.path for d in unused(loaded.document, loaded.spec.allow, loaded.silenced)} == idle
+
+
+def test_an_error_cannot_be_silenced(tmp_path: Path) -> None:
+    path = tmp_path / "a.scene.yaml"
+    path.write_text(FOAM.replace("density: 3, fixed: true}", "fixed: true, material: foam}") + "allow: {SF201: why}\n")
+    assert [d.code for d in load(path).errors] == ["SF201"]
+
+
+def test_a_conflict_is_an_error_until_it_is_decided(tmp_path: Path) -> None:
+    path = tmp_path / "a.scene.yaml"
+    path.write_text(FOAM + "conflicts:\n  objects.block.density: {base: 2, ours: 3, theirs: 4}\n")
+    (error,) = load(path).errors
+    assert (error.code, error.line, error.severity) == ("SF209", 7, Severity.ERROR)
+    assert error.message == "`objects.block.density` is left to decide: ours `3`, theirs `4`"
