@@ -295,7 +295,7 @@ def test_git_diff_shows_documents_that_come_and_go(repository: Repository) -> No
     repository.git("add", "--all")
     assert repository.git("diff", "HEAD", "--no-renames", driver=True).splitlines() == [
         "bowl.asset.yaml",
-        "  added: 1 joint (slide), 2 links (body, drawer)",
+        "  added: 2 links (body, drawer), 1 joint (slide)",
         "table.scene.yaml",
         "  removed: 1 material (ceramic), 4 objects (desk, cup, bowl, cabinet), 1 camera (front)",
     ]

@@ -59,7 +59,7 @@ ASSET: dict[str, Any] = {
     },
     "joints": {"slide": {"type": "prismatic", "parent": "body", "child": "drawer", "limits": (0, 0.2), "damping": 1}},
 }
-MODELS = {"scene/1": SceneSpec, "task/1": TaskSpec, "asset/1": AssetSpec}
+MODELS: dict[str, type[Model]] = {"scene/1": SceneSpec, "task/1": TaskSpec, "asset/1": AssetSpec}
 UNITS = {("cabinet", "drawer"): "m"}
 
 
@@ -79,7 +79,7 @@ def _changed(document: dict[str, Any], edits: dict[str, Any]) -> dict[str, Any]:
 
 
 def _said(document: dict[str, Any], edits: dict[str, Any], verbose: bool = False) -> tuple[list[str], str]:
-    model: type[Model] = MODELS[document["simfoundry"]]
+    model = MODELS[document["simfoundry"]]
     a, b = (to_data(model.model_validate(d)) for d in (document, _changed(document, edits)))
     entries = describe(a, b, model, UNITS, verbose)
     return text(entries), summary(entries)
