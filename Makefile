@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format goldens schemas proofs lock hooks clean
+.PHONY: help demo test lint format goldens schemas proofs lock hooks pictures clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
@@ -41,6 +41,9 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 
 schemas: $(READY) ## Write schemas/, docs/reference.md and docs/findings.md from simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
+
+pictures: $(READY) ## Render the pictures of specs/README.md anew
+	$(BIN)/python specs/render_pictures.py
 
 goldens: $(READY) ## Write the expected texts of the tests anew; review the diff
 	$(BIN)/python -m pytest -n $(WORKERS) --update-goldens

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -24,6 +25,9 @@ _BLOCKS = ("objects", "links", "frames")
 
 _PREDICATES = ("relations", "goal", "all", "any", "not")
 """Keys whose texts are predicates, as ``OnTop(cup, desk)``."""
+
+_PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
+"""A predicate of more than one thing."""
 
 Line = tuple[str, str]
 """A line and the comment beside it, which may be empty."""
@@ -111,9 +115,10 @@ def _spelled(tree: Tree, predicate: bool) -> Tree:
 
 
 def _collect_blocks(tree: Tree, blocks: set[int]) -> bool:
-    """Collect what cannot be written on one line: it holds a comment, or a text of several lines.
+    """Collect what cannot be written on one line: it holds a comment, a text of several lines, or a predicate.
 
-    Returns whether what holds the tree is of that kind because of it.
+    Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
+    whether what holds the tree is of that kind because of it.
     """
     value = tree.value
     inside = bool(value) and bool(tree.end)
@@ -125,6 +130,8 @@ def _collect_blocks(tree: Tree, blocks: set[int]) -> bool:
             inside |= _collect_blocks(child, blocks)
     elif isinstance(value, str):
         inside = "\n" in value and literal(value) is not None
+        if _PAIR.match(value):
+            return True
     if inside:
         blocks.add(id(tree))
     return inside or bool(tree.above) or bool(tree.beside) or bool(tree.end)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from simfoundry.assets.convex import hull
 from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.hulls import PROUD
-from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, SceneObject, Sphere
+from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
 from simfoundry.spec.place import Place
 from tests.placing import (
@@ -119,16 +119,20 @@ def test_nothing_interpenetrates_and_nothing_floats(
     carrier_rpy: tuple[float, float, float],
     xy: tuple[float, float],
 ) -> None:
-    """The distance of the two in MuJoCo is that of the clearance, along the slope of what they touch."""
+    """MuJoCo sees them at most the clearance apart, and touching as soon as that is taken away.
+
+    The prism around a cylinder may touch in its place. What is narrowed by a part in a million may sink in by that.
+    """
     under = solid("under", carrier, Pose.of([0, 0, 0.4], rotation(carrier_rpy)))
     try:
         over = put(solid("over", thing, pose(0, 0, 0)), Place(on="under", xy=xy, rpy_deg=rpy), under)
     except PlaceError as error:
         assert "is not above `under`" in error.message
         assume(False)
-    assert 0 <= distance(over, under) <= 2e-4
-    lower = replace(over, X_WO=Pose.of(over.X_WO.p - [0, 0, CLEARANCE + 2 * PROUD + 1e-5], over.X_WO.q))
-    assert distance(lower, under) <= 2e-6 or _beside_one_another(over, under)
+    assert -3e-7 <= distance(over, under) <= 2e-4 + ROUNDING
+    lower = replace(over, X_WO=Pose.of(over.X_WO.p - [0, 0, CLEARANCE + ROUNDING], over.X_WO.q))
+    cylinders = sum(isinstance(shape, Cylinder) for shape in (thing, carrier))
+    assert distance(lower, under) <= PROUD * cylinders + ROUNDING
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
@@ -144,12 +148,6 @@ def test_meshes_of_many_corners_touch_and_do_not_interpenetrate(seed: int, xy: t
         assume(False)
     assert 0 <= distance(over, under) <= CLEARANCE + 1e-6
     assert 0 < vertical_gap(over, under) <= CLEARANCE + 2e-6
-
-
-def _beside_one_another(a: SceneObject, b: SceneObject) -> bool:
-    """Whether they overlap in the plane by less than a hair, so that lowering one hardly brings them closer."""
-    below = replace(a, X_WO=Pose.of([*a.X_WO.p[:2], b.X_WO.p[2]], a.X_WO.q))
-    return distance(below, b) > -1e-4
 
 
 def test_a_tip_on_the_middle_of_a_face_where_its_triangles_meet() -> None:

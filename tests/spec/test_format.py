@@ -203,7 +203,7 @@ wobble: 3
         ("'Schüssel (blau)'", "Schüssel (blau)"),
         ('"tab\\there"', '"tab\\there"'),
         ("['a, b', c]", '["a, b", c]'),
-        ("[{b: 'f(x, y)', c: 1}]", "[{b: f(x, y), c: 1}]"),
+        ("[{b: 'a (x, y)', c: 1}]", "[{b: a (x, y), c: 1}]"),
         ("[{b: 'f(x, y', c: 1}]", '[{b: "f(x, y", c: 1}]'),
         (">\n  two\n  lines\n", '"two lines\\n"'),
         ("|\n  two\n  lines\n", "|\n  two\n  lines"),
@@ -226,7 +226,7 @@ def test_predicates_are_spelled_alike_wherever_they_stand() -> None:
     )
     assert check(text) == (
         "simfoundry: task/1\n\ngoal:\n  all:\n    - OnTop(a, b)\n    - {not: Open(c.d)}\n"
-        "\nsubtasks:\n  x: {goal: At(a, 0.5, 1)}\n"
+        "\nsubtasks:\n  x:\n    goal: At(a, 0.5, 1)\n"
     )
 
 
