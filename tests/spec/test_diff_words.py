@@ -178,6 +178,7 @@ GOLDEN = [
         ["camera left turned 46.0° about (-0.20, -0.08, 0.98)"],
         "1 moved",
     ),
+    (SCENE, {"description": "tidy"}, ['description now "tidy"'], "description changed"),
     (SCENE, {"lights.sky.intensity": 0.9}, ["light sky: intensity 0.5 → 0.9"], "1 changed"),
     (
         SCENE,

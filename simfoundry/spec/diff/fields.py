@@ -15,8 +15,6 @@ Path_ = tuple[str, ...]
 INHERITED = ("density", "friction", "restitution", "color")
 """What a body has from its material where it does not say it itself."""
 
-FREE_TEXTS = ("description", "instruction", "note")
-
 _CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "at")
 
 
@@ -157,8 +155,6 @@ class Describing:
         if self._has_default(path):
             old, new = (old if was else 0.0), (new if is_ else 0.0)
             return f"{label} {values.pair(key, old, new, unit)}"
-        if key in FREE_TEXTS and was and is_:
-            return f"{label} {values.pair(key, old, new)}"
         if was and is_ and not isinstance(old, dict) and not isinstance(new, dict):
             return f"{label} {values.pair(key, old, new, unit)}"
         left = self._side(path, old, was, self.a, unit if not (was and is_) else "")
