@@ -323,6 +323,15 @@ def test_git_diff_falls_back_to_plain_text(repository: Repository, broken: str) 
     assert repository.git("diff", driver=True) == out
 
 
+def test_git_diff_of_a_link(repository: Repository) -> None:
+    """A document that became a link, to nowhere at that, is a change of text."""
+    _attributes(repository)
+    (repository.folder / "table.scene.yaml").unlink()
+    (repository.folder / "table.scene.yaml").symlink_to("nowhere.scene.yaml")
+    out = repository.git("diff", driver=True)
+    assert "-simfoundry: scene/1\n" in out and "+nowhere.scene.yaml\n" in out
+
+
 def test_git_diff_of_a_merge_conflict(repository: Repository) -> None:
     _attributes(repository)
     assert run("diff", "--git", "table.scene.yaml").out == "* unmerged: table.scene.yaml\n"

@@ -340,7 +340,7 @@ def test_half_a_turn_has_an_axis(axis: tuple[float, float, float]) -> None:
     assert "-180" not in words(found)[0]
 
 
-@settings(max_examples=150, derandomize=True, deadline=None)
+@settings(max_examples=80, derandomize=True, deadline=None)
 @given(st.tuples(SCENES, SCENES) | st.tuples(ASSETS, ASSETS))
 def test_every_change_is_said(pair: tuple[Model, Model]) -> None:
     """No change goes unsaid, and what is the same has no words."""
