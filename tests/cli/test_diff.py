@@ -324,12 +324,12 @@ def test_git_diff_falls_back_to_plain_text(repository: Repository, broken: str) 
 
 
 def test_git_diff_of_a_link(repository: Repository) -> None:
-    """A document that became a link, to nowhere at that, is a change of text."""
+    """A document that became a link, to nowhere at that: git shows one removed and one added."""
     _attributes(repository)
     (repository.folder / "table.scene.yaml").unlink()
     (repository.folder / "table.scene.yaml").symlink_to("nowhere.scene.yaml")
     out = repository.git("diff", driver=True)
-    assert "-simfoundry: scene/1\n" in out and "+nowhere.scene.yaml\n" in out
+    assert "  removed: 1 material (ceramic)" in out and "\n+nowhere.scene.yaml\n" in out
 
 
 def test_git_diff_of_a_merge_conflict(repository: Repository) -> None:
