@@ -288,7 +288,6 @@ def test_there_are_specs() -> None:
 
 def test_no_spec_of_the_project_has_a_diagnostic(server: Server) -> None:
     """Under the line that names their schema, where they have one: it must lead there."""
-    found = {}
     for path in SPECS:
         text = path.read_text(encoding="utf-8")
         named = re.search(r"^# yaml-language-server: \$schema=(\S+)$", text, re.MULTILINE)
@@ -300,7 +299,7 @@ def test_no_spec_of_the_project_has_a_diagnostic(server: Server) -> None:
         else:
             assert (path.parent / named[1]).is_file(), path
         server.open(path, text)
-        found[str(path)] = [problem["message"] for problem in server.diagnostics(path)]
+    found = {str(path): [problem["message"] for problem in server.diagnostics(path)] for path in SPECS}
     assert {path: problems for path, problems in found.items() if problems} == {}
 
 
