@@ -93,8 +93,10 @@ class CameraPose(Model):
 class Estimate(Model):
     """A number that was estimated, not measured."""
 
-    value: Positive = Field(description="The value to use.")
-    range: tuple[Positive, Positive] | None = Field(None, description="The lowest and highest plausible value.")
+    value: Positive = Field(description="The value to use [kg, or kg/m^3].")
+    range: tuple[Positive, Positive] | None = Field(
+        None, description="The lowest and highest plausible value [kg, or kg/m^3]."
+    )
     by: str = Field("unknown", max_length=64, description="Who or what estimated it.")
 
     @model_validator(mode="after")
