@@ -33,8 +33,8 @@ class MeshFacts:
     """A mesh in the units of its file, z up.
 
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
-    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull, which has the corners ``hull``,
-    at most 64, and none where the mesh is flat.
+    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull, of which ``hull`` has at most
+    64 corners, and none where the mesh is flat.
     """
 
     size: float
@@ -63,7 +63,7 @@ def mesh_facts(path: Path, cache: Cache | None = None) -> MeshFacts:
         stat = path.stat()
     except OSError as error:
         raise _unreadable(path, error) from None
-    return _facts(path, stat.st_size, stat.st_mtime_ns, cache or Cache.default())
+    return _facts(path, (stat.st_size, stat.st_mtime_ns), cache or Cache.default())
 
 
 def _unreadable(path: Path, error: OSError) -> MeshError:
@@ -71,8 +71,9 @@ def _unreadable(path: Path, error: OSError) -> MeshError:
 
 
 @lru_cache(maxsize=4096)
-def _facts(path: Path, size: int, changed: int, cache: Cache) -> MeshFacts:
-    """The facts of a file that has this size [B] and was changed at this time; many things are made of one mesh."""
+def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
+    """The facts of a file of this size [B], changed at this time [ns]; many things are made of one mesh."""
+    size, _ = version
     if size > MAX_BYTES:
         raise too_large(path.name, size)
     try:

@@ -14,7 +14,6 @@ import click
 from simfoundry import __version__
 
 
-
 def _postpone(name: str) -> None:
     """Load a module of the standard library only when something of it is used, not when it is imported."""
     spec = importlib.util.find_spec(name)

@@ -1,1 +1,1 @@
-"""Lints: what a document says that is allowed, and yet will not work; judged on a sketch, without opening a simulator."""
+"""Lints: what a document may say, and what yet will not work; judged on a sketch, without a simulator."""

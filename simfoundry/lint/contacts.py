@@ -17,6 +17,9 @@ DEEP = 0.002
 HOVERING = 0.005
 """What hangs lower than this over its support [m] comes down without a bounce that matters."""
 
+STEEPEST = 1.5
+"""What comes free when it is raised by no more than this many times the depth has sunk in from above."""
+
 MOST_PAIRS = 20_000
 """Pairs of things whose bounds overlap that are looked at in one scene; only a heap without order has as many."""
 
@@ -59,10 +62,12 @@ def _overlap(loaded: Loaded, a: Thing, b: Thing, depth: float) -> Diagnostic:
     """The finding at what can be moved, of two the later."""
     moved, other = (a, b) if b.fixed else (b, a)
     message = f"`{moved.name}` and `{other.name}` overlap by {length(depth)}"
-    hint = "move one of them; where they shall touch like this, say so: `allow: {SF410: {NAME: why}}`"
-    return warning(
-        loaded, "SF410", where(loaded, moved.name), message, hint.replace("NAME", moved.name), (other.name,)
-    )
+    raised = landing_on(moved, other.touching)
+    hint = "move one of them away from the other"
+    if raised is not None and 0 < raised <= STEEPEST * depth:
+        hint = f"raise `{moved.name}` by {length(raised)}, to z = {number(moved.X_WO.p[2] + raised)}"
+    hint += f"; what shall be like this is `allow: {{SF410: {{{moved.name}: why}}}}`"
+    return warning(loaded, "SF410", where(loaded, moved.name), message, hint, (other.name,))
 
 
 def _neighbours(things: Sequence[Thing]) -> Iterator[tuple[Thing, Thing]]:
@@ -119,11 +124,12 @@ def carries(thing: Thing, other: Thing) -> bool:
 
 
 def _meets(p: Piece, q: Piece) -> bool:
+    """Whether p meets q on its way down; q is under p if p would rather have to be lowered than raised to pass it."""
     raised = lift(p, q)
     if raised is None or raised < -HOVERING - CLOSE:
         return False
     below = lift(p, q, -1.0)
-    return below is not None and below <= DEEP
+    return below is not None and below + raised < 0
 
 
 class _Carriers:

@@ -1,4 +1,4 @@
-"""Convex pieces: their bounds, how far they reach, how deep two interpenetrate, and how far one can fall onto another."""
+"""Convex pieces: their bounds, how deep two of them interpenetrate, and how far one can fall onto another."""
 
 from __future__ import annotations
 
@@ -54,15 +54,17 @@ class Piece(NamedTuple):
         )
         return cls(points, 0.0, radii, axis, low, high)
 
-    def moved(self, X: Frame) -> Piece:
+    def moved(self, X_AB: Frame) -> Piece:
         """The same piece, given in the frame B, in the frame A of ``X_AB``."""
-        a, b, c, d, e, f, g, h, i = X.r
-        px, py, pz = X.p
+        a, b, c, d, e, f, g, h, i = X_AB.r
+        px, py, pz = X_AB.p
         points = [
             (a * x + b * y + c * z + px, d * x + e * y + f * z + py, g * x + h * y + i * z + pz)
             for x, y, z in self.points
         ]
-        return Piece.of_discs(points, self.radii, X.turn(self.axis)) if self.radii else Piece.of(points, self.margin)
+        if self.radii:
+            return Piece.of_discs(points, self.radii, X_AB.turn(self.axis))
+        return Piece.of(points, self.margin)
 
     def support(self, n: Vec) -> Vec:
         """A point of the piece that lies farthest in the direction ``n``."""
@@ -96,8 +98,8 @@ class Piece(NamedTuple):
 
 def apart(a: Piece, b: Piece, gap: float = 0.0) -> bool:
     """Whether the bounds of two pieces are more than ``gap`` apart, or with a negative one overlap by less."""
-    (ax, ay, az), (aX, aY, aZ), (bx, by, bz), (bX, bY, bZ) = a.low, a.high, b.low, b.high
-    return bx - aX > gap or ax - bX > gap or by - aY > gap or ay - bY > gap or bz - aZ > gap or az - bZ > gap
+    (x0, y0, z0), (x1, y1, z1), (u0, v0, w0), (u1, v1, w1) = a.low, a.high, b.low, b.high
+    return u0 - x1 > gap or x0 - u1 > gap or v0 - y1 > gap or y0 - v1 > gap or w0 - z1 > gap or z0 - w1 > gap
 
 
 def penetration(a: Piece, b: Piece, ignored: float = 0.0) -> float:

@@ -113,9 +113,7 @@ def _is_crossed(corners: tuple[Point, ...]) -> bool:
         return True
     sides = list(pairwise((*ring, ring[0])))
     n = len(sides)
-    return any(
-        _meet(*sides[i], *sides[j]) for i in range(n) for j in range(i + 2, n) if (i, j) != (0, n - 1)
-    )
+    return any(_meet(*sides[i], *sides[j]) for i in range(n) for j in range(i + 2, n) if (i, j) != (0, n - 1))
 
 
 def _meet(a: Point, b: Point, c: Point, d: Point) -> bool:

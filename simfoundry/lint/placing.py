@@ -65,7 +65,8 @@ def _placed(thing: Thing, place: Place, done: Mapping[str, Thing], viewer: Frame
     z = carrier.high[2] - held.low[2] if raised is None else raised
     exact = raised is not None and thing.sure and carrier.sure and carrier.exact and place.inside is None
     X_WO = Frame(upright.X_WO.r, (x, y, z + CLEARANCE))
-    return replace(upright, X_WO=X_WO, carrier=place.on or place.inside or "", inside=place.inside is not None, exact=exact)
+    inside = place.inside is not None
+    return replace(upright, X_WO=X_WO, carrier=place.on or place.inside or "", inside=inside, exact=exact)
 
 
 def _position(
@@ -97,11 +98,11 @@ def _position(
     return along[0] * ax + along[1] * lx, along[0] * ay + along[1] * ly
 
 
-def _middle(pieces: tuple[Piece, ...], X: Frame) -> Vec:
+def _middle(pieces: tuple[Piece, ...], X_WF: Frame) -> Vec:
     """The middle of the bounds of pieces along the axes of a frame, in the world."""
-    spans = [extent(pieces, X.axis(k)) for k in range(3)]
+    spans = [extent(pieces, X_WF.axis(k)) for k in range(3)]
     if not all(math.isfinite(v) for span in spans for v in span):
         return middle(*bounds(pieces))
     mid = [(low + high) / 2 for low, high in spans]
-    x, y, z = (sum(mid[k] * X.axis(k)[i] for k in range(3)) for i in range(3))
+    x, y, z = (sum(mid[k] * X_WF.axis(k)[i] for k in range(3)) for i in range(3))
     return x, y, z

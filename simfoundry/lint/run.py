@@ -13,8 +13,8 @@ from simfoundry.spec.loaded import Loaded
 def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...]:
     """The findings of a document without errors and of those that it uses, each document once.
 
-    What its ``allow`` silences is left out; an entry of it that silences nothing is a finding. Documents in ``seen`` are passed
-    over; those that are looked at are added to it.
+    What its ``allow`` silences is left out; an entry of it that silences nothing is a finding. Documents in ``seen``
+    are passed over; those that are looked at are added to it.
     """
     seen = set() if seen is None else seen
     path = loaded.path.absolute()

@@ -89,7 +89,7 @@ def sketch(loaded: Loaded, changes: Changes = UNCHANGED) -> Sketch:
         place = changes.place.get(name, item.place if X_WO is None else None)
         if place is not None:
             places[name] = place
-        limbs, joints = _limbs(loaded, spec, name, item, changes.joints.get(name, {}), assets)
+        limbs, joints = _limbs(loaded, item, changes.joints.get(name, {}), assets)
         standing[name] = Thing(name, item.fixed, X_WO or frame_of(item.pose), limbs, joints)
     viewer = _viewer(spec, standing)
     things = place_all(standing, places, viewer) if places else standing
@@ -104,13 +104,13 @@ def _eye(camera: CameraSpec, things: Mapping[str, Thing]) -> Frame | None:
     """The pose of a camera in the world; None for one that rides on a robot."""
     own = camera.pose
     if own.look_at is not None:
-        X = looking(own.xyz, own.look_at)
+        X_MC = looking(own.xyz, own.look_at)
     else:
-        X = Frame(turned(own.quat_wxyz or (1.0, 0.0, 0.0, 0.0)), own.xyz)
+        X_MC = Frame(turned(own.quat_wxyz or (1.0, 0.0, 0.0, 0.0)), own.xyz)
     if camera.mount is None:
-        return X
+        return X_MC
     carrier, _, link = camera.mount.partition(".")
-    return things[carrier].limb_frame(link) @ X if carrier in things else None
+    return things[carrier].limb_frame(link) @ X_MC if carrier in things else None
 
 
 def _viewer(spec: SceneSpec, things: Mapping[str, Thing]) -> Frame:
@@ -137,8 +137,6 @@ def _viewer(spec: SceneSpec, things: Mapping[str, Thing]) -> Frame:
 
 def _limbs(
     loaded: Loaded,
-    spec: SceneSpec,
-    name: str,
     item: ObjectSpec,
     start: Mapping[str, float | Degrees],
     assets: dict[tuple[str, tuple[tuple[str, float], ...]], dict[str, Limb]],
@@ -176,11 +174,11 @@ def _links(asset: Loaded, spec: AssetSpec, joints: Mapping[str, Turn]) -> Iterat
         link = spec.links[name]
         solids: list[tuple[Solid, Frame]] = []
         for part in link.parts.values():
-            X = frame_of(part.pose)
+            X_LP = frame_of(part.pose)
             if part.shape is not None:
-                solids.append((solid_of(part.shape), X))
+                solids.append((solid_of(part.shape), X_LP))
             else:
-                solids += [(solid, X) for solid in _mesh(asset.file(part.mesh or ""), part.scale, link)]
+                solids += [(solid, X_LP) for solid in _mesh(asset.file(part.mesh or ""), part.scale, link)]
         yield name, Limb(frames[name], tuple(solids), link.collision != "none")
         for joint_name, joint in spec.joints.items():
             if joint.parent == name and joint.child not in frames:
@@ -212,5 +210,3 @@ def _mesh(file: Path, scale: float, body: Body) -> tuple[Solid, ...]:
     filled = facts.volume / facts.hull_volume if facts.hull_volume > 0 else 0.0
     sure = body.collision == "hull" or (not facts.gaps and filled >= NEARLY_CONVEX)
     return (hull_of_points(facts.hull, scale, sure),)
-
-

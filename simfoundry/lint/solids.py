@@ -1,8 +1,8 @@
 """Shapes as convex pieces: boxes, balls, cylinders and capsules exactly, lathes and prisms cut into pieces.
 
-A lathe is cut at the heights of its corners; what reaches the axis is a frustum, a ring is cut into ``SECTORS``. Both are
-no wider than what the simulators get. A mesh is its hull of at most 64 corners; where it is not nearly convex it is not ``sure``: what
-lies within the hull may lie in a hollow.
+A lathe is cut at the heights of its corners; what reaches the axis is a frustum, a ring is cut into ``SECTORS``. Both
+are no wider than what the simulators get. A mesh is its hull of at most 64 corners; where it is not nearly convex it is
+not ``sure``: what lies within the hull may lie in a hollow.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ SECTORS = 16
 """Sectors of a ring; as in :mod:`simfoundry.assets.lathe`."""
 
 FLATTEST = math.cos(math.pi / 12)
-"""Simulators get a frustum as a body of 12 to 24 sides with its corners on the circle; between two corners the radius is
-short by at most this factor, and what stands there does not touch it."""
+"""Simulators get a frustum as a body of 12 to 24 sides with its corners on the circle; between two corners the radius
+is short by at most this factor, and what stands there does not touch it."""
 
 THINNEST = 1e-6
 """Slices and pieces thinner than this [m] are left out."""
@@ -71,9 +71,9 @@ def solid_of(shape: Shape) -> Solid:
     return Solid(_standing(shape.prism.outline, shape.prism.height), shape)
 
 
-def posed(solid: Solid, X: Frame) -> tuple[Piece, ...]:
+def posed(solid: Solid, X_AB: Frame) -> tuple[Piece, ...]:
     """The pieces of a solid in another frame."""
-    return tuple(piece.moved(X) for piece in solid.pieces)
+    return tuple(piece.moved(X_AB) for piece in solid.pieces)
 
 
 def _standing(outline: tuple[Point, ...] | list[Point], height: float) -> Piece:

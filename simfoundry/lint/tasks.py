@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 from simfoundry.lint.frames import frame_of
-from simfoundry.lint.report import Path_, length, warning
+from simfoundry.lint.report import Path_, length, number, warning
 from simfoundry.lint.sketch import Changes, Sketch, sketch
 from simfoundry.lint.things import Thing
 from simfoundry.lint.verdicts import judge, verdict
@@ -219,7 +219,7 @@ def _span(thing: Thing, k: int) -> tuple[float, float]:
 
 def _far_finding(loaded: Loaded, path: Path_, name: str, base: _Base, distance: float) -> Diagnostic:
     quoted = f"`{name}" if "`" in name else f"`{name}`"
-    message = f"{quoted} is {distance:.2f} m from `{base.name}`, which reaches {base.reach:.2f} m"
+    message = f"{quoted} is {distance:.2f} m from `{base.name}`, which reaches {number(base.reach)} m"
     hint = f"bring the two {length(distance - base.reach)} closer; `reach` says how far a robot can grasp"
     about = (name.partition("`")[0].partition(".")[0], base.name)
     return warning(loaded, "SF408", path, message, hint, about)

@@ -12,7 +12,7 @@ from simfoundry.lint.frames import Frame, Vec
 from simfoundry.lint.solids import Solid, posed
 
 FARTHEST = 1e6
-"""What lies farther from the origin than this [m], or is larger, is left to other findings: numbers lose their meaning."""
+"""What lies farther from the origin than this [m], or is larger, is not judged: numbers lose their meaning there."""
 
 
 @dataclass(frozen=True, eq=False)

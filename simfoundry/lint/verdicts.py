@@ -74,11 +74,10 @@ def verdict(call: Call, drawn: Sketch) -> Verdict:
         return OPEN
     if len(things) > 1 and call.kinds[1] == "thing" and (things[1] is None or not things[1].usable):
         return OPEN
-    return _RULES.get(call.predicate, _open)(call, drawn)
-
-
-def _open(call: Call, drawn: Sketch) -> Verdict:
-    return OPEN
+    if call.predicate in _AT_THE_START:
+        value, why = _AT_THE_START[call.predicate]
+        return Verdict(value, why.format(call.args[0]))
+    return _RULES[call.predicate](call, drawn)
 
 
 class _Side(NamedTuple):
@@ -172,16 +171,16 @@ def _inside(call: Call, drawn: Sketch) -> Verdict:
 
 
 _DIRECTIONS = {
-    "LeftOf": (1, 1.0, "right of"),
-    "RightOf": (1, -1.0, "left of"),
-    "Behind": (0, 1.0, "in front of"),
-    "InFrontOf": (0, -1.0, "behind"),
+    "LeftOf": (1, 1.0, "left of", "right of"),
+    "RightOf": (1, -1.0, "right of", "left of"),
+    "Behind": (0, 1.0, "behind", "in front of"),
+    "InFrontOf": (0, -1.0, "in front of", "behind"),
 }
-"""The axis of the viewer's frame (0 away, 1 left), the sign along it, and the opposite in words."""
+"""The axis of the viewer's frame (0 away, 1 left), the sign along it, the direction and its opposite in words."""
 
 
 def _direction(call: Call, drawn: Sketch) -> Verdict:
-    axis, sign, opposite = _DIRECTIONS[call.predicate]
+    axis, sign, word, opposite = _DIRECTIONS[call.predicate]
     a, b = _sides(call, drawn)
     x, y, z = drawn.viewer.axis(axis)
     n = (sign * x, sign * y, sign * z)
@@ -191,7 +190,7 @@ def _direction(call: Call, drawn: Sketch) -> Verdict:
         seen = f", seen from `{viewpoint}`" if viewpoint is not None else ""
         return Verdict(False, f"`{a.name}` is {length(-d)} {opposite} `{b.name}`{seen}")
     apart = extent(a.thing.part(a.link), n)[0] - extent(b.thing.part(b.link), n)[1]
-    return Verdict(True, f"`{a.name}` is {length(apart)} away from `{b.name}`") if apart > LEVEL else OPEN
+    return Verdict(True, f"`{a.name}` is {length(d)} {word} `{b.name}`") if apart > LEVEL else OPEN
 
 
 def _above(call: Call, drawn: Sketch) -> Verdict:
@@ -272,14 +271,6 @@ def _joint(call: Call, drawn: Sketch) -> Verdict:
     return Verdict(True, f"`{call.args[0]}` is {call.predicate.lower()}")
 
 
-def _not_yet(call: Call, drawn: Sketch) -> Verdict:
-    return Verdict(False, f"no robot has moved `{call.args[0]}` yet")
-
-
-def _released(call: Call, drawn: Sketch) -> Verdict:
-    return Verdict(True, f"no robot touches `{call.args[0]}`")
-
-
 _RULES: dict[str, Callable[[Call, Sketch], Verdict]] = {
     "OnTop": _on_top,
     "Inside": _inside,
@@ -290,6 +281,11 @@ _RULES: dict[str, Callable[[Call, Sketch], Verdict]] = {
     "At": _at,
     "Upright": _upright,
     **dict.fromkeys(("Open", "Closed"), _joint),
-    **dict.fromkeys(("Grasped", "Lifted"), _not_yet),
-    "Released": _released,
 }
+
+_AT_THE_START = {
+    "Grasped": (False, "no robot holds `{}` yet"),
+    "Lifted": (False, "no robot has lifted `{}` yet"),
+    "Released": (True, "no robot touches `{}`"),
+}
+"""What is so before a robot has moved."""
