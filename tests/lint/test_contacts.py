@@ -28,14 +28,16 @@ RESTING = {
     """,
     "a leaning board": f"""
         box: {{{BOX}, pose: {{xyz: [0, 0, 0.05]}}}}
-        board: {{shape: {{box: [0.4, 0.1, 0.01]}}, mass: 0.2, pose: {{xyz: [-0.1386, 0, 0.0732], rpy_deg: [0, -20, 0]}}}}
+        board: {{shape: {{box: [0.4, 0.1, 0.01]}}, mass: 1, pose: {{xyz: [-0.1386, 0, 0.0732], rpy_deg: [0, -20, 0]}}}}
     """,
-    "a stack": "\n".join(f"b{k}: {{{BOX}, pose: {{xyz: [0, 0, {0.05 + 0.1 * k}], yaw_deg: {30 * k}}}}}" for k in range(6)),
+    "a stack": "\n".join(
+        f"b{k}: {{{BOX}, pose: {{xyz: [0, 0, {0.05 + 0.1 * k}], yaw_deg: {30 * k}}}}}" for k in range(6)
+    ),
     "a thing over the edge": f"box: {{{BOX}, pose: {{xyz: [1.03, 0, 0.05]}}}}",
     "side by side": f"a: {{{BOX}, pose: {{xyz: [0, 0, 0.05]}}}}\nb: {{{BOX}, pose: {{xyz: [0.1, 0, 0.05]}}}}",
-    "crossing fixtures": f"""
-        post: {{fixed: true, shape: {{box: [0.1, 0.1, 2]}}}}
-        rail: {{fixed: true, shape: {{box: [2, 0.1, 0.1]}}, pose: {{xyz: [0, 0, 0.5]}}}}
+    "crossing fixtures": """
+        post: {fixed: true, shape: {box: [0.1, 0.1, 2]}}
+        rail: {fixed: true, shape: {box: [2, 0.1, 0.1]}, pose: {xyz: [0, 0, 0.5]}}
     """,
     "without contact": f"""
         glow: {{shape: {{sphere: 0.2}}, mass: 1, collision: none, pose: {{xyz: [0, 0, 0.5]}}}}

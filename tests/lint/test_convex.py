@@ -13,7 +13,7 @@ from simfoundry.lint.convex import Piece, lift, penetration
 from simfoundry.lint.frames import Frame, Vec, turned
 
 KINDS = ("box", "sphere", "cylinder", "capsule")
-# A box and a capsule are left to the second test: MuJoCo's own function for them is approximate once they overlap deeply.
+# A box and a capsule are left to the second test: MuJoCo's own function for them is approximate for deep overlaps.
 PAIRS = [(a, b) for a in KINDS for b in KINDS if {a, b} != {"box", "capsule"}]
 MARGIN = 5e-4
 

@@ -39,7 +39,7 @@ def test_what_a_drawer_holds_moves_with_it(tmp_path: Path) -> None:
         "  tray: {parts: {box: {shape: {box: [0.2, 0.2, 0.02]}, pose: {xyz: [0, 0, 0.01]}}}, mass: 1}\n"
         "  knob: {parts: {box: {shape: {sphere: 0.01}, pose: {xyz: [0.1, 0, 0]}}}, mass: 0.1}\n"
         "joints:\n"
-        "  slide: {type: prismatic, parent: body, child: tray, limits: [0, 0.3], axis: [2, 0, 0], pose: {yaw_deg: 90}}\n"
+        "  slide: {type: prismatic, parent: body, child: tray, limits: [0, 1], axis: [2, 0, 0], pose: {yaw_deg: 90}}\n"
         "  turn: {type: revolute, parent: tray, child: knob, limits_deg: [-90, 90], pose: {xyz: [0, 0, 0.1]}}\n"
     )
     scene = """
@@ -70,7 +70,7 @@ OUTLINES: dict[str, tuple[Point, ...]] = {
 
 def area(corners: list[Point] | tuple[Point, ...]) -> float:
     pairs = zip(corners, (*corners[1:], corners[0]), strict=True)
-    return sum(a[0] * b[1] - a[1] * b[0] for a, b in pairs) / 2
+    return float(sum(a[0] * b[1] - a[1] * b[0] for a, b in pairs) / 2)
 
 
 @pytest.mark.parametrize("name", OUTLINES)
@@ -86,6 +86,12 @@ def test_an_outline_is_tiled_by_convex_polygons(name: str) -> None:
 
 def test_a_bowl_is_hollow(tmp_path: Path) -> None:
     pieces = drawn(written(tmp_path, f"bowl: {{{BOWL}, mass: 0.3}}")).things["bowl"].touching
-    for x, z, filled in ((0, 0.002, True), (0, 0.03, False), (0.03, 0.03, False), (0.0625, 0.03, True), (0.1, 0.05, False)):
+    for x, z, filled in (
+        (0, 0.002, True),
+        (0, 0.03, False),
+        (0.03, 0.03, False),
+        (0.0625, 0.03, True),
+        (0.1, 0.05, False),
+    ):
         grain = Piece.of([(x, 0.001, z)], 1e-3)
         assert any(penetration(grain, p) > 1e-4 for p in pieces) is filled
