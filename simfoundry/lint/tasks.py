@@ -47,8 +47,8 @@ def lint_task(loaded: Loaded, spec: TaskSpec, scene: Loaded) -> Iterator[Diagnos
     if robots:
         yield from _too_wide(loaded, drawn, robots, to_do)
         yield from _too_far(loaded, spec, drawn, robots, to_do)
-    moved = {name: ("start", key, name) for key in ("place", "pose") for name in getattr(spec.start, key)}
-    yield from unseen_of(loaded, drawn, ((drawn.things[name], path) for name, path in moved.items()))
+    moved: dict[str, Path_] = {n: ("start", key, n) for key in ("place", "pose") for n in getattr(spec.start, key)}
+    yield from unseen_of(loaded, drawn, [drawn.things[name] for name in moved], moved.__getitem__)
 
 
 def _goals(spec: TaskSpec) -> Iterator[tuple[Any, Path_]]:

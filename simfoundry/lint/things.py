@@ -83,12 +83,12 @@ class Thing:
             for piece in posed(solid, self.X_WO @ limb.X_OL @ X)
         )
 
-    @property
+    @cached_property
     def sure(self) -> bool:
         """Whether the pieces are all that there is, not bounds of something hollow."""
         return all(solid.sure for limb in self.limbs.values() for solid, _ in limb.solids)
 
-    @property
+    @cached_property
     def solid(self) -> bool:
         """Whether anything of it touches others."""
         return any(limb.touches and limb.solids for limb in self.limbs.values())
@@ -108,7 +108,7 @@ class Thing:
         """The middle of its bounds in the world [m]."""
         return middle(self.low, self.high)
 
-    @property
+    @cached_property
     def usable(self) -> bool:
         """Whether it has a shape of a size that can be reckoned with."""
         return bool(self.hulls) and all(abs(v) < FARTHEST for v in (*self.low, *self.high))
