@@ -18,6 +18,8 @@ COMMANDS = {
     "doctor": "Say what is installed, what is missing and how to get it.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
+    "git": "Let git show and merge documents by meaning.",
+    "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",

@@ -45,7 +45,7 @@ class Conflict:
 
     def __str__(self) -> str:
         """``objects.cup.mass: ours 0.25, theirs 0.31 (was 0.2)``."""
-        was = "new on both sides" if self.base is ABSENT else f"was {shown(self.base)}"
+        was = "new" if self.base is ABSENT else f"was {shown(self.base)}"
         return f"{dotted(self.path)}: ours {shown(self.ours)}, theirs {shown(self.theirs)} ({was})"
 
 
