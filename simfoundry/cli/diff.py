@@ -80,9 +80,9 @@ def _print_findings(found: list[Comparison]) -> None:
     from simfoundry.spec.diagnostics import render
 
     findings = [d for c in found for d in c.findings]
-    sources = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
+    texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
     if findings:
-        click.echo(render(findings, sources), err=True)
+        click.echo(render(findings, texts=texts), err=True)
 
 
 def _plain(comparison: Comparison) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from itertools import pairwise
 
 import click
 
@@ -16,6 +17,7 @@ COMMANDS = {
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "diff": "Say what changed between two documents or revisions.",
     "doctor": "Say what is installed, what is missing and how to get it.",
+    "explain": "Explain the code of a finding, or list all codes.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "git": "Let git show and merge documents by meaning.",
@@ -73,13 +75,17 @@ def main() -> None:
         click.echo("stopped", err=True)
         sys.exit(130)
     except click.ClickException as error:
-        if "--json" in sys.argv:
+        if _asks_for_json(sys.argv[1:]):
             from simfoundry.cli.output import print_json
 
             print_json({"error": error.format_message()})
         else:
             error.show()
         sys.exit(2)
+
+
+def _asks_for_json(args: list[str]) -> bool:
+    return "--json" in args or "--format=json" in args or ("--format", "json") in pairwise(args)
 
 
 if __name__ == "__main__":

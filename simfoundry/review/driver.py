@@ -26,7 +26,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
         return [f"a diff driver is called with 7 or 9 arguments, not {len(arguments)}"]
     path, old_file, _, _, new_file, _, _ = arguments[:7]
     new_path = arguments[7] if len(arguments) == 9 else path
-    old, new = (None if f == NOTHING else Path(f).read_bytes() for f in (old_file, new_file))
+    old, new = (_content(Path(f)) for f in (old_file, new_file))
     head = path if new_path == path else f"{path} renamed to {new_path}"
     found = _compared(path, old, new_path, new, top)
     if found is None:
@@ -45,6 +45,16 @@ def _compared(path: str, old: bytes | None, new_path: str, new: bytes | None, to
             return found if whole and not found.obstacle else None
     except Exception:
         return None
+
+
+def _content(file: Path) -> bytes | None:
+    """What stands in a file; None where git says that there is none, and a link is what it points to, as git has it."""
+    if str(file) == NOTHING:
+        return None
+    try:
+        return str(file.readlink()).encode() if file.is_symlink() else file.read_bytes()
+    except OSError:
+        return b""
 
 
 def _side(path: str, content: bytes | None, top: Path, folder: Path) -> Side | None:

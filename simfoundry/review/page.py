@@ -37,7 +37,7 @@ def page(comparisons: Sequence[Comparison]) -> str:
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     colors = "".join(f".{mark}{{--mark:#{r:02x}{g:02x}{b:02x}}}" for mark, (r, g, b) in COLORS.items())
     body = "\n".join("\n".join(_document(c, f"d{k}")) for k, c in enumerate(comparisons))
-    empty = "<main><p>No document differs.</p></main>"
+    empty = "<article><p>No document differs.</p></article>"
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -68,7 +68,7 @@ def _hover(comparison: Comparison, key: str) -> str:
 
 
 def _document(comparison: Comparison, key: str) -> Iterator[str]:
-    yield "<main>"
+    yield "<article>"
     yield f"<h1>{escape(comparison.name)}</h1>"
     yield f'<p class="sides"><code>{_label(comparison.old)}</code> → <code>{_label(comparison.new)}</code></p>'
     if comparison.entries:
@@ -81,7 +81,7 @@ def _document(comparison: Comparison, key: str) -> Iterator[str]:
     else:
         yield from (f"<p>{escape(line)}</p>" for line in comparison.lines())
     yield from _findings(comparison)
-    yield "</main>"
+    yield "</article>"
 
 
 def _label(side: Side | None) -> str:

@@ -26,11 +26,8 @@ FROM = (-0.72, -0.62, 0.62)
 MARGIN = 1.08
 """How much room the default camera leaves around the things."""
 
-RIM = 3
+RIM = 4
 """How wide the outline of a changed thing is [px]."""
-
-TINT = 0.22
-"""How strongly a changed thing is coloured."""
 
 Image = NDArray[np.uint8]
 
@@ -59,10 +56,9 @@ def picture(scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, i
     seen = raycast(scene, camera, samples=2)
     image, tags = seen.color.copy(), []
     for index, item in enumerate(scene.objects):
-        mask = seen.objects == index + 1
-        if item.name in colors and mask.any():
-            _mark(image, mask, colors[item.name])
-            rows, columns = np.nonzero(mask)
+        rows, columns = np.nonzero(seen.objects == index + 1)
+        if item.name in colors and len(rows):
+            _outline(image, seen.objects, index + 1, colors[item.name])
             tags.append(Tag(item.name, float(columns.mean()) / camera.width, float(rows.min()) / camera.height))
     return Picture(_png(image), camera.width, camera.height, tuple(tags))
 
@@ -111,18 +107,19 @@ def _corners(scene: Scene, free: bool) -> Array:
     return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
 
 
-def _mark(image: Image, mask: NDArray[np.bool_], color: tuple[int, int, int]) -> None:
-    """Tint what is in the mask and draw a rim around it, in place."""
-    paint = np.array(color, dtype=np.float64)
-    image[mask] = np.rint(image[mask] * (1 - TINT) + paint * TINT).astype(np.uint8)
+def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:
+    """Draw a rim around the thing with a label, in place; never over what covers less of the picture than the thing."""
+    mask = seen == label
+    h, w = mask.shape
     padded = np.pad(mask, RIM)
     near = np.zeros_like(mask)
-    h, w = mask.shape
     for dy in range(-RIM, RIM + 1):
         for dx in range(-RIM, RIM + 1):
             if dx * dx + dy * dy <= RIM * RIM:
                 near |= padded[RIM + dy : RIM + dy + h, RIM + dx : RIM + dx + w]
-    image[near & ~mask] = np.array(color, dtype=np.uint8)
+    area = np.bincount(seen.ravel())
+    area[0] = seen.size  # the background is larger than anything
+    image[near & ~mask & (area[seen] >= area[label])] = np.array(color, dtype=np.uint8)
 
 
 def _png(image: Image) -> bytes:

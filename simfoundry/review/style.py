@@ -4,8 +4,8 @@ STYLE = """\
 :root { color-scheme: light dark; --ground: #fff; --ink: #1f2328; --quiet: #656d76; --line: #d0d7de; --mark: #888 }
 @media (prefers-color-scheme: dark) { :root { --ground: #0d1117; --ink: #e6edf3; --quiet: #8d96a0; --line: #30363d } }
 body { margin: 0; background: var(--ground); color: var(--ink); font: 15px/1.5 system-ui, sans-serif }
-main { max-width: 1320px; margin: 0 auto; padding: 24px }
-main + main { border-top: 1px solid var(--line) }
+article { max-width: 1320px; margin: 0 auto; padding: 24px }
+article + article { border-top: 1px solid var(--line) }
 h1 { font-size: 21px; margin: 0 }
 h2 { font-size: 17px; margin: 24px 0 4px }
 code { font: 13px ui-monospace, monospace }

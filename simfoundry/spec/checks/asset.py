@@ -34,6 +34,7 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
 def _tree(c: Checker, spec: AssetSpec) -> None:
     """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
     parents: dict[str, str] = {}
+    carriers: dict[str, str] = {}
     links = c.names("links")
     root = next(iter(links))
     for name, joint in spec.joints.items():
@@ -45,11 +46,13 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         if joint.child == root:
             c.add("SF206", (*path, "child"), f"`{root}` is the first link, so it is the root and no joint's child")
         parents[joint.child] = joint.parent
+        carriers[joint.child] = name
     for link in spec.links if c.whole else ():
         if link != root and link not in parents:
             c.add("SF206", ("links", link), f"no joint carries `{link}`", "add a joint with it as `child`")
         elif link in set(_ancestors(link, parents)):
-            c.add("SF206", ("links", link), f"`{link}` is carried by itself, through a ring of joints")
+            place = ("joints", carriers[link], "parent")
+            c.add("SF206", place, f"`{link}` is carried by itself, through a ring of joints")
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:

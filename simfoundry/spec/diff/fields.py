@@ -15,8 +15,6 @@ Path_ = tuple[str, ...]
 INHERITED = ("density", "friction", "restitution", "color")
 """What a body has from its material where it does not say it itself."""
 
-FREE_TEXTS = ("description", "instruction", "note")
-
 _CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "at")
 
 
@@ -86,6 +84,8 @@ class Describing:
             words += [f"{key} {self._with_unit((section, '*', key), item[key])}" for key in item if key != "color"]
         if section == "subtasks" and "goal" in item:
             words.append(expression(item["goal"]))
+        if not words and len(item) <= values.FEW and not any(isinstance(v, dict) for v in item.values()):
+            words.append(values.value("", item))
         return ", ".join(words)
 
     # -- where it is ------------------------------------------------------------------------------------------------
@@ -155,8 +155,6 @@ class Describing:
         if self._has_default(path):
             old, new = (old if was else 0.0), (new if is_ else 0.0)
             return f"{label} {values.pair(key, old, new, unit)}"
-        if key in FREE_TEXTS and was and is_:
-            return f"{label} {values.pair(key, old, new)}"
         if was and is_ and not isinstance(old, dict) and not isinstance(new, dict):
             return f"{label} {values.pair(key, old, new, unit)}"
         left = self._side(path, old, was, self.a, unit if not (was and is_) else "")

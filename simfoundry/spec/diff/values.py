@@ -19,6 +19,9 @@ LONGEST = 48
 FEW = 4
 """Longer lists of numbers are not written out."""
 
+FREE_TEXTS = ("description", "instruction", "note")
+"""Fields that hold sentences."""
+
 _UNIT = re.compile(r"\[([^\]]+)\]")
 _TIMES = ("size", "grid", "box")
 """Lists that are read as ``a × b``."""
@@ -71,7 +74,7 @@ def value(key: str, item: Any) -> str:
         case int() | float():
             return number(item)
         case str():
-            return _text(item) if " " in item or not item else shortened(item)
+            return _text(item) if key in FREE_TEXTS or " " in item or not item else shortened(item)
         case tuple() | list():
             return _list(key, tuple(item))
         case {"deg": degrees, **rest} if not rest:

@@ -42,20 +42,20 @@ class Entry:
     @property
     def subject(self) -> str:
         """What it is called in a sentence: ``cup``, ``camera left``."""
-        if not self.name:
-            return self.section
         kind = self.section.removesuffix("s")
         name = self.was or self.name
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
         """One line where it fits; else the facts one by one, indented."""
-        head = self.subject + (f" {', '.join(self.verbs)}" if self.verbs else "")
-        if not self.facts:
+        facts = [_single(fact) for fact in self.facts]
+        if not self.name:
+            return ("; ".join(facts),)
+        head = _single(self.subject + (f" {', '.join(self.verbs)}" if self.verbs else ":"))
+        if not facts:
             return (head,)
-        between = "; " if self.verbs else ": " if self.name else " "
-        whole = f"{head}{between}{'; '.join(self.facts)}"
-        return (whole,) if len(whole) <= WIDTH or len(self.facts) == 1 else (head, *(f"  {f}" for f in self.facts))
+        whole = f"{head}{';' if self.verbs else ''} {'; '.join(facts)}"
+        return (whole,) if len(whole) <= WIDTH or len(facts) == 1 else (head, *(f"  {fact}" for fact in facts))
 
 
 def describe(
@@ -93,7 +93,7 @@ def describe(
 
 def text(entries: Iterable[Entry]) -> list[str]:
     """The lines of all entries."""
-    return [line.strip() if not line.startswith("  ") else line for e in entries for line in e.lines()]
+    return [line for entry in entries for line in entry.lines()]
 
 
 def summary(entries: Iterable[Entry]) -> str:
@@ -104,6 +104,11 @@ def summary(entries: Iterable[Entry]) -> str:
     parts = [f"{count} {mark}" for count, mark in counts if count]
     parts += [f"{_topic(e)} changed" for e in entries if not e.name]
     return ", ".join(dict.fromkeys(parts))
+
+
+def _single(sentence: str) -> str:
+    """A sentence on one line, whatever the texts in it hold."""
+    return " ".join(sentence.split())
 
 
 def _topic(entry: Entry) -> str:
