@@ -39,6 +39,15 @@ class Scope:
         return "for every repository of yours" if self.option == "--global" else "in this repository"
 
 
+@dataclass(frozen=True)
+class Answer:
+    """What git says."""
+
+    code: int
+    out: str
+    err: str
+
+
 @click.group()
 def command() -> None:
     """Let git show and merge documents by meaning."""
@@ -109,12 +118,13 @@ def settings() -> dict[str, str]:
     """
     python = shlex.quote(Path(sys.executable).as_posix())
     ours = f"{python} -P -m simfoundry.cli.main"
-    by_lines = "git merge-file -L ours -L base -L theirs --marker-size=%L %A %O %B"
     there = f"{python} -P -c 'import simfoundry' 2>/dev/null"
+    by_meaning, asked = (text.replace("%", "%%") for text in (f"{ours} merge --git --", there))
+    by_lines = "git merge-file -L ours -L base -L theirs --marker-size=%L %A %O %B"
     return {
         f"diff.{DRIVER}.command": f"{ours} diff --git",
         f"merge.{DRIVER}.name": "documents of SimFoundry, merged by meaning",
-        f"merge.{DRIVER}.driver": f"if {there}; then {ours} merge --git -- %O %A %B %L %P; else {by_lines}; fi",
+        f"merge.{DRIVER}.driver": f"if {asked}; then {by_meaning} %O %A %B %L %P; else {by_lines}; fi",
     }
 
 
@@ -176,19 +186,20 @@ def _write(file: Path, text: str) -> None:
 
 def _git(*args: str) -> None:
     done = _run(*args)
-    if done.returncode:
-        lines = done.stderr.strip().splitlines()
+    if done.code:
+        lines = done.err.splitlines()
         raise CannotError(lines[0] if lines else f"git {args[0]} failed")
 
 
 def _output(*args: str) -> str:
     """What git prints; empty where it fails."""
     done = _run(*args)
-    return done.stdout.strip() if done.returncode == 0 else ""
+    return done.out if done.code == 0 else ""
 
 
-def _run(*args: str) -> subprocess.CompletedProcess[str]:
+def _run(*args: str) -> Answer:
     try:
-        return subprocess.run(["git", *args], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+        done = subprocess.run(["git", *args], capture_output=True, check=False, stdin=subprocess.DEVNULL)
     except FileNotFoundError:
         raise CannotError("git is not installed, or not on the path") from None
+    return Answer(done.returncode, *(os.fsdecode(stream).strip() for stream in (done.stdout, done.stderr)))

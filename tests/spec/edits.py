@@ -26,7 +26,7 @@ class Edit:
     def touches(self, other: Edit) -> bool:
         """Whether two edits are about one thing."""
         if "say" in self.kind and "say" in other.kind:
-            return self.value == other.value
+            return bool(self.value == other.value)
         length = min(len(self.path), len(other.path))
         return self.path[:length] == other.path[:length]
 

@@ -30,13 +30,15 @@ class Conflict:
     """What both sides made of the value at ``path``: plain data, or :data:`ABSENT`.
 
     Where the value is a mapping whose order means something, the three may be lists of its keys: only their order is in
-    doubt. Where the three are names, and ``path`` was a member of ``base``'s name, both sides renamed it.
+    doubt. Where the three are names, and ``path`` was a member of ``base``'s name, both sides renamed it. The
+    ``comment`` that theirs has beside its value waits beside the entry.
     """
 
     path: Path_
     base: Any
     ours: Any
     theirs: Any
+    comment: str = ""
 
     def record(self) -> dict[str, Any]:
         """The entry under ``conflicts``; what is absent is left out."""

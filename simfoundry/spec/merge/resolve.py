@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -39,6 +39,8 @@ def resolve(tree: Tree, model: type[Model] | None, side: Side, chosen: Iterable[
         if not isinstance(entry, dict):
             raise ResolveError(f"the entry `{key}` does not say what the sides have")
         _take(data, path, entry, entry.get(side, ABSENT), names)
+        if side == "theirs":
+            tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
         del entries[key]
     if not entries:
         del data[CONFLICTS]
@@ -93,14 +95,23 @@ def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
 def _without_gone(tree: Tree, names: Mapping[tuple[Path_, str], str]) -> Tree:
     """The tree with members under their new names, so that these keep their comments."""
     for (section, old), new in names.items():
-        tree = _renamed_member(tree, section, old, new)
+
+        def with_new(members: Tree, old: str = old, new: str = new) -> Tree:
+            return replace(members, value={new if key == old else key: child for key, child in members.value.items()})
+
+        tree = _edited(tree, section, with_new)
     return tree
 
 
-def _renamed_member(tree: Tree, section: Path_, old: str, new: str) -> Tree:
-    if not isinstance(tree.value, dict):
+def _with_comment(tree: Tree, path: Path_, comment: str) -> Tree:
+    """The tree with the comment that waited beside a conflict."""
+    return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
+
+
+def _edited(tree: Tree, path: Path_, edit: Callable[[Tree], Tree]) -> Tree:
+    """The tree with what is at ``path``, if there is something, after an edit."""
+    if not path:
+        return edit(tree)
+    if not isinstance(tree.value, dict) or path[0] not in tree.value:
         return tree
-    if section:
-        inner = {**tree.value, section[0]: _renamed_member(tree.value[section[0]], section[1:], old, new)}
-        return replace(tree, value=inner)
-    return replace(tree, value={new if key == old else key: child for key, child in tree.value.items()})
+    return replace(tree, value={**tree.value, path[0]: _edited(tree.value[path[0]], path[1:], edit)})

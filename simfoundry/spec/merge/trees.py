@@ -72,7 +72,7 @@ def _recorded(tree: Tree, conflicts: list[Conflict]) -> Tree:
         record, path = conflict.record(), dotted(conflict.path)
         if path in entries and entries[path].data == record:
             continue
-        entries[numbered(path, entries)] = plain_tree(record)
+        entries[numbered(path, entries)] = replace(plain_tree(record), beside=conflict.comment)
     return replace(tree, value={**tree.value, CONFLICTS: replace(section, value=entries)})
 
 
@@ -130,7 +130,11 @@ class _Merging:
         if base is not None and same(base, ours, path):
             taken, other = theirs, ours
         elif base is None or not same(base, theirs, path):
-            self.clash(path, base, ours, theirs)
+            comment = (
+                theirs.beside if theirs.beside != ours.beside and (base is None or theirs.beside != base.beside) else ""
+            )
+            self.clash(path, base, ours, theirs, comment)
+            theirs = replace(theirs, beside=ours.beside)
         return rescued(commented(taken, base, ours, theirs), base, other)
 
     def mapping(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
@@ -149,7 +153,7 @@ class _Merging:
             self.keep_both(before, sides, merged)
         order = merged_order(before, *sides, merged, path in ORDERED)
         if order.clash and path in ORDERED:
-            self.conflicts.append(Conflict(path, tuple(before), *map(tuple, sides)))
+            self.conflicts.append(Conflict(path, tuple(before), tuple(sides[0]), tuple(sides[1])))
         rest = [key for key in merged if key not in set(order.keys)] if len(order.keys) < len(merged) else []
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
@@ -180,11 +184,10 @@ class _Merging:
 
     # -- conflicts --------------------------------------------------------------------------------------------------
 
-    def clash(self, path: Path_, base: Tree | None, ours: Tree | None, theirs: Tree | None) -> None:
+    def clash(self, path: Path_, base: Tree | None, ours: Tree | None, theirs: Tree | None, comment: str = "") -> None:
         """Note a conflict."""
-        self.conflicts.append(
-            Conflict(path, *(tree.data if tree is not None else ABSENT for tree in (base, ours, theirs)))
-        )
+        was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
+        self.conflicts.append(Conflict(path, was, here, there, comment))
 
     def keep_ours(
         self,
