@@ -198,7 +198,9 @@ def refuse(make: Callable[[Path], None], limit: float = 60.0) -> Refusal:
         command = [sys.executable, "-m", "simfoundry.cli.main", "check", path.name]
         with output.open("wb") as stream:
             started, peak = time.perf_counter(), 0.0
-            process = subprocess.Popen(command, cwd=project, stdout=stream, stderr=subprocess.STDOUT, env=_environment())
+            process = subprocess.Popen(
+                command, cwd=project, stdout=stream, stderr=subprocess.STDOUT, env=_environment()
+            )
             while process.poll() is None:
                 peak = max(peak, _peak(process.pid))
                 if time.perf_counter() - started > limit:
