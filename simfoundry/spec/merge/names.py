@@ -26,6 +26,8 @@ class SameNames:
 
 def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
     """Take over to each side what the other renamed; where both renamed one member, ours counts."""
+    if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
+        return SameNames(base, ours, theirs)
     data, datas = base.data, (ours.data, theirs.data)
     found = [{(r.section, r.old): r for r in find_renames(data, side)} for side in datas]
     if not any(found):
@@ -54,6 +56,15 @@ def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
                 edited.add((*rename.section, rename.new))
     trees = (_renamed(base, for_base), _renamed(ours, for_side[0]), _renamed(theirs, for_side[1]))
     return SameNames(*trees, frozenset(edited), tuple(conflicts))
+
+
+def _comes_and_goes(a: Tree, b: Tree) -> bool:
+    """Whether a key of some mapping is gone and another has come: it takes both for a rename."""
+    if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
+        return False
+    if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
+        return True
+    return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
 
 
 def _renamed(tree: Tree, renames: list[Rename]) -> Tree:

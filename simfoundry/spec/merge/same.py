@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from simfoundry.spec.merge.conditions import is_list_of_conditions, matched, spelled
 from simfoundry.spec.merge.conflict import Path_
 from simfoundry.spec.tree import Tree
@@ -31,3 +33,18 @@ def same(a: Tree | None, b: Tree | None, path: Path_ = ()) -> bool:
     if isinstance(x, str) and isinstance(y, str) and path[-1:] and path[-1] in _CONDITIONS:
         return spelled(x) == spelled(y)
     return bool(x == y) or (x != x and y != y)
+
+
+def identical(a: Tree, b: Tree) -> bool:
+    """Whether two trees are the same to the last comment, and in the same order."""
+    if a is b:
+        return True
+    if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):
+        return False
+    x: Any = a.value
+    y: Any = b.value
+    if isinstance(x, dict) and isinstance(y, dict):
+        return list(x) == list(y) and all(map(identical, x.values(), y.values()))
+    if isinstance(x, tuple) and isinstance(y, tuple):
+        return len(x) == len(y) and all(map(identical, x, y))
+    return type(x) is type(y) and bool(x == y)

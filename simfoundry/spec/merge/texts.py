@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.merge.conflict import Conflict
+from simfoundry.spec.merge.same import identical
 from simfoundry.spec.merge.trees import merge_trees
 from simfoundry.spec.text import YamlError, parse
 from simfoundry.spec.tree import KIND, Tree, read_tree
@@ -40,7 +40,7 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
         raise UnmergeableError(f"these are documents of different kinds: {', '.join(sorted(kinds))}")
     merged = merge_trees(*trees)
     for text, tree in ((ours, trees[1]), (theirs, trees[2])):
-        if _identical(merged.tree, tree):
+        if identical(merged.tree, tree):
             return MergedText(text, merged.conflicts)
     kind = next(iter(kinds), "")
     return MergedText(write_tree(merged.tree, model_of(kind) if kind in KINDS else None), merged.conflicts)
@@ -80,16 +80,3 @@ def _tree(text: str, name: str) -> Tree:
     if not isinstance(tree.value, dict):
         raise UnmergeableError(f"{name} is not a document")
     return tree
-
-
-def _identical(a: Tree, b: Tree) -> bool:
-    """Whether two trees are the same to the last comment, and in the same order."""
-    if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):
-        return False
-    x: Any = a.value
-    y: Any = b.value
-    if isinstance(x, dict) and isinstance(y, dict):
-        return list(x) == list(y) and all(map(_identical, x.values(), y.values()))
-    if isinstance(x, tuple) and isinstance(y, tuple):
-        return len(x) == len(y) and all(map(_identical, x, y))
-    return type(x) is type(y) and bool(x == y)

@@ -19,7 +19,7 @@ from simfoundry.spec.merge.conflict import ABSENT, Conflict, Path_, dotted, numb
 from simfoundry.spec.merge.groups import at_odds, named_twice
 from simfoundry.spec.merge.names import same_names
 from simfoundry.spec.merge.order import merged_order
-from simfoundry.spec.merge.same import same
+from simfoundry.spec.merge.same import identical, same
 from simfoundry.spec.tree import Tree, plain_tree
 from simfoundry.spec.types import models_at
 
@@ -92,6 +92,10 @@ class _Merging:
         """What the three make of one value; None where it is gone."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
+        if base is not None and not self.edited and identical(base, theirs):
+            return ours
+        if base is not None and not self.edited and identical(base, ours):
+            return theirs
         old = base.value if base is not None else None
         if isinstance(ours.value, dict) and isinstance(theirs.value, dict) and not _is_whole(path, ours, theirs):
             tree = self.mapping(base, ours, theirs, path)
