@@ -441,6 +441,17 @@ def test_two_new_names_are_a_conflict_that_can_be_decided() -> None:
         assert decided.data["relations"][1] == f"OnTop({name}, desk)"
 
 
+def test_what_else_is_open_follows_a_new_name() -> None:
+    ours, theirs = renamed_cup("mug"), renamed_cup("beaker")
+    ours["objects"]["mug"]["mass"], theirs["objects"]["beaker"]["mass"] = 0.25, 0.31
+    merged = merge(BASES["scene"], ours, theirs)
+    decided, keys = resolve(merged.tree, SceneSpec, "theirs", ["objects.cup"])
+    assert (keys, list(decided.data["conflicts"])) == (["objects.cup"], ["objects.beaker.mass"])
+    taken = {**merged.data, "objects": {**merged.data["objects"], "beaker": {"shape": {"sphere": 0.1}, "mass": 1}}}
+    with pytest.raises(ResolveError, match=r"`objects\.beaker` is another one"):
+        resolve(plain_tree(taken), SceneSpec, "theirs")
+
+
 def test_renamed_here_and_removed_there_is_a_conflict() -> None:
     theirs = {**BASES["scene"], "objects": {k: v for k, v in BASES["scene"]["objects"].items() if k != "cup"}}
     merged = both(renamed_cup("mug"), theirs)

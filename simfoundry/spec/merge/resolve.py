@@ -42,6 +42,7 @@ def resolve(tree: Tree, model: type[Model] | None, side: Side, chosen: Iterable[
         if side == "theirs":
             tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
         del entries[key]
+    data[CONFLICTS] = {_under_new_name(key, names): entry for key, entry in entries.items()}
     if not entries:
         del data[CONFLICTS]
     new = with_data(_without_gone(tree, names), renamed(data, _renames(names)) if names else data)
@@ -83,9 +84,22 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
     elif isinstance(place.get(key), dict) and isinstance(value, tuple) and set(value) & place[key].keys():
         place[key] = {name: place[key][name] for name in reordered(place[key], value)}
     elif key not in place and entry.get("base") == key and entry.get("ours") in place:
+        if value in place and value != entry["ours"]:
+            raise ResolveError(
+                f"`{dotted((*path[:-1], value))}` is another one; give one of the two a new name by hand"
+            )
         names[path[:-1], entry["ours"]] = value  # both sides gave the member at `path` another name
     else:
         place[key] = value
+
+
+def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
+    """The key of an entry that stays, which may be about a member that has another name now."""
+    path = parts(key)
+    for (section, old), new in names.items():
+        if path[: len(section) + 1] == (*section, old):
+            return dotted((*section, new, *path[len(section) + 1 :]))
+    return key
 
 
 def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
