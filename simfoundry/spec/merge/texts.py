@@ -15,8 +15,8 @@ from simfoundry.spec.text import YamlError, parse
 from simfoundry.spec.tree import KIND, Tree, read_tree
 from simfoundry.spec.write import write_tree
 
-
 _UNREADABLE = ("SF002", "SF004", "SF005")
+"""Codes of texts that are no documents at all."""
 
 
 class UnmergeableError(SimfoundryError):
@@ -53,7 +53,7 @@ def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnost
     """Errors of a merged text at ``path`` that neither side has: what each side meant does not hold together.
 
     Open conflicts are not among them. Files that the other side adds may not be there yet; they are missing in its own
-    text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: two halves may be too large for one.
+    text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: both together may be too large.
     """
     found = _errors(path, merged)
     if not found:
