@@ -23,6 +23,9 @@ def _postpone(name: str) -> None:
         parent, _, child = name.rpartition(".")
         setattr(sys.modules[parent], child, module)
         spec.loader.exec_module(module)
+        package, _, own = name.rpartition(".")
+        if package:
+            setattr(importlib.import_module(package), own, module)
 
 
 # Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
@@ -40,6 +43,8 @@ COMMANDS = {
     "explain": "Explain the code of a finding, or list all codes.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
+    "git": "Let git show and merge documents by meaning.",
+    "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "new": "Start a document of any kind, with comments that teach.",
     "render": "Render a picture from a camera of a scene.",
