@@ -15,13 +15,11 @@ from simfoundry import __version__
 
 
 def _postpone(name: str) -> None:
-    """Load a module of a package only when something of it is used, not when it is imported."""
+    """Load a module of the standard library only when something of it is used, not when it is imported."""
     spec = importlib.util.find_spec(name)
     if name not in sys.modules and spec is not None and spec.loader is not None:
         spec.loader = importlib.util.LazyLoader(spec.loader)
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
-        parent, _, child = name.rpartition(".")
-        setattr(sys.modules[parent], child, module)
         spec.loader.exec_module(module)
         package, _, own = name.rpartition(".")
         if package:
