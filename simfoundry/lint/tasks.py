@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from simfoundry.lint.frames import frame_of
 from simfoundry.lint.report import Path_, length, number, warning
@@ -129,8 +128,7 @@ def _opening(robot: RobotSpec) -> float | None:
     return robot.opening or (known.opening if known is not None else None)
 
 
-@dataclass(frozen=True)
-class _Base:
+class _Base(NamedTuple):
     """Where a robot stands along the ground [m], and how far from there it can grasp [m]."""
 
     name: str

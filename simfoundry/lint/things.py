@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
 from simfoundry.lint.frames import Frame, Vec
@@ -15,8 +16,7 @@ FARTHEST = 1e6
 """What lies farther from the origin than this [m], or is larger, is not judged: numbers lose their meaning there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
+class Limb(NamedTuple):
     """A link of a thing: its frame in the thing, and its solids with their poses in it."""
 
     X_OL: Frame
@@ -24,8 +24,7 @@ class Limb:
     touches: bool = True
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A joint at its position, with its limits [m or rad]; a continuous joint has none."""
 
     position: float

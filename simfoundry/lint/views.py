@@ -34,7 +34,9 @@ def unseen_of(
         only = len(drawn.eyes) == 1
         message = f"`{thing.name}` is out of the view of " + (f"`{name}`" if only else "every camera")
         hint = f"it is {angle:.0f} deg off the axis of `{name}`, which sees {half_angle(drawn.eyes[name]):.0f} deg"
-        yield warning(loaded, "SF409", path_of(thing.name), message, f"{hint} to the corners of its picture; move one of the two")
+        yield warning(
+            loaded, "SF409", path_of(thing.name), message, f"{hint} to the corners of its picture; move one of the two"
+        )
 
 
 def sees(eye: Eye, thing: Thing) -> bool:
