@@ -154,11 +154,11 @@ def extent(pieces: tuple[Piece, ...], n: Vec) -> tuple[float, float]:
 
 def close_pairs(a: tuple[Piece, ...], b: tuple[Piece, ...], gap: float) -> Iterator[tuple[Piece, Piece]]:
     """Pairs of pieces whose bounds are at most ``gap`` apart, or with a negative one overlap by at least that."""
-    low, high = bounds(b)
-    around = Piece((), low=low, high=high)
+    around_a, around_b = (Piece((), low=low, high=high) for low, high in map(bounds, (a, b)))
+    near = [q for q in b if not apart(q, around_a, gap)]
     for p in a:
-        if not apart(p, around, gap):
-            for q in b:
+        if not apart(p, around_b, gap):
+            for q in near:
                 if not apart(p, q, gap):
                     yield p, q
 
