@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format goldens schemas proofs lock hooks clean
+.PHONY: help demo test lint format goldens schemas proofs lock hooks pictures clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
@@ -39,8 +39,11 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-schemas: $(READY) ## Write schemas/ and docs/reference.md from the models of simfoundry/spec
+schemas: $(READY) ## Write schemas/, docs/reference.md and docs/findings.md from simfoundry/spec
 	$(BIN)/python -m simfoundry.spec.generated
+
+pictures: $(READY) ## Render the pictures of specs/README.md anew
+	$(BIN)/python specs/render_pictures.py
 
 goldens: $(READY) ## Write the expected texts of the tests anew; review the diff
 	$(BIN)/python -m pytest -n $(WORKERS) --update-goldens

@@ -57,8 +57,11 @@ def _json(data: object) -> bytes:
 
 
 def number(value: float) -> str:
-    """A number for a text format: twelve significant digits, so that the last bits of a CPU do not show."""
-    text = format(float(value), ".12g")
+    """A number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
+
+    What is smaller than any quantity of ours is zero: readers refuse the denormal numbers that rounding leaves.
+    """
+    text = format(float(value) if abs(value) > 1e-100 else 0.0, ".12g")
     return "0" if text == "-0" else text
 
 

@@ -2,32 +2,94 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from simfoundry.cli.documents import documents
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, print_json, reporting
+from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, progress_bar, reporting
+from simfoundry.spec.report.model import FORMATS
+
+if TYPE_CHECKING:
+    from simfoundry.spec.load import Known
+    from simfoundry.spec.loaded import Loaded
+    from simfoundry.spec.report.model import Checked
+
+MANY = 100
+"""From so many documents on, a terminal shows how far the check is."""
 
 
 @click.command()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(FORMATS),
+    default="text",
+    show_default=True,
+    help="For people, scripts, code scanning, or annotations on GitHub.",
+)
 @json_option
 @reporting
-def command(paths: tuple[Path, ...], as_json: bool) -> int:
+def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     """Check documents, or every document below folders (default: here).
 
-    Exit code 1 where there is an error or a warning.
+    Exit code 1 where there is an error or a warning. `simfoundry explain CODE` says more about a finding.
     """
-    from simfoundry.spec.load import load
+    from simfoundry.spec.report.model import gather, renderer
+    from simfoundry.spec.spread import spread
 
+    form = "json" if as_json else form
     files = documents(paths or (Path(),))
-    findings = [d for f in files for d in load(f).all_findings()]
-    if as_json:
-        print_json({"files": [str(f) for f in files], "findings": [d.to_json() for d in findings]})
-    elif findings:
-        print_findings(findings)
-    if not as_json:
-        count = f"{len(files)} document{'s' if len(files) != 1 else ''}"
-        click.echo(f"{count}: {len(set(findings)) or 'no'} finding{'s' if len(set(findings)) != 1 else ''}")
-    return FINDINGS if findings else DONE
+    _known.clear()
+    with _progress(len(files)) as progress:
+        checked = spread(_check, files, progress)
+    report = gather(map(str, files), checked)
+    if form == "text":
+        print_findings(list(report.findings))
+    elif form != "github" or report.findings:
+        click.echo(renderer(form)(report))
+    if form in ("text", "github"):
+        from simfoundry.spec.report.as_text import summary
+
+        click.echo(summary(report))
+    if form == "text" and report.findings and sys.stdout.isatty():
+        click.echo(f"`simfoundry explain {report.findings[0].code}` says more")
+    return FINDINGS if report.findings else DONE
+
+
+_known: dict[Path, Known] = {}
+"""What this process has read during a command, by project: documents that many others use are read once."""
+
+
+def _check(file: Path) -> Checked:
+    """What one document gives; also called in other processes."""
+    from simfoundry.spec.load import load
+    from simfoundry.spec.loaded import project_root
+    from simfoundry.spec.report.model import Checked
+
+    root = project_root(file)
+    loaded = load(file, root, _known.setdefault(root, {}))
+    return Checked(tuple(loaded.all_findings()), tuple(map(str, _used(loaded))))
+
+
+def _used(loaded: Loaded) -> Iterator[Path]:
+    """The files that a document extends and refers to, and so on from there."""
+    yield from loaded.bases
+    for used in loaded.uses.values():
+        yield used.path
+        yield from _used(used)
+
+
+@contextmanager
+def _progress(count: int) -> Iterator[Callable[[int], object]]:
+    """Shows how many of ``count`` documents are done, where somebody may wait for them at a terminal."""
+    if count < MANY or not sys.stderr.isatty():
+        yield lambda done: None
+        return
+    with progress_bar(False) as show:
+        yield lambda done: show("check", done / count)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from itertools import pairwise
 
 import click
 
@@ -15,6 +16,7 @@ COMMANDS = {
     "compile": "Compile a scene for simulators.",
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "doctor": "Say what is installed, what is missing and how to get it.",
+    "explain": "Explain the code of a finding, or list all codes.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "migrate": "Bring documents of older versions up to date.",
@@ -70,13 +72,17 @@ def main() -> None:
         click.echo("stopped", err=True)
         sys.exit(130)
     except click.ClickException as error:
-        if "--json" in sys.argv:
+        if _asks_for_json(sys.argv[1:]):
             from simfoundry.cli.output import print_json
 
             print_json({"error": error.format_message()})
         else:
             error.show()
         sys.exit(2)
+
+
+def _asks_for_json(args: list[str]) -> bool:
+    return "--json" in args or "--format=json" in args or ("--format", "json") in pairwise(args)
 
 
 if __name__ == "__main__":

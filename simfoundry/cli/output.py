@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 
 import click
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest, render
+from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
@@ -64,8 +64,15 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
     """Findings as JSON on standard output, or as a compiler prints them on standard error."""
     if as_json:
         print_json({"findings": [d.to_json() for d in findings]})
-    else:
-        click.echo(render([_relative(d) for d in findings]), err=True)
+    elif findings:
+        from simfoundry.spec.report import as_text
+
+        click.echo(as_text.findings(findings, in_colour(sys.stderr)), err=True, color=True)
+
+
+def in_colour(stream: TextIO) -> bool:
+    """Whether a stream is a terminal whose user did not ask for plain text (https://no-color.org)."""
+    return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
@@ -91,12 +98,3 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=console, transient=True, disable=quiet or not sys.stderr.isatty()) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda stage, share: bar.update(task, description=stage, completed=share)
-
-
-def _relative(d: Diagnostic) -> Diagnostic:
-    """The same finding with its file relative to the current folder where it lies below it."""
-    from dataclasses import replace
-
-    path = Path(d.file)
-    here = Path.cwd()
-    return replace(d, file=str(path.relative_to(here))) if path.is_absolute() and path.is_relative_to(here) else d

@@ -30,6 +30,7 @@ from simfoundry.scene.model import (
     Scene,
     SceneObject,
 )
+from simfoundry.scene.place import place_all, seen_by_camera
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
@@ -62,12 +63,37 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
-        objects=tuple(o for o in objects if o is not None),
+        objects=_placed(loaded, spec, [o for o in objects if o is not None]),
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
         left_out=tuple(_left_out(spec)),
     )
+
+
+def viewer(spec: SceneSpec) -> Pose | None:
+    """The frame, x away and y left, in which left, right, front and behind are meant; None for that of the world.
+
+    A robot sees along the x axis of its base, and so does a camera that it carries.
+    """
+    seen = spec.cameras.get(spec.viewpoint or "")
+    if seen is not None and seen.mount is None:
+        return seen_by_camera(camera("", seen).X_WC)
+    robot = spec.robots.get(spec.viewpoint or "" if seen is None else (seen.mount or "").partition(".")[0])
+    return None if robot is None else pose(robot.pose)
+
+
+def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tuple[SceneObject, ...]:
+    """The objects with every `place` solved into a pose."""
+    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
+    if not places:
+        return tuple(objects)
+    solved, errors = place_all({item.name: item for item in objects}, places, viewer(spec))
+    if errors:
+        raise SpecError(
+            loaded.finding("SF210", ("objects", name, "place"), e.message, e.hint) for name, e in errors.items()
+        )
+    return tuple(solved.values())
 
 
 def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:

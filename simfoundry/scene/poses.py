@@ -45,9 +45,9 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:
-    """The spec with other poses for the objects that are not fixed."""
-    objects = {
-        name: item if item.fixed or name not in poses else item.model_copy(update={"pose": pose_spec(poses[name])})
-        for name, item in spec.objects.items()
-    }
+    """The spec with other poses, in place of the written poses and places, for the objects that are not fixed."""
+    objects = dict(spec.objects)
+    for name, item in spec.objects.items():
+        if name in poses and not item.fixed:
+            objects[name] = item.model_copy(update={"pose": pose_spec(poses[name]), "place": None})
     return spec.model_copy(update={"objects": objects})

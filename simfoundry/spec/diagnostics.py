@@ -99,7 +99,7 @@ class SpecError(Exception):
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     """Findings in reading order, each once."""
-    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message))
+    return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
@@ -122,21 +122,41 @@ def _plain(name: str) -> str:
     return name.casefold().replace("_", "")
 
 
-def render(diagnostics: Iterable[Diagnostic], sources: dict[str, str] | None = None) -> str:
-    """All findings as a compiler prints them: place, message, the line with a caret, the hint."""
-    sources = {} if sources is None else sources
+def render(diagnostics: Iterable[Diagnostic], colour: bool = False) -> str:
+    """All findings as a compiler prints them: place, message, the line with a caret, the hint.
+
+    Each line of the documents is read from the file that the finding names. With ``colour``, for a terminal.
+    """
+    sources: dict[str, list[str]] = {}
+
+    def paint(text: str, style: str) -> str:
+        return _painted(text, style) if colour else text
+
     blocks = []
     for d in ordered(diagnostics):
-        place = f"{d.file}:{d.line}:{d.column}" if d.line else d.file
-        lines = [f"{place}: {d.severity}[{d.code}] {d.message}"]
+        place = _printable(f"{d.file}:{d.line}:{d.column}" if d.line else d.file)
+        label = paint(f"{d.severity}[{d.code}]", d.severity)
+        lines = [f"{paint(place, 'place')}: {label} {paint(_printable(d.message), 'message')}"]
         text = _line_of(d, sources)
         if text is not None:
             start = max(0, d.column - SHOWN)
-            lines += [f"  {d.line:>5} | {text[start : start + SHOWN]}", f"        | {' ' * (d.column - 1 - start)}^"]
+            caret = " " * (d.column - 1 - start) + paint("^", d.severity)
+            lines += [
+                f"{paint(f'  {d.line:>5} |', 'margin')} {text[start : start + SHOWN]}",
+                f"{paint('        |', 'margin')} {caret}",
+            ]
         if d.hint:
-            lines.append(f"        = {d.hint}")
-        blocks.append("\n".join(_printable(line) for line in lines))
+            lines.append(f"{paint('        =', 'margin')} {_printable(d.hint)}")
+        blocks.append("\n".join(lines))
     return "\n".join(blocks)
+
+
+_STYLES = {"error": "1;31", "warning": "1;33", "place": "1", "message": "1", "margin": "34"}
+"""Select Graphic Rendition of ECMA-48: bold, and red, yellow or blue."""
+
+
+def _painted(text: str, style: str) -> str:
+    return f"\x1b[{_STYLES[style]}m{text}\x1b[0m"
 
 
 def _printable(line: str) -> str:
@@ -144,15 +164,16 @@ def _printable(line: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
-def _line_of(d: Diagnostic, sources: dict[str, str]) -> str | None:
+def _line_of(d: Diagnostic, sources: dict[str, list[str]]) -> str | None:
     if not d.line:
         return None
     if d.file not in sources:
         try:
-            sources[d.file] = Path(d.file).read_text(encoding="utf-8", errors="replace")
+            text = Path(d.file).read_text(encoding="utf-8", errors="replace")
         except OSError:
-            sources[d.file] = ""
-    lines = sources[d.file].removeprefix("\ufeff").splitlines()
+            text = ""
+        sources[d.file] = text.removeprefix("\ufeff").splitlines()
+    lines = sources[d.file]
     return _single(lines[d.line - 1]) if d.line <= len(lines) else None
 
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from simfoundry.files import write_atomically
+from simfoundry.spec.pages import findings_page
 from simfoundry.spec.reference import reference
 from simfoundry.spec.schema import schemas
 
@@ -13,7 +14,7 @@ from simfoundry.spec.schema import schemas
 def generated() -> dict[str, str]:
     """Path from the root of the repository to text, of every generated file."""
     files = {f"schemas/{name}": text for name, text in schemas().items()}
-    return {**files, "docs/reference.md": reference()}
+    return {**files, "docs/reference.md": reference(), "docs/findings.md": findings_page()}
 
 
 def stale(root: Path) -> list[str]:

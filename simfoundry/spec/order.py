@@ -48,7 +48,7 @@ def field_order(model: type[Model]) -> list[str]:
     return sorted(model.model_fields, key=lambda name: _RANK.get(name, 0))
 
 
-class Place:
+class Slot:
     """What may stand at a place of a document, as far as the order of its keys goes."""
 
     def __init__(self, *types_: Any) -> None:
@@ -61,28 +61,28 @@ class Place:
         self._rank = {name: rank for rank, name in enumerate(self._fields)}
         self._others = [typing.get_args(k)[-1] for k in kinds if typing.get_origin(k) is dict]
         self._items = [t for k in kinds if typing.get_origin(k) is tuple for t in typing.get_args(k) if t is not ...]
-        self._inside: dict[str, Place] = {}
+        self._inside: dict[str, Slot] = {}
 
     def ordered(self, keys: Iterable[str]) -> list[str]:
         """Fields in their order, then other keys as they come; where there are only names, these as they come."""
         rank = self._rank
         return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
 
-    def member(self, key: str) -> Place:
+    def member(self, key: str) -> Slot:
         """What may stand under a key."""
         known = key in self._fields
-        place = self._inside.get(key if known else "")
-        if place is None:
-            place = self._inside[key if known else ""] = Place(*([self._fields[key]] if known else self._others))
-        return place
+        slot = self._inside.get(key if known else "")
+        if slot is None:
+            slot = self._inside[key if known else ""] = Slot(*([self._fields[key]] if known else self._others))
+        return slot
 
     @functools.cached_property
-    def item(self) -> Place:
+    def item(self) -> Slot:
         """What may stand in a list."""
-        return Place(*self._items)
+        return Slot(*self._items)
 
 
 @functools.cache
-def place_of(model: type[Model] | None) -> Place:
+def slot_of(model: type[Model] | None) -> Slot:
     """The place of a whole document."""
-    return Place(model)
+    return Slot(model)

@@ -92,7 +92,8 @@ def string(text: str, where: Where) -> str:
     """A text on one line: plain where a reader gets the same text back, else in double quotes."""
     if _is_word(text):
         return text
-    fitting = _PLAIN.match(text) and not _LIKE_NUMBER.match(text)
+    closed = where == "block" or text.count("(") == text.count(")")
+    fitting = closed and _PLAIN.match(text) and not _LIKE_NUMBER.match(text)
     template, wanted = _FRAME[where]
     return text if fitting and _reads_back(template.format(text), wanted(text)) else quoted(text)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
 from simfoundry.spec.base import Model
-from simfoundry.spec.order import Place, field_order, place_of
+from simfoundry.spec.order import Slot, field_order, slot_of
 from simfoundry.spec.spelling import call, folded, key_text, literal, number, rounded, scalar, string
 from simfoundry.spec.tree import Tree, plain_tree
 
@@ -24,6 +25,9 @@ _BLOCKS = ("objects", "links", "frames")
 
 _PREDICATES = ("relations", "goal", "all", "any", "not")
 """Keys whose texts are predicates, as ``OnTop(cup, desk)``."""
+
+_PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
+"""A predicate of more than one thing."""
 
 Line = tuple[str, str]
 """A line and the comment beside it, which may be empty."""
@@ -86,11 +90,11 @@ def write_tree(tree: Tree, model: type[Model] | None) -> str:
     writer = _Writer(blocks)
     lines = [*_comments(tree.above, 0)]
     if isinstance(tree.value, dict) and tree.value:
-        lines += writer.sections(tree, place_of(model), started=bool(lines))
+        lines += writer.sections(tree, slot_of(model), started=bool(lines))
     elif isinstance(tree.value, tuple) and tree.value:
-        lines += writer.items(tree, place_of(model), 0)
+        lines += writer.items(tree, slot_of(model), 0)
     else:
-        lines += [(writer.flow(tree, place_of(model), "block"), tree.beside), *_comments(tree.end, 0)]
+        lines += [(writer.flow(tree, slot_of(model), "block"), tree.beside), *_comments(tree.end, 0)]
     return "\n".join(_joined(lines)) + "\n"
 
 
@@ -111,9 +115,10 @@ def _spelled(tree: Tree, predicate: bool) -> Tree:
 
 
 def _collect_blocks(tree: Tree, blocks: set[int]) -> bool:
-    """Collect what cannot be written on one line: it holds a comment, or a text of several lines.
+    """Collect what cannot be written on one line: it holds a comment, a text of several lines, or a predicate.
 
-    Returns whether what holds the tree is of that kind because of it.
+    Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
+    whether what holds the tree is of that kind because of it.
     """
     value = tree.value
     inside = bool(value) and bool(tree.end)
@@ -125,6 +130,8 @@ def _collect_blocks(tree: Tree, blocks: set[int]) -> bool:
             inside |= _collect_blocks(child, blocks)
     elif isinstance(value, str):
         inside = "\n" in value and literal(value) is not None
+        if _PAIR.match(value):
+            return True
     if inside:
         blocks.add(id(tree))
     return inside or bool(tree.above) or bool(tree.beside) or bool(tree.end)
@@ -136,11 +143,11 @@ class _Writer:
     def __init__(self, blocks: set[int]) -> None:
         self.blocks = blocks
 
-    def sections(self, tree: Tree, place: Place, started: bool) -> Iterator[Line]:
+    def sections(self, tree: Tree, slot: Slot, started: bool) -> Iterator[Line]:
         """The entries of a document, a blank line before each that is written as a block."""
-        for key in place.ordered(tree.value):
+        for key in slot.ordered(tree.value):
             child = tree.value[key]
-            written = [*self.entry(key, child, place.member(key), 0, key)]
+            written = [*self.entry(key, child, slot.member(key), 0, key)]
             if started and written[0][0] == f"{key_text(key)}:":
                 yield "", ""
             yield from _comments(_above(child), 0)
@@ -148,114 +155,108 @@ class _Writer:
             started = True
         yield from _comments(tree.end, 0)
 
-    def entries(self, tree: Tree, place: Place, indent: int, section: str) -> Iterator[Line]:
+    def entries(self, tree: Tree, slot: Slot, indent: int, section: str) -> Iterator[Line]:
         """The entries of a mapping, one below the other."""
-        for key in place.ordered(tree.value):
+        for key in slot.ordered(tree.value):
             child = tree.value[key]
             yield from _comments(_above(child), indent)
-            yield from self.entry(key, child, place.member(key), indent, section)
+            yield from self.entry(key, child, slot.member(key), indent, section)
         yield from _comments(tree.end, indent)
 
-    def items(self, tree: Tree, place: Place, indent: int) -> Iterator[Line]:
+    def items(self, tree: Tree, slot: Slot, indent: int) -> Iterator[Line]:
         """The items of a list, one below the other."""
         for item in tree.value:
-            nested = isinstance(item.value, dict | tuple) and self.is_block(item, place.item, indent + 2)
+            nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
             above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))
             yield from _comments(above, indent)
             if nested:
-                yield from self.nested_item(item, place.item, indent)
+                yield from self.nested_item(item, slot.item, indent)
             else:
-                yield from self.short(f"{' ' * indent}-", item, place.item, indent)
+                yield from self.short(f"{' ' * indent}-", item, slot.item, indent, item.beside)
         yield from _comments(tree.end, indent)
 
-    def nested_item(self, item: Tree, place: Place, indent: int) -> Iterator[Line]:
+    def nested_item(self, item: Tree, slot: Slot, indent: int) -> Iterator[Line]:
         """An item that is a mapping or list over several lines, which start behind the dash."""
         inside = indent + 2
-        lines = [
-            *(
-                self.entries(item, place, inside, "")
-                if isinstance(item.value, dict)
-                else self.items(item, place, inside)
-            )
-        ]
+        mapping = isinstance(item.value, dict)
+        first, *lines = self.entries(item, slot, inside, "") if mapping else self.items(item, slot, inside)
         dash = f"{' ' * indent}-"
-        if lines[0][0].lstrip().startswith("#"):
-            lines.insert(0, (dash, ""))
+        if first[0].startswith("#", inside):
+            yield from ((dash, ""), first)
         else:
-            lines[0] = (f"{dash} {lines[0][0][inside:]}", lines[0][1])
+            yield f"{dash} {first[0][inside:]}", first[1]
         yield from lines
 
-    def entry(self, key: str, tree: Tree, place: Place, indent: int, section: str) -> Iterator[Line]:
+    def entry(self, key: str, tree: Tree, slot: Slot, indent: int, section: str) -> Iterator[Line]:
         """One key with its value."""
-        pad = " " * indent
+        pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
         if len(key) > MAX_KEY:
-            yield f"{pad}? {key_text(key)}", ""
-            head = f"{pad}:"
-        value = tree.value
+            yield f"{pad}? {key_text(key)}", beside
+            head, beside = f"{pad}:", ""
         if isinstance(value, dict) and value:
             section_or_member = indent == 0 or (indent == 2 and section in _BLOCKS)
-            if section_or_member or self.is_block(tree, place, len(head) + 1):
-                yield head, tree.beside
-                yield from self.entries(tree, place, indent + 2, section)
+            if section_or_member or self.is_block(tree, slot, len(head) + 1):
+                yield head, beside
+                yield from self.entries(tree, slot, indent + 2, section)
                 return
-        elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, place, indent + 2):
-            yield head, tree.beside
-            yield from self.items(tree, place, indent + 2)
+        elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, slot, indent + 2):
+            yield head, beside
+            yield from self.items(tree, slot, indent + 2)
             return
-        yield from self.short(head, tree, place, indent)
+        yield from self.short(head, tree, slot, indent, beside)
 
-    def short(self, head: str, tree: Tree, place: Place, indent: int) -> Iterator[Line]:
+    def short(self, head: str, tree: Tree, slot: Slot, indent: int, beside: str) -> Iterator[Line]:
         """What is no block: on one line, or a long list or text over several."""
         if isinstance(tree.value, str):
-            yield from self.text(head, tree, indent)
+            yield from self.text(head, tree.value, indent, beside)
             return
-        flow = self.flow(tree, place, "block")
+        flow = self.flow(tree, slot, "block")
         if isinstance(tree.value, tuple) and len(head) + 1 + len(flow) > WIDTH:
-            items = [self.flow(item, place.item, "item") for item in tree.value]
+            items = [self.flow(item, slot.item, "item") for item in tree.value]
             *lines, last = _wrapped(f"{head} [", items, indent + 2)
             yield from ((line, "") for line in lines)
-            yield last, tree.beside
+            yield last, beside
         else:
-            yield f"{head} {flow}", tree.beside
+            yield f"{head} {flow}", beside
 
-    def text(self, head: str, tree: Tree, indent: int) -> Iterator[Line]:
+    def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
         """A text: on one line, or over several where it has several or does not fit."""
-        lines = literal(tree.value)
-        line = f"{head} {string(tree.value, 'block')}"
+        lines = literal(text)
+        line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
-            lines = folded(tree.value, WIDTH - indent - 2)
+            lines = folded(text, WIDTH - indent - 2)
         if lines is None:
-            yield line, tree.beside
+            yield line, beside
             return
-        yield f"{head} {lines[0]}", tree.beside
-        yield from ((f"{' ' * (indent + 2)}{text}" if text else "", "") for text in lines[1:])
+        yield f"{head} {lines[0]}", beside
+        yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
 
-    def is_block(self, tree: Tree, place: Place, column: int) -> bool:
+    def is_block(self, tree: Tree, slot: Slot, column: int) -> bool:
         """Whether a mapping or list that starts at a column is written over several lines."""
         if not tree.value:
             return False
         if isinstance(tree.value, tuple):
-            return self.is_list_of_lines(tree, place, column)
-        return id(tree) in self.blocks or column + len(self.flow(tree, place, "block")) > WIDTH
+            return self.is_list_of_lines(tree, slot, column)
+        return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
-    def is_list_of_lines(self, tree: Tree, place: Place, indent: int) -> bool:
+    def is_list_of_lines(self, tree: Tree, slot: Slot, indent: int) -> bool:
         """Whether each item of a list has a line of its own: predicates, and what does not fit on one."""
         if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
-        return any(indent + 1 + len(self.flow(item, place.item, "item")) > WIDTH for item in nested)
+        return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
 
-    def flow(self, tree: Tree, place: Place, where: Any) -> str:
+    def flow(self, tree: Tree, slot: Slot, where: Any) -> str:
         """A value on one line."""
         value = tree.value
         if isinstance(value, dict):
             inside = (
-                f"{key_text(key)}: {self.flow(value[key], place.member(key), 'value')}" for key in place.ordered(value)
+                f"{key_text(key)}: {self.flow(value[key], slot.member(key), 'value')}" for key in slot.ordered(value)
             )
             return f"{{{', '.join(inside)}}}"
         if isinstance(value, tuple):
-            return f"[{', '.join([self.flow(item, place.item, 'item') for item in value])}]"
+            return f"[{', '.join([self.flow(item, slot.item, 'item') for item in value])}]"
         return scalar(value, where)
 
 

@@ -1,0 +1,61 @@
+"""``simfoundry explain``."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.cli.output import CannotError, in_colour, json_option, print_json, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.spec.pages import Page
+
+
+@click.command()
+@click.argument("code", required=False)
+@json_option
+@reporting
+def command(code: str | None, as_json: bool) -> None:
+    """Explain a code: what it means, how to mend it, what is wrong and what is right.
+
+    CODE is written as in a finding, SF201, or shorter, 201. Without one, all codes are listed.
+    """
+    from simfoundry.spec.diagnostics import CODES, nearest
+    from simfoundry.spec.pages import code_of, grouped, page
+
+    if code is None:
+        if as_json:
+            print_json({"groups": {title: {c: CODES[c] for c in codes} for title, codes in grouped().items()}})
+        else:
+            click.echo(_listed(grouped()))
+        return
+    known = code_of(code)
+    if known is None:
+        similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", CODES)
+        hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
+        raise CannotError(f"there is no code `{code}`; {hint}")
+    found = page(known)
+    if as_json:
+        print_json({"code": found.code, "title": found.title, "markdown": found.markdown})
+    elif in_colour(sys.stdout):
+        _render(found)
+    else:
+        click.echo(found.markdown, nl=False)
+
+
+def _listed(groups: dict[str, list[str]]) -> str:
+    from simfoundry.spec.diagnostics import CODES
+
+    blocks = ("\n".join((title, *(f"  {c}  {CODES[c]}" for c in codes))) for title, codes in groups.items())
+    return "\n\n".join(blocks)
+
+
+def _render(page: Page) -> None:
+    """The page on a terminal, in lines that can be read."""
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    console = Console()
+    console.print(Markdown(page.markdown, code_theme="ansi_dark"), width=min(console.width, 100))

@@ -1,0 +1,265 @@
+"""Where a thing is that a spec puts on, inside or beside others: its words solved into a pose.
+
+A thing keeps its written rotation, goes to its place in the plane and comes down along z until it touches what carries
+it; :data:`CLEARANCE` is left between the two. Only the carrier stops it: where it meets a third thing, it is not moved.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from simfoundry.scene.drop import heights
+from simfoundry.scene.frames import IDENTITY, Array, Pose, quat_from_rpy
+from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.walls import hollow, surrounded
+from simfoundry.spec.place import Place
+
+CLEARANCE = 1e-4
+"""How far above what carries it a thing is put [m], so that nothing interpenetrates."""
+
+DIGITS = 6
+"""Decimals [m] of a solved position, so that rounding errors of a machine do not show."""
+
+LEFT_RIGHT, FRONT_BEHIND = 1, 0
+RELATIONS = {
+    "left_of": (LEFT_RIGHT, 1),
+    "right_of": (LEFT_RIGHT, -1),
+    "behind": (FRONT_BEHIND, 1),
+    "in_front_of": (FRONT_BEHIND, -1),
+}
+"""The axis of the viewer's frame (0 away, 1 left) that a word fixes, and the side of the anchor on it."""
+
+
+class PlaceError(Exception):
+    """A place that cannot be taken: what is wrong, with the numbers, and what to do."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message, self.hint = message, hint
+
+
+def order(places: Mapping[str, Place]) -> list[str]:
+    """The names of ``places`` in an order in which each comes after its carrier and its anchors.
+
+    What waits for itself, in a ring, comes last and as written.
+    """
+    waits = {name: {n for n in needs(place) if n in places} for name, place in places.items()}
+    out: list[str] = []
+    users: dict[str, list[str]] = {name: [] for name in places}
+    for name, others in waits.items():
+        for other in others:
+            users[other].append(name)
+    ready = [name for name in places if not waits[name]]
+    while ready:
+        out += ready
+        done, ready = ready, []
+        for name in done:
+            for user in users[name]:
+                waits[user].discard(name)
+                if not waits[user]:
+                    ready.append(user)
+    known = set(out)
+    return out + [name for name in places if name not in known]
+
+
+def needs(place: Place) -> list[str]:
+    """The objects that must be placed before: the carrier and the anchors."""
+    named = [_carrier_name(place), *(getattr(place, word) for word in RELATIONS)]
+    return [name.partition(".")[0] for name in named if name is not None]
+
+
+def place_all(
+    objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None
+) -> tuple[dict[str, SceneObject], dict[str, PlaceError]]:
+    """All objects, those with a place at their solved poses, and why some could not be placed.
+
+    What stands on or beside such a one is not placed either, and not reported.
+    """
+    placed = {name: item for name, item in objects.items() if name not in places}
+    errors: dict[str, PlaceError] = {}
+    for name in order(places):
+        if all(other in placed for other in needs(places[name])):
+            try:
+                X_WO = solve(objects[name], places[name], placed, viewer)
+                placed[name] = replace(objects[name], X_WO=X_WO)
+            except PlaceError as error:
+                errors[name] = error
+    return {name: placed.get(name, item) for name, item in objects.items()}, errors
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None) -> Pose:
+    """The pose ``X_WO`` of a thing at its place among the things already placed; raises :class:`PlaceError`.
+
+    ``viewer`` is a frame with x away from whom left, right, front and behind are seen by; without one it is the world.
+    """
+    carrier = _Carrier.of(_carrier_name(place) or "", placed)
+    upright = Pose.of(q=_rotation(place))
+    shape = hulls(replace(item, X_WO=upright))
+    if not len(shape.corners):
+        raise PlaceError(f"`{item.name}` has no shape that could be placed")
+    xy = _position(place, shape, upright, carrier, placed, viewer)
+    held = shape.moved(np.array([*xy, 0.0]))
+    lift = _lift(held, carrier, walled=place.inside is not None)
+    if lift is None:
+        raise _unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
+    at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
+    if not np.isfinite(at).all():
+        raise PlaceError(f"`{item.name}` would be beyond all numbers", "check the sizes and positions around it")
+    return Pose.of(at, upright.q)
+
+
+def seen_by_camera(X_WC: Pose) -> Pose:
+    """The frame, x away and y left, of who looks through a camera; away is up in the picture of one that looks down."""
+    forward, up = X_WC.rotation[:, 2], -X_WC.rotation[:, 1]
+    x, y = forward[:2] if math.hypot(*forward[:2]) > 1e-6 else up[:2]
+    return Pose.of(X_WC.p, quat_from_rpy(0.0, 0.0, math.atan2(y, x)))
+
+
+_standing = lru_cache(maxsize=16)(hulls)
+"""The parts of what stands already: many things stand on one desk."""
+
+
+def _carrier_name(place: Place) -> str | None:
+    return place.on if place.on is not None else place.inside
+
+
+def _rotation(place: Place) -> Array:
+    roll, pitch, yaw = place.rpy_deg or (0.0, 0.0, place.yaw_deg or 0.0)
+    return quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw))
+
+
+@dataclass(frozen=True, eq=False)
+class _Carrier:
+    """What a thing is put on or in: ``whole`` object, the ``part`` of it that is named, and that part's frame."""
+
+    name: str
+    whole: Hulls
+    part: Hulls
+    link: int | None
+    X_WC: Pose
+
+    @classmethod
+    def of(cls, name: str, placed: Mapping[str, SceneObject]) -> _Carrier:
+        owner, _, link = name.partition(".")
+        if owner not in placed:
+            raise PlaceError(f"`{owner}` has no place itself", "put it somewhere that does not depend on this")
+        item = placed[owner]
+        whole = _standing(item)
+        part, number, X_WC = whole, None, item.X_WO
+        if link:
+            names = [each.name for each in item.links]
+            if link not in names:
+                raise PlaceError(f"`{owner}` has no link `{link}`", f"it has {', '.join(names)}")
+            number = names.index(link)
+            part, X_WC = whole.of_link(number), item.X_WO @ link_poses(item)[link]
+        if not len(part.corners):
+            raise PlaceError(f"`{name}` touches nothing, so it carries nothing", "give it a `collision`")
+        return cls(name, whole, part, number, X_WC)
+
+
+def _position(
+    place: Place,
+    shape: Hulls,
+    upright: Pose,
+    carrier: _Carrier,
+    placed: Mapping[str, SceneObject],
+    viewer: Pose | None,
+) -> Array:
+    """Where the frame of the thing goes in the plane [m], shape (2,); ``shape`` has it at the origin."""
+    if place.xy is not None:
+        return np.array(place.xy)
+    if place.at is not None:
+        return np.asarray(carrier.X_WC.apply(np.array([*place.at, 0.0]))[:2])
+    own = shape.middle(upright.rotation)[:2]
+    words = [(word, getattr(place, word)) for word in RELATIONS if getattr(place, word) is not None]
+    if not words:
+        middle = carrier.part.middle(carrier.X_WC.rotation)
+        if place.inside is not None:
+            middle = hollow(carrier.part, middle, carrier.X_WC.rotation)
+        return np.asarray(middle[:2] - own)
+    axes = _axes(viewer)
+    along: dict[int, float] = {}
+    for word, name in words:
+        axis, side = RELATIONS[word]
+        anchor = _Carrier.of(name, placed)
+        (low, high), (mine_low, mine_high) = anchor.part.extent(axes[axis]), shape.extent(axes[axis])
+        along[axis] = high + place.gap - mine_low if side > 0 else low - place.gap - mine_high
+        if len(words) == 1:
+            middle = anchor.part.middle(anchor.X_WC.rotation)
+            along[1 - axis] = float(axes[1 - axis][:2] @ (middle[:2] - own))
+    return np.asarray(along[0] * axes[0][:2] + along[1] * axes[1][:2])
+
+
+def _axes(viewer: Pose | None) -> tuple[Array, Array]:
+    """Level unit vectors away from the viewer and to its left, shape (3,)."""
+    x, y, _ = (IDENTITY if viewer is None else viewer).rotation[:, 0]
+    length = math.hypot(x, y)
+    if length < 1e-6:
+        raise PlaceError("the viewpoint faces straight up or down, so nothing is left of or behind anything")
+    return np.array([x, y, 0.0]) / length, np.array([-y, x, 0.0]) / length
+
+
+def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
+    """How far the thing must be lifted to touch its carrier from above [m]; None where it cannot lie there.
+
+    Of a carrier that covers itself, as a cabinet does its drawer, the highest free space counts in which the thing lies
+    on the part that is named and, if it must be ``walled``, has walls around it.
+    """
+    touching = heights(held, carrier.whole)
+    if carrier.link is None and not walled:
+        return float(touching.max()) if np.isfinite(touching.max()) else None
+    leaving = -heights(held.flipped(), carrier.whole.flipped())
+    for lift, part in _spaces(leaving, touching):
+        on_it = carrier.link is None or carrier.whole.link[part] == carrier.link
+        if on_it and (not walled or surrounded(held.moved(np.array([0.0, 0.0, lift + CLEARANCE])), carrier.part)):
+            return lift
+    return None
+
+
+def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
+    """Where the thing can lie, from the highest: how far it is lifted, and the part of the carrier it lies on.
+
+    Part i of the thing meets part j of the carrier when it is lifted by ``low[i, j]`` to ``high[i, j]``.
+    """
+    met = np.isfinite(high)
+    order = np.argsort(-high[met], kind="stable")
+    ceiling = math.inf
+    part = np.nonzero(met)[1][order]
+    for bottom, top, below in zip(low[met][order], high[met][order], part, strict=True):
+        if top + 2 * CLEARANCE <= ceiling:
+            yield float(top), int(below)
+        ceiling = min(ceiling, float(bottom))
+
+
+def _unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+    """Why a thing cannot lie where it is: it misses its carrier, or does not fit."""
+    if not np.isfinite(heights(held, carrier.part)).any():
+        spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
+        spot = ", ".join(map(_metres, xy))
+        message = f"`{name}` at ({spot}) is not above `{carrier.name}`, which spans x {spans[0]} and y {spans[1]}"
+        return PlaceError(message, f"move it over `{carrier.name}`")
+    if where == "inside" and len(set(carrier.part.part)) == 1:
+        message = f"`{name}` cannot be inside `{carrier.name}`, whose colliders are one convex part without a hollow"
+        return PlaceError(
+            message, "write `on`, or give it a hollow: a lathe, a mesh with `collision: decompose`, parts"
+        )
+    own = _size(held.size())
+    room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
+    message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"
+    return PlaceError(message, "open what closes it, turn the thing, make it smaller or move it")
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f}" if abs(value) < 1e4 else f"{value:.3g}"
+
+
+def _size(extents: Array) -> str:
+    return " x ".join(f"{100 * v:.1f}" if v < 1e4 else f"{100 * v:.3g}" for v in extents) + " cm"
