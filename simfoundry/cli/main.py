@@ -15,6 +15,7 @@ COMMANDS = {
     "check": "Check documents; every finding with its place.",
     "compile": "Compile a scene for simulators.",
     "demo": "Capture, compile and run, from the project's own picture or yours.",
+    "diff": "Say what changed between two documents or revisions.",
     "doctor": "Say what is installed, what is missing and how to get it.",
     "explain": "Explain the code of a finding, or list all codes.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
