@@ -79,7 +79,10 @@ class Mimic(Model):
 
 
 class Drive(Model):
-    """A motor that holds a position like a spring, or resists motion, up to a force."""
+    """A motor that holds a position like a spring, or resists motion, up to a force.
+
+    Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
+    """
 
     stiffness: NonNegative = Field(0.0, description="Force for a unit of deviation [N/m, or N m/rad].")
     damping: NonNegative = Field(0.0, description="Force against a unit of velocity [N s/m, or N m s/rad].")
@@ -127,6 +130,10 @@ class JointSpec(Model):
                 raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
         if sum(v * v for v in self.axis) < 1e-12:
             raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
+        for name in ("damping", "friction", "armature") if self.type == "free" else ():
+            if getattr(self, name):
+                message = f"`{name}` has no effect: a free joint holds nothing"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
         for name in ("mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
                 message = f"`{name}` belongs to joints with one axis, and this one is {self.type}"
@@ -143,6 +150,8 @@ class AssetSpec(DocumentSpec):
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
     joints: dict[Name, JointSpec] = Field({}, description="What connects them, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
-        (), max_length=1000, description="Pairs of links that pass through each other; linked ones always do."
+        (),
+        max_length=1000,
+        description="Pairs of links that pass through each other, besides those that a joint connects.",
     )
     origin: Origin | None = Field(None, description="Where it comes from.")
