@@ -310,6 +310,11 @@ def pair_restitution(a: float, b: float) -> float:
     return float(np.sqrt(a * b))
 
 
+def pair_resistance(a: float, b: float) -> float:
+    """Torsional or rolling friction [m] of a contact between two surfaces: the larger, as one soft surface suffices."""
+    return max(a, b)
+
+
 def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     """Principal moments and axes of a symmetric inertia: ``I = R diag(moments) R^T``.
 

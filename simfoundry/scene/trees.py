@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from simfoundry.scene.frames import Pose
@@ -37,6 +38,19 @@ class Tree:
     def fixed(self) -> bool:
         """Whether the root is welded to the world."""
         return self.owner.fixed and self.free_joint is None
+
+
+def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT: Mapping[str, Pose]) -> dict[str, Pose]:
+    """Motions of the free joints of an object, by name, from the poses ``X_OT`` of the links below them, by name.
+
+    ``positions`` are those of its other joints.
+    """
+    known, motions = dict(positions), dict[str, Pose]()
+    for joint in (tree.free_joint for tree in trees(item)):
+        if joint is not None:
+            X_OZ = link_poses(item, known)[joint.parent] @ joint.X_PC
+            known[joint.name] = motions[joint.name] = X_OZ.inverse() @ X_OT[joint.child]
+    return motions
 
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
