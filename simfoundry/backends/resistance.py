@@ -1,8 +1,8 @@
 """Torsional and rolling friction for Bullet, which has one number a link and mixes it with the sliding friction.
 
-A pair of Bullet's resists with the coefficient of each times the sliding friction of the other, summed; the scene's with
-the larger of the two. Where a link that resists meets links of one friction only, one number makes that exact. Where it
-meets several, the number lies in the middle, and :class:`Resistance` says how far the extremes are off.
+A pair of Bullet's resists with the coefficient of each times the sliding friction of the other, summed; the scene's
+with the larger of the two. Where a link that resists meets links of one friction only, one number makes that exact.
+Where it meets several, the number lies in the middle, and :class:`Resistance` says how far the extremes are off.
 """
 
 from __future__ import annotations

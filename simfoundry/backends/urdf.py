@@ -160,14 +160,11 @@ def _add_joint(root: ET.Element, joint: Joint, dialect: Dialect) -> None:
     _add_origin(element, joint.X_PC @ joint.motion if welded else joint.X_PC)
     ET.SubElement(element, "parent", link=joint.parent)
     ET.SubElement(element, "child", link=joint.child)
-    if not joint.has_axis:
+    if joint.type is JointType.FIXED or welded:
         return
-    ET.SubElement(element, "axis", xyz=numbers(joint.axis))
-    strength = joint.drive.force_limit if joint.drive is not None else None
-    limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
-    if limits := _urdf_limits(joint):
-        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
-    ET.SubElement(element, "limit", limit)
+    if joint.has_axis:
+        ET.SubElement(element, "axis", xyz=numbers(joint.axis))
+        ET.SubElement(element, "limit", _limit(joint))
     if joint.damping or joint.friction:
         ET.SubElement(element, "dynamics", damping=number(joint.damping), friction=number(joint.friction))
     if joint.mimic is not None:
@@ -180,6 +177,14 @@ def _joint_type(joint: Joint, dialect: Dialect) -> str:
         return dialect.ball or JointType.FIXED.value
     unlimited = joint.type is JointType.REVOLUTE and joint.limits is None
     return JointType.CONTINUOUS.value if unlimited else joint.type.value
+
+
+def _limit(joint: Joint) -> dict[str, str]:
+    strength = joint.drive.force_limit if joint.drive is not None else None
+    limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
+    if limits := _urdf_limits(joint):
+        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
+    return limit
 
 
 def _urdf_limits(joint: Joint) -> tuple[float, float] | None:

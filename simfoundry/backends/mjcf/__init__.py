@@ -73,7 +73,8 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(root, "compiler", compiler)
     # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
     option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
-    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
+    # Resistance against rolling is so small beside it that the tangent has to be stiffer still, or a held ball creeps.
+    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "100" if resists(scene) else "10"})
     visual = ET.SubElement(root, "visual")
     if scene.cameras:  # the off-screen buffer must hold the largest picture
         width, height = max(c.width for c in scene.cameras), max(c.height for c in scene.cameras)

@@ -86,6 +86,9 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
         for key, value in (("damping", joint.damping), ("frictionloss", joint.friction), ("armature", joint.armature)):
             if value:
                 attributes[key] = number(value)
+        if joint.type is JointType.BALL and joint.friction:
+            # MuJoCo softens the friction by the mean over the axes, about one of which most things turn easily.
+            attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
     return body
 
