@@ -64,7 +64,7 @@ def pendulum(motion: Pose, damping: float = 0.0, friction: float = 0.0, armature
 
 
 def pot(fixed: bool = False) -> SceneObject:
-    """A pot with a welded handle; on it a lid that nothing holds, which has a flap on a hinge with a ball joint on it."""
+    """A pot with a welded handle and a lid that nothing holds, on which a knob turns on a ball joint of a hinged flap."""
     bodies = (
         part("body", Cylinder(0.1, 0.08), pose(0.01, 0.0, 0.04), 0.8),
         part("grip", box(0.08, 0.02, 0.02), pose(0.04, 0.0, 0.0, 0.3), 0.1),
@@ -84,7 +84,9 @@ def pot(fixed: bool = False) -> SceneObject:
     return SceneObject("pot", "pot", fixed, pose(0.2, 0.5, 0.3, 0.1, -0.2, 0.9), bodies, joints)
 
 
-def chain(count: int = 3, gap: float = 0.0, X_WO: Pose | None = None, **more: tuple[tuple[str, str], ...]) -> SceneObject:
+def chain(
+    count: int = 3, gap: float = 0.0, X_WO: Pose | None = None, **more: tuple[tuple[str, str], ...]
+) -> SceneObject:
     """Boxes of 10 cm in a row, each sliding along x against the one before it, ``gap`` [m] apart."""
     links = tuple(part(f"box_{k}", box(0.1, 0.1, 0.1), IDENTITY, 0.5) for k in range(count))
     joints = tuple(

@@ -98,7 +98,7 @@ def _under_skin() -> Parts:
 
 
 def _resistances(scene: Scene) -> dict[str, Resistance]:
-    """What Bullet calls spinning and rolling friction."""
+    """What is written for the links' resistance against spinning and rolling."""
 
     def of(field: str) -> Resistance:
         return resistance(
@@ -107,7 +107,7 @@ def _resistances(scene: Scene) -> dict[str, Resistance]:
             lambda link: max(getattr(c, field) for c in link.colliders),
         )
 
-    return {"spinning_friction": of("torsional_friction"), "rolling_friction": of("rolling_friction")}
+    return {"torsional_friction": of("torsional_friction"), "rolling_friction": of("rolling_friction")}
 
 
 def _object(tree: Tree, resistances: Mapping[str, Resistance]) -> dict[str, object]:
@@ -138,9 +138,9 @@ def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance
         "lateral_friction": _number(math.sqrt(link_friction(link))),
         "restitution": _number(math.sqrt(link_restitution(link))),
     }
-    for key, found in resistances.items():
+    for key, found in resistances.items():  # Bullet calls the first one spinning friction
         if value := found.written.get(item.qualified(link.name)):
-            surface[key] = _number(value)
+            surface[key.replace("torsional", "spinning")] = _number(value)
     return surface
 
 
@@ -205,8 +205,9 @@ def _losses(scene: Scene) -> Iterator[Loss]:
         reason = "Bullet acts on an impact at whole steps: a rebound differs from the coefficient by up to 0.15"
         yield Loss("restitution", Fidelity.APPROXIMATED, reason)
     for key, found in _resistances(scene).items():
-        if found.written:
-            yield Loss(key, Fidelity.APPROXIMATED, _resistance_reason(found.error))
+        if found.error > 1e-9:
+            reason = f"Bullet mixes it with the sliding friction, one number a link: some pair is {found.error:.0%} off"
+            yield Loss(key, Fidelity.APPROXIMATED, reason)
     for item in scene.objects:
         for link in item.links:
             yield from _surface_losses(item, link)
@@ -217,12 +218,6 @@ def _losses(scene: Scene) -> Iterator[Loss]:
     for light in scene.lights:
         reason = "a PyBullet world holds no lights: each picture brings its own"
         yield Loss(light.name, Fidelity.DROPPED, reason)
-
-
-def _resistance_reason(error: float) -> str:
-    if error < 1e-9:
-        return "Bullet holds it in two directions: up to 41 % above the coefficient between them"
-    return f"Bullet mixes it with the sliding friction, with one number a link: some pair is {error:.0%} off"
 
 
 def _colliders(scene: Scene) -> Iterator[Collider]:

@@ -111,7 +111,9 @@ def test_reset_goes_to_any_state_and_back(engine: Engine) -> None:
         assert np.linalg.norm(facts["pot.knob"].X_WL.p - X_WL.p) < TOLERANCE
         world.reset()
         assert_same(world.state(), initial)
-        with pytest.raises(KeyError, match=r"no ball or free joint 'pot\.lid' in this scene; there are: pendulum\.swing"):
+        with pytest.raises(
+            KeyError, match=r"no ball or free joint 'pot\.lid' in this scene; there are: pendulum\.swing"
+        ):
             world.reset(SceneState.of({}, {}, {"pot.lid": Pose.of()}))
 
 
