@@ -74,7 +74,7 @@ class Mimic(Model):
     """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
-    multiplier: Number = Field(1.0, description="Its position for one unit of the other's.")
+    multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
     offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
 
 

@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.joints import define_anchor, define_joint
 from simfoundry.backends.usd.materials import contact_material, visual_material
-from simfoundry.backends.usd.prims import apply_schemas, attribute, define, place, quatf, relate, rounded, vec3f
+from simfoundry.backends.usd.prims import (
+    apply_schemas,
+    attribute,
+    define,
+    place,
+    quatf,
+    relate,
+    rounded,
+    settled,
+    vec3f,
+)
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import JointType, Link, Mesh, Scene, SceneObject, principal_inertia
+from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -56,12 +66,25 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
         for link in tree.links:
             apply_schemas(links[link.name], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
         if tree.free_joint is not None:
-            attribute(links[tree.root.name], "simfoundry:freeJoint", "token", tree.free_joint.name, uniform=True)
+            _set_free(links[tree.root.name], tree.free_joint, links[tree.free_joint.parent].path)
     joined = [tree for tree in moving if tree.joints]
     if joined:
         scope = define(prim, "Joints", "Scope")
         for tree in joined:
             _articulate(prim, scope, tree, links, alone=len(joined) == 1)
+
+
+def _set_free(body: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path) -> None:
+    """State the free joint of a body, for which UsdPhysics has no prim: a body without a joint is free.
+
+    ``simfoundry:freePose`` is where it is at zero in its parent, as a matrix of USD, which multiplies row vectors.
+    """
+    from pxr import Gf
+
+    matrix = Gf.Matrix4d(*(settled(v) for v in joint.X_PC.matrix.T.ravel()))
+    attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
+    attribute(body, "simfoundry:freePose", "matrix4d", matrix, uniform=True)
+    relate(body, "simfoundry:freeParent", [parent])
 
 
 def _articulate(
