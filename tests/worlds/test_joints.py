@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simfoundry.backends import compile_scene
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene, Sphere
@@ -185,6 +186,30 @@ def test_a_drive_reaches_its_target(engine: Engine) -> None:
         assert world.state().joints["chain.slide_0"] == pytest.approx(0.25 * (1 - math.exp(-2.0) * 3.0), rel=0.02)
         run(world, 1.9)
         assert world.state().joints["chain.slide_0"] == pytest.approx(0.25, rel=1e-3)
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e7, 0.0), (1e7, 1e4), (1e4, 1e5)])
+def test_a_drive_too_stiff_for_the_step_is_written_softer(engine: Engine, stiffness: float, damping: float) -> None:
+    """It neither explodes nor is lost in silence, also where the joint moves a light finger on a heavy base."""
+    scene = slider(Drive(stiffness, damping, target=0.25, force_limit=50.0), pose(0, 0, 1, 0.3, 0.4, 0.7))
+    target = "mjcf" if engine is MujocoWorld else "pybullet"
+    lost = {loss.path: loss.reason for loss in compile_scene(scene, target).losses if ".drive." in loss.path}
+    assert (
+        lost if stiffness > 1e6 else set(lost) == ({"chain.slide_0.drive.damping"} if target == "pybullet" else set())
+    )
+    if stiffness > 1e6:
+        assert "125000 stands for 10000000" in lost["chain.slide_0.drive.stiffness"].replace(
+            "1.25e+05", "125000"
+        ).replace("1e+07", "10000000")
+    with engine(scene) as world:
+        run(world, 3.0)
+        before = world.state().joints["chain.slide_0"]
+        run(world, 0.2)
+        after = world.state().joints["chain.slide_0"]
+    assert abs(after) < 0.6
+    if 0 < damping < 1e5:
+        assert after == pytest.approx(0.25, rel=0.01)
+        assert abs(after - before) < 1e-3
 
 
 @pytest.mark.parametrize("limit", [4.5, 5.3])
