@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.base import Pose
 from simfoundry.spec.scene import Degrees
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec
 
 Written = float | Degrees | Pose
 """A position [m or rad], an angle in degrees, or the pose that a ball or free joint has moved to."""

@@ -111,28 +111,27 @@ def _articulate(
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     """State which links do not touch. What cannot move has no body to name: its colliders stand for it."""
-    static: dict[str, bool] = {}
-    prims: dict[str, Sdf.PrimSpec] = {}
+    bodies: dict[str, Sdf.PrimSpec] = {}
+    felt: dict[str, list[Sdf.Path]] = {}
     for item in scene.objects:
         for tree in trees(item):
             for link in tree.links:
-                name = item.qualified(link.name)
-                static[name] = is_static(tree)
-                prims[name] = scopes.objects.nameChildren[item.name].nameChildren[link.name]
+                prim = scopes.objects.nameChildren[item.name].nameChildren[link.name]
+                name, static = item.qualified(link.name), is_static(tree)
+                if not static:
+                    bodies[name] = prim
+                if link.colliders:
+                    colliders = prim.path.AppendChild("Colliders")
+                    felt[name] = [colliders.AppendChild(c.name) for c in link.colliders] if static else [prim.path]
     found: dict[str, list[Sdf.Path]] = {}
     own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
     for a, b in (*own, *scene.no_contact):
-        if static[a]:
-            a, b = b, a
-        if not static[a]:
-            colliders = prims[b].nameChildren.get("Colliders")
-            paths = (
-                [prims[b].path] if not static[b] else [c.path for c in (colliders.nameChildren if colliders else ())]
-            )
-            found.setdefault(a, []).extend(paths)
+        mover, other = (a, b) if a in bodies else (b, a)
+        if mover in bodies and mover in felt and other in felt:
+            found.setdefault(mover, []).extend(felt[other])
     for name, paths in found.items():
-        apply_schemas(prims[name], ["PhysicsFilteredPairsAPI"])
-        relate(prims[name], "physics:filteredPairs", paths)
+        apply_schemas(bodies[name], ["PhysicsFilteredPairsAPI"])
+        relate(bodies[name], "physics:filteredPairs", paths)
 
 
 def _define_link(scopes: Scopes, body: Sdf.PrimSpec, link: Link) -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.base import Pose
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.positions import Written, position
 from simfoundry.spec.scene import Degrees
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec, JointSpec
 
 
 def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
