@@ -339,3 +339,25 @@ def test_a_lid_lies_on_its_pot(engine: Engine) -> None:
     with engine(scene) as world:
         run(world, 1.0)
         assert world.state().motions["pot.rests"].p[2] == pytest.approx(-0.005, abs=1e-3)
+
+
+def test_torsional_friction_stops_a_spinning_ball(engine: Engine) -> None:
+    """A ball of 4 cm that spins at 20 rad/s about the vertical, against 1 mm of resistance."""
+    ball = rough(solid("ball", Sphere(0.04), pose(0, 0, 0.04, 0.1, 0.2, 0.3), mass=0.2, friction=0.5), torsional=0.001)
+    table = solid("table", box(1, 1, 0.1), pose(0, 0, -0.05), friction=0.8, fixed=True)
+    with engine(scene_of(ball, table)) as world:
+        run(world, 0.2)  # it sinks in first
+        world.halt()
+        if isinstance(world, MujocoWorld):
+            start = int(world.model.joint("ball").dofadr[0]) + 3
+            world.data.qvel[start : start + 3] = world.state().poses["ball"].rotation.T @ [0, 0, 20.0]
+        else:
+            assert isinstance(world, PybulletWorld)
+            spin = {"angularVelocity": [0, 0, 20.0], "physicsClientId": world.client}
+            world._bullet.resetBaseVelocity(world.bodies["ball"], **spin)
+        before = world.state().poses["ball"]
+        run(world, 0.1)
+        turned = world.state().poses["ball"].angle_to(before)
+    slowed = 9.81 * 0.001 / (0.4 * 0.04**2)  # torque over inertia [rad/s^2]
+    assert turned == pytest.approx(20.0 * 0.1 - slowed * 0.1**2 / 2, rel=0.01)
+    assert slowed * 0.1**2 / 2 > 0.03 * turned
