@@ -32,10 +32,11 @@ What lies beyond is looked at once the first findings are mended."""
 
 
 def overlaps(loaded: Loaded, drawn: Sketch) -> Iterator[Diagnostic]:
-    """SF410: pairs of things that interpenetrate, unless both are fixed."""
+    """SF410: pairs of things that interpenetrate, unless both are fixed, or shall pass through each other."""
     found = measured = 0
+    silent = {frozenset(pair) for pair in drawn.spec.no_contact}
     for a, b in _neighbours([t for t in drawn.things.values() if t.usable and t.solid and t.sure]):
-        if _left_alone(a, b):
+        if _left_alone(a, b) or frozenset((a.name, b.name)) in silent:
             continue
         pairs = list(close_pairs(a.touching, b.touching, -DEEP))
         measured += len(pairs)

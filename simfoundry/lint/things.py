@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
-from simfoundry.lint.frames import Frame, Vec
+from simfoundry.lint.frames import WORLD, Frame, Vec
 from simfoundry.lint.solids import Solid, posed
 
 FARTHEST = 1e6
@@ -25,11 +25,12 @@ class Limb(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """A joint at its position, with its limits [m or rad]; a continuous joint has none."""
+    """A joint at its position, with its limits [m or rad]; a continuous joint has none, a ball or free one a motion."""
 
     position: float
     limits: tuple[float, float] | None
     child: str
+    motion: Frame = WORLD
 
 
 @dataclass(frozen=True, eq=False)
