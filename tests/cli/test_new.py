@@ -184,6 +184,25 @@ def test_what_cannot_be_made_is_said_in_a_sentence(args: list[str], words: str, 
     assert [p.name for p in project.iterdir()] == ["simfoundry.yaml"]
 
 
+def test_a_kind_alone_asks_for_a_name() -> None:
+    done = run("new", "scene")
+    assert (done.code, done.out) == (2, "")
+    assert "as `new scene desk` for desk.scene.yaml" in done.err
+
+
+def test_a_task_is_about_things_that_can_be_put_on_one_another(project: Path) -> None:
+    (project / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}, density: 600, pose: {xyz: [0.4, 0, -0.05]}}\n"
+        "  tray: {shape: {box: [0.3, 0.2, 0.01]}, mass: 0.4, place: {on: desk, xy: [0.4, 0.2]}}\n"
+        "  ball: {shape: {sphere: 0.02}, mass: 0.1, place: {on: tray}}\n"
+        "  mug: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.3, place: {on: desk, xy: [0.4, -0.2]}}\n"
+    )
+    task = load(made("a.task.yaml")).spec
+    assert isinstance(task, TaskSpec)
+    assert task.instruction == "Put the mug on the tray."
+
+
 def test_a_source_with_errors_is_shown(project: Path) -> None:
     (project / "bad.scene.yaml").write_text("simfoundry: scene/1\nname: bad\nobjets: {}\n")
     done = run("new", "a.task.yaml", "--from", "bad.scene.yaml")
