@@ -150,6 +150,8 @@ ELSEWHERE = {
     "front": "in_front_of",
     "infront": "in_front_of",
     "distance": "gap",
+    "range": "limits",
+    "origin": "pose",
     "slide": "prismatic",
     "slider": "prismatic",
     "hinge": "revolute",

@@ -165,7 +165,10 @@ def _task(path: Path, source: Path | None) -> dict[str, str]:
     said = f"Put the {_said(thing)} on the {_said(others[0])}." if others else f"Lift the {_said(thing)}."
     regions = [(name, _where(item)) for name, item in free.items() if name in (thing, *others[:1])]
     lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
-    reset = ["  objects:", "    # ranges of x and y in the world [m], and of the turn about z", *lines] if lines else []
+    ranges = "ranges of x and y in the world [m], and of the turn about z"
+    reset = ["  objects:", f"    # {ranges}", *lines]
+    if not lines:
+        reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]
     return {
         **_named(loaded.path, path),
         "thing": thing,
