@@ -24,11 +24,13 @@ CHOICES = {
         "A bulb at `xyz`.",
         "Light from everywhere, as from a cloudy sky.",
     ),
-    ("fixed", "revolute", "prismatic", "continuous"): (
+    ("fixed", "revolute", "prismatic", "continuous", "ball", "free"): (
         "It does not move.",
         "It turns about `axis` within `limits_deg`, as a door.",
         "It slides along `axis` within `limits` [m], as a drawer.",
         "It turns about `axis` without limits, as a wheel.",
+        "It turns about every axis, as a shoulder.",
+        "Nothing holds it: it lies in or on the parent, as a lid.",
     ),
     ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"): tuple(
         f"{PREDICATES[name].meaning[0].upper()}{PREDICATES[name].meaning[1:]}."
