@@ -74,6 +74,8 @@ def _overlap(loaded: Loaded, a: Thing, b: Thing, depth: float) -> Diagnostic:
     hint = "move one of them away from the other"
     if raised is not None and 0 < raised <= STEEPEST * depth:
         hint = f"raise `{moved.name}` by {length(raised)}, to z = {number(moved.X_WO.p[2] + raised)}"
+    if len(where(loaded, moved.name)) == 2:
+        hint = f"it has no `place` and no `pose`, so it is at the origin: write `place: {{on: {other.name}}}`"
     hint += f"; what shall be like this is `allow: {{SF410: {{{moved.name}: why}}}}`"
     return warning(loaded, "SF410", where(loaded, moved.name), message, hint, (other.name,))
 

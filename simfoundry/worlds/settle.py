@@ -229,7 +229,7 @@ def _report(
     wanted = [r.args[1] for r in world.scene.relations if r.predicate == "OnTop" and r.args[0] == name]
     kept = all(w in carried_by for w in wanted)
     if drift > options.max_drift_m:
-        problems.append(f"moved {drift * 100:.1f} cm from its fitted pose")
+        problems.append(f"moved {drift * 100:.1f} cm from its pose in the scene")
     if tilt > options.max_tilt_deg and not is_ball(item):
         problems.append(f"tilted {tilt:.0f} deg")
     if penetration > options.max_penetration_m:
