@@ -1,4 +1,4 @@
-"""``physics.json``: what URDF has no place for and its simulators can hold: gravity, surfaces, joint friction, armature."""
+"""``physics.json``: what URDF has no place for and its simulators can hold, as gravity, surfaces and armature."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Cylinder, Scene, Sphere
@@ -60,7 +61,8 @@ _WEIGHT = rigs.GRAVITY  # of one kilogram [N]
 
 def free_fall() -> Measurement:
     """How far a lopsided body falls in 3 s, over g t^2 / 2."""
-    moments = yield Trial(rigs.scene_of("fall", rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))), Run(3.0, 3.0))
+    stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
+    moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
     first, last = moments[0], moments[-1]
     fallen = first.pose("stone").p[2] - last.pose("stone").p[2]
     return float(fallen / (rigs.GRAVITY * last.time**2 / 2))
@@ -70,7 +72,7 @@ def slip_angle() -> Measurement:
     """The steepness at which a box begins to slide, by two rounds of ramps."""
     low, high, count = 15.0, 43.0, 14
     for _ in range(2):
-        angles = np.linspace(low, high, count + 1)
+        angles = np.linspace(low, high, count + 1).tolist()
         moments = yield Trial(rigs.ramps(angles, MU_BOX, MU_RAMP), Run(1.3, 0.1))
         slid = _slid(moments, len(angles))
         first = int(np.argmax(slid)) if slid.any() else len(angles)
@@ -78,7 +80,7 @@ def slip_angle() -> Measurement:
     return (low + high) / 2
 
 
-def _slid(moments: Moments, count: int) -> Array:
+def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
     """Which of the boxes slipped in the last second; the time before lets them find their places."""
     before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
     names = [f"box{k}" for k in range(count)]
@@ -222,7 +224,7 @@ BEHAVIOURS: tuple[Behaviour, ...] = (
 
 @dataclass(frozen=True)
 class Known:
-    """What an engine is known to do instead: the measured value lies from ``low`` to ``high``, because of ``reason``."""
+    """What an engine is known to do instead: the value lies from ``low`` to ``high``, because of ``reason``."""
 
     low: float
     high: float

@@ -94,8 +94,13 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
 
 
 def _gap_reason(gap: Gap | None, difference: Difference) -> str:
-    """A gap is a quantity that the engine has none of; a wrong one is no gap."""
-    return gap.reason if gap is not None and not difference.got else ""
+    """A gap is a quantity that the engine has none of, or that is off by no more than a stated size."""
+    if gap is None:
+        return ""
+    if gap.size > 0 and difference.got is not None:
+        off = float(np.abs(np.asarray(difference.expected) - np.asarray(difference.got)).max())
+        return f"{gap.reason} (up to {gap.size:g})" if off <= gap.size else ""
+    return gap.reason if not difference.got else ""
 
 
 class _Checker:

@@ -19,10 +19,14 @@ VARIABLE = "SIMFOUNDRY_ENGINES"
 
 @dataclass(frozen=True)
 class Gap:
-    """A quantity that an engine does not keep although its build says it, and why."""
+    """A quantity that an engine does not keep although its build says it, and why.
+
+    It then has none of it, or, where there is a ``size``, one that is off by no more than that.
+    """
 
     quantity: str
     reason: str
+    size: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,7 @@ ENGINES: tuple[Engine, ...] = (
         "PhysX on the CPU",
         gaps=(
             Gap("joint friction", "PhysX has a drive for damping or for Coulomb friction: damping wins"),
+            Gap("bounds", "PhysX simplifies hulls of many vertices", size=1e-3),
         ),
         by_loader=("gravity", "friction", "restitution", "armature"),
     ),
@@ -94,7 +99,9 @@ ENGINES: tuple[Engine, ...] = (
         gaps=(Gap("joint friction", "Drake has no Coulomb friction of joints"),),
         by_loader=("gravity", "friction", "armature"),
     ),
-    Engine("usd", "usd", "usd", ("pxr:usd-core",), "pip install usd-core", "the stage itself, no simulator", steps=False),
+    Engine(
+        "usd", "usd", "usd", ("pxr:usd-core",), "pip install usd-core", "the stage itself, no simulator", steps=False
+    ),
 )
 """In the order of the table."""
 
@@ -121,7 +128,7 @@ def engine_called(name: str) -> Engine:
 
 
 def interpreters(options: Sequence[str], environment: Mapping[str, str] = os.environ) -> dict[str, list[Path]]:
-    """Where to look, by engine or family, ``""`` for all: what ``--python`` says first, then the variable, then here."""
+    """Where to look, by engine or family, ``""`` for all: what ``--python`` says, then the variable, then here."""
     places: dict[str, list[Path]] = {"": []}
     families = {e.name for e in ENGINES} | {e.family for e in ENGINES}
     for entry in (*options, *environment.get(VARIABLE, "").split(",")):

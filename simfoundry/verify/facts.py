@@ -1,8 +1,8 @@
 """What an engine says about a build that it loaded, in the scene's terms, and as JSON between processes.
 
-None stands for what an engine does not tell, or does not keep. Numbers are SI; poses are ``[x, y, z, qw, qx, qy, qz]``;
-a link goes by the object's name where it is the root, else by ``object.link``; a joint by ``object.joint``. Only numpy is
-needed here: this runs beside each engine, in whatever environment it lives.
+None stands for what an engine does not tell, or does not keep. Numbers are SI; poses are ``[x, y, z, qw, qx, qy, qz]``.
+A link goes by the object's name where it is the root, else by ``object.link``; a joint by ``object.joint``. Only numpy
+is needed here: this runs beside each engine, in whatever environment it lives.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ class ColliderFacts:
     """One collision shape.
 
     ``name`` is the collider's in its link, None where the engine forgets it; then shapes are told apart by their order.
-    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``; ``bounds`` the low and the high corner of the
-    box about it along the axes of the link [m]; ``friction`` and ``restitution`` those of the surface, before any rule
-    for a pair.
+    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``; ``bounds`` the low and the high corner of
+    the box about it along the axes of the link [m]; ``friction`` and ``restitution`` those of the surface, before any
+    rule for a pair.
     """
 
     name: str | None = None
@@ -124,7 +124,7 @@ def pose_of(values: Sequence[float]) -> Pose:
     return Pose.of(values[:3], values[3:])
 
 
-def shape_bounds(kind: str, size: Sequence[float], X_LG: Pose) -> Numbers:
+def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:
     """The box about a primitive along the link's axes: box ``x y z``; sphere ``r``; cylinder and capsule ``r h``."""
     r = X_LG.rotation
     match kind:

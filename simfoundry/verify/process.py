@@ -86,7 +86,7 @@ def ask(
 ) -> list[Answer]:
     """The answers of one engine to jobs, in order; ``report`` hears how many are done.
 
-    One process serves all of them. When it dies or hangs, that job's answer says so and a new one goes on with the rest.
+    One process serves all of them. When it dies or hangs, that job's answer says so and a new one goes on from there.
     """
     answers: list[Answer] = []
     while len(answers) < len(jobs):

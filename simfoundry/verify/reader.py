@@ -1,8 +1,8 @@
 """Read builds with one engine, in a process of its own: ``python -m simfoundry.verify.reader ENGINE``.
 
 Jobs come as lines of JSON on standard input, ``{"build": FOLDER, "run": null | {"seconds": s, "every": s}}``; each is
-answered by one line on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints goes
-to standard error. ``--probe`` says, as one line of JSON, which engines this interpreter could import, with versions.
+answered by one line on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints
+goes to standard error. ``--probe`` says, as one line of JSON, which engines this interpreter could import, with versions.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The results as text: one table of specs by engines, one of behaviours, and what is behind every cell that is not ok."""
+"""The results as text: a table of specs by engines, one of behaviours, and what is behind every cell that is not ok."""
 
 from __future__ import annotations
 

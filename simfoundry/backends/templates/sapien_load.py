@@ -3,8 +3,8 @@
     scene, objects = load()
     scene.step()
 
-An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and joint
-friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
+An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and
+joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import sapien
@@ -22,9 +22,9 @@ from sapien import physx
 HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
-"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction: stiff, up to the force of the friction."""
+"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
 
-Loaded = physx.PhysxArticulation | sapien.Entity
+Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
 
 
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
@@ -62,9 +62,7 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
     return folder / urdf.name
 
 
-def load_object(
-    scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int
-) -> Loaded:
+def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
     """Load one object in its pose, with its materials and joint positions; its links do not touch each other."""
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Sphere
@@ -44,7 +45,7 @@ class DrakeSession:
         self._simulator = Simulator(diagram)
         self._context = plant.GetMyContextFromRoot(self._simulator.get_mutable_context())
         self._bodies: dict[str, RigidBody] = {}
-        self._joints: dict[str, object] = {}
+        self._joints: dict[str, Any] = {}
         for name, model in models.items():
             for k, index in enumerate(plant.GetBodyIndices(model)):
                 body = plant.get_body(index)
@@ -77,8 +78,8 @@ class DrakeSession:
     def _pose(self, body: RigidBody) -> Pose:
         return _pose(self.plant.EvalBodyPoseInWorld(self._context, body))
 
-    def _position(self, joint: object) -> float:
-        return float(joint.GetOnePosition(self._context))  # type: ignore[attr-defined]
+    def _position(self, joint: Any) -> float:
+        return float(joint.GetOnePosition(self._context))
 
     def _link(self, body: RigidBody) -> LinkFacts:
         spatial = body.default_spatial_inertia()
@@ -89,43 +90,43 @@ class DrakeSession:
         return LinkFacts(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
                          numbers(about_com), colliders)  # fmt: skip
 
-    def _simulator_inspector(self) -> object:
+    def _simulator_inspector(self) -> Any:
         (scene_graph,) = [s for s in self.diagram.GetSystems() if s.get_name() == "scene_graph"]
         return scene_graph.model_inspector()
 
-    def _joint(self, joint: object) -> JointFacts:
+    def _joint(self, joint: Any) -> JointFacts:
         """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds."""
-        kind = joint.type_name()  # type: ignore[attr-defined]
-        low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())  # type: ignore[attr-defined]
-        axis = joint.translation_axis() if kind == "prismatic" else joint.revolute_axis()  # type: ignore[attr-defined]
-        X_CJ = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame())  # type: ignore[attr-defined]
+        kind = joint.type_name()
+        low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())
+        axis = joint.translation_axis() if kind == "prismatic" else joint.revolute_axis()
+        X_CJ = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame())
         return JointFacts(
             type=kind,
             axis=numbers(X_CJ.rotation @ axis),
             limits=(low, high) if math.isfinite(low) and math.isfinite(high) else (),
-            damping=float(joint.default_damping()),  # type: ignore[attr-defined]
+            damping=float(joint.default_damping()),
             friction=0.0,
             armature=self._armature(joint),
             position=self._position(joint),
         )
 
-    def _armature(self, joint: object) -> float:
-        name, model = f"{joint.name()}_rotor", joint.model_instance()  # type: ignore[attr-defined]
+    def _armature(self, joint: Any) -> float:
+        name, model = f"{joint.name()}_rotor", joint.model_instance()
         if not self.plant.HasJointActuatorNamed(name, model):
             return 0.0
         return float(self.plant.GetJointActuatorByName(name, model).default_reflected_inertia())
 
 
-def _collider(inspector: object, geometry: object) -> ColliderFacts:
-    name = inspector.GetName(geometry).rpartition("::")[2]  # type: ignore[attr-defined]
-    kind, bounds = _shape(inspector.GetShape(geometry), inspector, geometry)  # type: ignore[attr-defined]
-    properties = inspector.GetProximityProperties(geometry)  # type: ignore[attr-defined]
+def _collider(inspector: Any, geometry: Any) -> ColliderFacts:
+    name = inspector.GetName(geometry).rpartition("::")[2]
+    kind, bounds = _shape(inspector.GetShape(geometry), inspector, geometry)
+    properties = inspector.GetProximityProperties(geometry)
     friction = properties.GetProperty("material", "coulomb_friction").dynamic_friction()
     return ColliderFacts(name, kind, bounds, float(friction))
 
 
-def _shape(shape: object, inspector: object, geometry: object) -> tuple[str, Numbers | None]:
-    X_LG = _pose(inspector.GetPoseInFrame(geometry))  # type: ignore[attr-defined]
+def _shape(shape: Any, inspector: Any, geometry: Any) -> tuple[str, Numbers | None]:
+    X_LG = _pose(inspector.GetPoseInFrame(geometry))
     match shape:
         case Box():
             return "box", shape_bounds("box", shape.size(), X_LG)

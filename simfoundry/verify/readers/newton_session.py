@@ -55,13 +55,13 @@ class NewtonSession:
     def __init__(self, model: newton.Model, names: Names) -> None:
         self.model, self.names = model, names
         self._bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
-        kinds = model.joint_type.numpy()
-        self._kinds = [int(k) for k in kinds]
+        self._kinds = [int(k) for k in _array(model.joint_type)]
         labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
         self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
-        self._q_start, self._qd_start = model.joint_q_start.numpy(), model.joint_qd_start.numpy()
+        self._q_start, self._qd_start = _array(model.joint_q_start), _array(model.joint_qd_start)
         self._state, self._next = model.state(), model.state()
-        newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
+        if self._bodies:
+            newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
         self._control = model.control()
         self._solver: newton.solvers.SolverBase | None = None
 
@@ -75,14 +75,14 @@ class NewtonSession:
 
     def moment(self, time: float) -> Moment:
         """Poses of the roots from the bodies, positions of the joints from the generalised ones."""
-        q = self._state.joint_q.numpy()
+        q = _array(self._state.joint_q)
         poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
         return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
 
     def facts(self) -> Facts:
         """Bodies, static links and joints."""
         model, poses, colliders = self.model, self._poses(), self._colliders()
-        mass, com, inertia = model.body_mass.numpy(), model.body_com.numpy(), model.body_inertia.numpy()
+        mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
             name: LinkFacts(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
                             tuple(colliders.get(name, ())))
@@ -97,7 +97,7 @@ class NewtonSession:
         """Newton frees its arrays with the objects."""
 
     def _poses(self) -> dict[str, Pose]:
-        body_q = self._state.body_q.numpy()
+        body_q = _array(self._state.body_q)
         return dict(self.names.static) | {name: _pose(body_q[k]) for name, k in self._bodies.items()}
 
     def _colliders(self) -> dict[str, list[ColliderFacts]]:
@@ -144,6 +144,11 @@ class NewtonSession:
 def quiet() -> None:
     """Warp tells of every kernel that it loads."""
     wp.config.quiet = True
+
+
+def _array(values: wp.array | None) -> np.ndarray:
+    """The values; none where the model has no bodies or joints, for which Newton keeps no array."""
+    return np.zeros(0) if values is None else np.asarray(values.numpy())
 
 
 def _pose(transform: np.ndarray) -> Pose:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import sapien
@@ -52,7 +53,7 @@ class SapienSession:
     timestep = TIMESTEP
 
     def __init__(
-        self, scene: sapien.Scene, world: dict[str, object], collider_names: dict[tuple[str, str], list[str]]
+        self, scene: sapien.Scene, world: dict[str, Any], collider_names: dict[tuple[str, str], list[str]]
     ) -> None:
         self.scene, self.world = scene, world
         self._names = collider_names
@@ -65,7 +66,7 @@ class SapienSession:
                     self._links[name if k == 0 else f"{name}.{link.name}"] = link
                 self._joints |= {f"{name}.{joint.name}": joint for joint in item.active_joints}
             else:
-                parts = (c for c in item.components if isinstance(c, physx.PhysxRigidBaseComponent))  # type: ignore[attr-defined]
+                parts = (c for c in item.components if isinstance(c, physx.PhysxRigidBaseComponent))
                 self._links[name] = next(parts)
 
     def step(self) -> None:
