@@ -63,7 +63,10 @@ def small(picture: Image.Image, width: int, margin: float) -> bytes:
     height = round(picture.height * width / picture.width)
     resized = picture.resize((width, height), Image.Resampling.LANCZOS, box)
     data = png(resized)
-    return data if len(data) <= MAX_BYTES else png(resized.quantize(256, Image.Quantize.MEDIANCUT, kmeans=4))
+    if len(data) <= MAX_BYTES:
+        return data
+    palette = resized.quantize(256, Image.Quantize.MEDIANCUT, kmeans=4)
+    return png(resized.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG))
 
 
 def png(picture: Image.Image) -> bytes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -122,12 +122,13 @@ def _plain(name: str) -> str:
     return name.casefold().replace("_", "")
 
 
-def render(diagnostics: Iterable[Diagnostic], colour: bool = False) -> str:
+def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mapping[str, str] | None = None) -> str:
     """All findings as a compiler prints them: place, message, the line with a caret, the hint.
 
-    Each line of the documents is read from the file that the finding names. With ``colour``, for a terminal.
+    Each line of the documents is read from the file that the finding names, unless ``texts`` has what stands in it.
+    With ``colour``, for a terminal.
     """
-    sources: dict[str, list[str]] = {}
+    sources = {file: text.removeprefix("\ufeff").splitlines() for file, text in (texts or {}).items()}
 
     def paint(text: str, style: str) -> str:
         return _painted(text, style) if colour else text

@@ -140,7 +140,8 @@ def _bar(behaviour: Behaviour, value: float) -> str:
     x = 75 + 37.5 * max(-2.0, min(2.0, off))
     return (
         "<svg viewBox='0 0 150 14' role='img' aria-hidden='true'>"
-        "<rect y='6' width='150' height='2' fill='currentColor' opacity='.25'/><rect x='37.5' y='3' width='75' height='8' fill='#2e9e5b' opacity='.3'/>"
+        "<rect y='6' width='150' height='2' fill='currentColor' opacity='.25'/>"
+        "<rect x='37.5' y='3' width='75' height='8' fill='#2e9e5b' opacity='.3'/>"
         f"<rect x='{min(147.0, max(0.0, x - 1.5)):.1f}' width='3' height='14' fill='currentColor'/></svg>"
     )
 

@@ -2,7 +2,7 @@
 
 Jobs come as lines of JSON on standard input, ``{"build": FOLDER, "run": null | {"seconds": s, "every": s}}``; each is
 answered by one line on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints
-goes to standard error. ``--probe`` says, as one line of JSON, which engines this interpreter could import, with versions.
+goes to standard error. ``--probe`` says, as a line of JSON, which engines this interpreter could import, with versions.
 """
 
 from __future__ import annotations

@@ -197,23 +197,28 @@ def refuse(make: Callable[[Path], None], limit: float = 60.0) -> Refusal:
         output = Path(folder) / "output"
         command = [sys.executable, "-m", "simfoundry.cli.main", "check", path.name]
         with output.open("wb") as stream:
-            started = time.perf_counter()
+            started, peak = time.perf_counter(), 0.0
             process = subprocess.Popen(
                 command, cwd=project, stdout=stream, stderr=subprocess.STDOUT, env=_environment()
             )
-            while time.perf_counter() - started < limit:
-                pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-                if pid:
-                    break
+            while process.poll() is None:
+                peak = max(peak, _peak(process.pid))
+                if time.perf_counter() - started > limit:
+                    process.kill()
                 time.sleep(0.002)
-            else:
-                process.kill()
-                pid, status, usage = os.wait4(process.pid, 0)
             seconds = time.perf_counter() - started
-        process.returncode = os.waitstatus_to_exitcode(status)
         assert not (project / "owned").exists()
         text = output.read_text(errors="replace")
-        return Refusal(process.returncode, text, seconds, usage.ru_maxrss / 1024)
+        return Refusal(process.returncode, text, seconds, peak)
+
+
+def _peak(pid: int) -> float:
+    """The most memory [MB] that a running process has had; what the kernel tells at its end counts its parent's too."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0.0
+    return next((int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmHWM:")), 0.0)
 
 
 def _environment() -> dict[str, str]:

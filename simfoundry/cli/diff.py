@@ -1,0 +1,108 @@
+"""``simfoundry diff``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.review.compare import Comparison
+
+
+@click.command()
+@click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
+@click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where the HTML page goes.")
+@click.option("--exit-code", is_flag=True, help="Exit with 1 where there is a difference.")
+@click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
+@click.option("--git", "driver", is_flag=True, help="Answer git, as its diff driver.")
+@reporting
+def command(
+    what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool
+) -> int | None:
+    """Say what changed in a document, in the words of the scene.
+
+    Two files; or two revisions of a file: `HEAD~1 desk.scene.yaml` is that revision against the file as it is now,
+    `main..feature desk.scene.yaml` two revisions; HEAD where there is none. Without a file, every document that
+    differs.
+    """
+    if driver:
+        return _driver(what)
+    import tempfile
+
+    from simfoundry.review.arguments import open_pair, pairs
+
+    if (form == "html") != (out is not None):
+        raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
+    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
+        found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
+        if out is not None:
+            from simfoundry.files import write_atomically
+            from simfoundry.review.page import page
+
+            write_atomically(out, page(found).encode())
+    if form == "json":
+        print_json({"documents": [_plain(c) for c in found]})
+    elif form == "text":
+        _print(found)
+    else:
+        click.echo(f"{out}  ({len(found)} document{'s' if len(found) != 1 else ''})")
+    if form != "json":
+        _print_findings(found)
+    if any(c.obstacle for c in found):
+        return CANNOT
+    return FINDINGS if exit_code and any(c.differs for c in found) else DONE
+
+
+def _driver(arguments: tuple[str, ...]) -> int:
+    from simfoundry.review.driver import driver_lines
+
+    for line in driver_lines(arguments, Path.cwd()):
+        click.echo(_printable(line))
+    return DONE
+
+
+def _print(found: list[Comparison]) -> None:
+    for comparison in found:
+        if len(found) > 1:
+            click.echo(_printable(comparison.name))
+        for line in comparison.lines():
+            click.echo(("  " if len(found) > 1 else "") + _printable(line))
+    if not found:
+        click.echo("no document differs")
+
+
+def _print_findings(found: list[Comparison]) -> None:
+    from simfoundry.spec.diagnostics import render
+
+    findings = [d for c in found for d in c.findings]
+    texts = {s.label: s.text for c in found for s in (c.old, c.new) if s is not None}
+    if findings:
+        click.echo(render(findings, texts=texts), err=True)
+
+
+def _plain(comparison: Comparison) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from simfoundry.spec.diff.changes import to_json
+    from simfoundry.spec.diff.words import summary
+
+    return {
+        "name": comparison.name,
+        "old": comparison.old.label if comparison.old is not None else None,
+        "new": comparison.new.label if comparison.new is not None else None,
+        "obstacle": comparison.obstacle or None,
+        "summary": summary(comparison.entries),
+        "entries": [asdict(e) for e in comparison.entries],
+        "changes": [to_json(c) for c in comparison.changes],
+        "findings": [d.to_json() for d in comparison.findings],
+    }
+
+
+def _printable(line: str) -> str:
+    """A line that cannot steer a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -1,0 +1,130 @@
+"""Pictures of a scene before and after a change, from one camera, with what changed outlined."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.scene.frames import Array, look_at
+from simfoundry.scene.model import Camera, Scene
+from simfoundry.scene.raycast import raycast
+from simfoundry.scene.surface import scene_surface
+
+WIDTH, HEIGHT = 640, 480
+"""The size of a picture without a camera of the scene, and the largest width and height of any [px]."""
+
+VIEW_DEG = 40.0
+"""Vertical angle of view of the default camera."""
+
+FROM = (-0.72, -0.62, 0.62)
+"""Where the default camera stands, seen from the middle of the scene: behind the robot's right shoulder."""
+
+MARGIN = 1.08
+"""How much room the default camera leaves around the things."""
+
+RIM = 4
+"""How wide the outline of a changed thing is [px]."""
+
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Tag:
+    """Where in a picture a thing is seen: ``x`` and ``y`` of the top of its middle, as shares of width and height."""
+
+    name: str
+    x: float
+    y: float
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture as PNG bytes, its size [px], and tags of the changed things that are seen in it."""
+
+    png: bytes
+    width: int
+    height: int
+    tags: tuple[Tag, ...]
+
+
+def picture(scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]]) -> Picture:
+    """What ``camera`` sees of ``scene``, with the things named in ``colors`` outlined in their colour (sRGB bytes)."""
+    seen = raycast(scene, camera, samples=2)
+    image, tags = seen.color.copy(), []
+    for index, item in enumerate(scene.objects):
+        rows, columns = np.nonzero(seen.objects == index + 1)
+        if item.name in colors and len(rows):
+            _outline(image, seen.objects, index + 1, colors[item.name])
+            tags.append(Tag(item.name, float(columns.mean()) / camera.width, float(rows.min()) / camera.height))
+    return Picture(_png(image), camera.width, camera.height, tuple(tags))
+
+
+def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:
+    """The first chosen camera, made small enough; without one a view of all that is in the scenes."""
+    for camera in chosen:
+        if camera is not None:
+            return _shrunk(camera)
+    return _overview([scene for scene in scenes if scene.objects])
+
+
+def _shrunk(camera: Camera) -> Camera:
+    scale = min(1.0, WIDTH / camera.width, HEIGHT / camera.height)
+    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    x, y = width / camera.width, height / camera.height
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        fx=camera.fx * x,
+        fy=camera.fy * y,
+        cx=(camera.cx + 0.5) * x - 0.5,  # pixel centres are integers
+        cy=(camera.cy + 0.5) * y - 0.5,
+    )
+
+
+def _overview(scenes: list[Scene]) -> Camera:
+    """A three-quarter view of what is not fixed, or of everything where all is."""
+    points = [p for scene in scenes for p in (_corners(scene, free=True),) if len(p)]
+    points = points or [p for scene in scenes for p in (_corners(scene, free=False),) if len(p)]
+    cloud = np.concatenate([np.zeros((0, 3)), *points]) if points else np.array([[-0.5] * 3, [0.5] * 3])
+    low, high = cloud.min(axis=0), cloud.max(axis=0)
+    centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 0.05)
+    away = np.array(FROM) / np.linalg.norm(FROM)
+    eye = centre + away * MARGIN * radius / np.sin(np.radians(VIEW_DEG / 2))
+    focal = HEIGHT / 2 / np.tan(np.radians(VIEW_DEG / 2))
+    X_WC = look_at(eye, centre)
+    return Camera("overview", WIDTH, HEIGHT, float(focal), float(focal), (WIDTH - 1) / 2, (HEIGHT - 1) / 2, X_WC)
+
+
+def _corners(scene: Scene, free: bool) -> Array:
+    """Corners of the visible triangles [m, world], shape (n, 3), of all objects or of those that are not fixed."""
+    surface = scene_surface(scene)
+    wanted = np.array([not (free and item.fixed) for item in scene.objects], dtype=np.bool_)
+    return np.asarray(surface.corners[wanted[surface.object]].reshape(-1, 3))
+
+
+def _outline(image: Image, seen: NDArray[np.int32], label: int, color: tuple[int, int, int]) -> None:
+    """Draw a rim around the thing with a label, in place; never over what covers less of the picture than the thing."""
+    mask = seen == label
+    h, w = mask.shape
+    padded = np.pad(mask, RIM)
+    near = np.zeros_like(mask)
+    for dy in range(-RIM, RIM + 1):
+        for dx in range(-RIM, RIM + 1):
+            if dx * dx + dy * dy <= RIM * RIM:
+                near |= padded[RIM + dy : RIM + dy + h, RIM + dx : RIM + dx + w]
+    area = np.bincount(seen.ravel())
+    area[0] = seen.size  # the background is larger than anything
+    image[near & ~mask & (area[seen] >= area[label])] = np.array(color, dtype=np.uint8)
+
+
+def _png(image: Image) -> bytes:
+    from PIL import Image as Pillow
+
+    out = io.BytesIO()
+    Pillow.fromarray(image).save(out, format="PNG", optimize=True)
+    return out.getvalue()

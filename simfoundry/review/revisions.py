@@ -1,0 +1,158 @@
+"""Documents as a git revision has them, with the files that they refer to."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.kinds import is_document
+
+Read = Callable[[str], bytes | None]
+"""The content of a file by its path in the repository (with ``/``); None where there is none."""
+
+MAX_FILES = 10_000
+"""No document refers to more files than this."""
+
+_NAMED = re.compile(
+    r"\"([^\"\n]+\.\w{2,7})\"|'([^'\n]+\.\w{2,7})'|([^\s\"'\[\]{},:#][^\n\"'\[\]{},:#]*\.\w{2,7})(?!\w)"
+)
+"""What may be the name of a file in the text of a document, a mesh or a material."""
+
+_REFERRING = (".yaml", ".obj", ".mtl")
+"""Files that may name others."""
+
+
+class GitError(SimfoundryError):
+    """What git cannot do, in its own words."""
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A document that differs: its path in the old and in the new revision, None where there is none."""
+
+    old: str | None
+    new: str | None
+
+
+def git(root: Path, *args: str) -> bytes:
+    """What git prints, called in ``root`` and without a shell; raises :class:`GitError`."""
+    try:
+        done = subprocess.run(["git", *args], cwd=root, capture_output=True, check=False, stdin=subprocess.DEVNULL)
+    except FileNotFoundError:
+        raise GitError("git is not installed, so revisions cannot be read") from None
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        raise GitError(lines[0] if lines else f"git {args[0]} failed")
+    return done.stdout
+
+
+def repository(folder: Path) -> Path:
+    """The top folder of the repository that ``folder`` lies in."""
+    try:
+        return Path(git(folder, "rev-parse", "--show-toplevel").decode().rstrip("\n")).resolve()
+    except GitError as error:
+        if "not a git repository" in str(error):
+            raise GitError(f"{folder.resolve()} is in no git repository; give two files") from None
+        raise
+
+
+def commit(root: Path, revision: str) -> str:
+    """The commit that a person means by ``revision``: ``HEAD~1``, a branch, a tag; as its full name."""
+    if not revision.startswith("-") and "\0" not in revision:
+        try:
+            found = git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
+            return found.decode().strip()
+        except GitError:
+            pass
+    raise GitError(f"`{revision}` is neither a file nor a revision of this repository")
+
+
+def merge_base(root: Path, a: str, b: str) -> str:
+    """The commit in which two commits parted."""
+    return git(root, "merge-base", a, b).decode().strip()
+
+
+def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
+    """The documents below a folder that differ between two commits, or between one and the working tree."""
+    revisions = [old] if new is None else [old, new]
+    options = ["--name-status", "-z", "-M", "--no-ext-diff", "--no-color", "--ignore-submodules"]
+    fields = iter(git(root, "diff", *options, *revisions, "--").decode(errors="surrogateescape").split("\0"))
+    found = []
+    for status in fields:
+        if not status:
+            break
+        before = next(fields)
+        after = next(fields) if status[0] in "RC" else before
+        pair = Renamed(None if status[0] in "AC" else before, None if status[0] == "D" else after)
+        names = [name for name in (pair.old, pair.new) if name is not None]
+        if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
+            found.append(pair)
+    return sorted(found, key=lambda pair: pair.new or pair.old or "")
+
+
+@contextmanager
+def files_of(root: Path, revision: str) -> Iterator[Read]:
+    """Reads files of a commit, all through one process."""
+    process = subprocess.Popen(
+        ["git", "cat-file", "--batch"],
+        cwd=root,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    assert process.stdin is not None and process.stdout is not None
+    ask, answer = process.stdin, process.stdout
+
+    def read(path: str) -> bytes | None:
+        if "\n" in path:
+            return None
+        ask.write(f"{revision}:{path}\n".encode(errors="surrogateescape"))
+        ask.flush()
+        head = answer.readline().split(b" ")
+        if len(head) != 3 or not head[2].strip().isdigit():
+            return None  # missing
+        data = answer.read(int(head[2]) + 1)[:-1]
+        return data if head[1] == b"blob" else None
+
+    with process:
+        yield read
+
+
+def export(read: Read, path: str, folder: Path) -> Path | None:
+    """Write a document and all that it refers to below ``folder``, as they lie in the repository.
+
+    Returns where the document is, or None where there is none.
+    """
+    todo, seen = [path], {path}
+    while todo and len(seen) < MAX_FILES:
+        name = todo.pop()
+        data = read(name)
+        if data is None:
+            continue
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+        if name.endswith(_REFERRING):
+            for reference in _references(data.decode(errors="replace"), posixpath.dirname(name)):
+                if reference not in seen:
+                    seen.add(reference)
+                    todo.append(reference)
+    target = folder / path
+    return target if target.is_file() else None
+
+
+def _references(text: str, folder: str) -> Iterator[str]:
+    """The paths in the repository that a text may name, relative to its own folder; none that leave the repository."""
+    for match in _NAMED.finditer(text):
+        written = next(group for group in match.groups() if group is not None).strip()
+        names = [written, *(written.split(" ", 1)[1:] if " " in written else [])]  # `mtllib a.mtl`, `- a b.yaml`
+        for name in names:
+            path = posixpath.normpath(posixpath.join(folder, name.strip()))
+            if not path.startswith(("/", "../")) and "\0" not in path and len(path) < 1024:
+                yield path

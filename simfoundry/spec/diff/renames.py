@@ -1,0 +1,246 @@
+"""Which member of a document became which, and every reference to it in the new name."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+Path_ = tuple[str, ...]
+
+SECTIONS = (
+    "objects",
+    "materials",
+    "cameras",
+    "lights",
+    "robots",
+    "links",
+    "parts",
+    "joints",
+    "frames",
+    "subtasks",
+    "place",
+    "pose",
+)
+"""Keys of mappings whose members have names."""
+
+ALIKE = 0.6
+"""The share of their values in which a member and its renamed self agree at least."""
+
+IDENTITY = ("shape", "asset", "mesh", "model")
+"""A member that has another one of these is another thing."""
+
+MAX_PAIRS = 40_000
+"""Where more pairs than this could be renames, only members that are entirely equal are taken for one."""
+
+_REFERENCES = {
+    "material": ("materials",),
+    "on": ("objects",),
+    "inside": ("objects",),
+    "left_of": ("objects",),
+    "right_of": ("objects",),
+    "in_front_of": ("objects",),
+    "behind": ("objects",),
+    "viewpoint": ("cameras", "robots"),
+    "robots": ("robots",),
+    "mount": ("robots", "objects"),
+    "anchor": ("objects",),
+    "objects": ("objects",),
+    "parent": ("links",),
+    "child": ("links",),
+}
+"""Keys whose text is a name, or a list of some, and the sections in which it is looked up."""
+
+_EXPRESSIONS = ("relations", "goal", "all", "any", "not")
+"""Keys of expressions, whose arguments are names of objects or robots."""
+
+_ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
+
+
+@dataclass(frozen=True)
+class Rename:
+    """A member of the mapping at ``section`` is called ``new`` and no longer ``old``, wherever it is named."""
+
+    section: Path_
+    old: str
+    new: str
+
+
+def find_renames(a: Any, b: Any) -> list[Rename]:
+    """The members of ``a`` that have another name in ``b``, best match first within a section."""
+    found: dict[tuple[Path_, str], Rename] = {}
+    while True:
+        # A name that is mended lets others match whose references now agree, so this is repeated until none is found.
+        known = len(found)
+        spaces = {(_space(r.section), r.old, r.new) for r in found.values()}
+        # Where names are defined comes first: what only refers to them follows.
+        for path, x, y in sorted(_sections(renamed(a, found.values()), b, ()), key=lambda s: len(s[0])):
+            for rename in _matches(path, x, y):
+                meaning = (_space(path), rename.old, rename.new)
+                if not meaning[0] or meaning not in spaces:
+                    found.setdefault((path, rename.old), rename)
+                    spaces.add(meaning)
+        if len(found) == known:
+            return list(found.values())
+
+
+def renamed(data: Any, renames: Iterable[Rename]) -> Any:
+    """A copy of ``data`` in which members, and what refers to them, have their new names; its mappings are new."""
+    local: dict[Path_, dict[str, str]] = {}
+    spaces: dict[str, dict[str, str]] = {}
+    for rename in renames:
+        local.setdefault(rename.section, {})[rename.old] = rename.new
+        spaces.setdefault(_space(rename.section), {}).setdefault(rename.old, rename.new)
+    spaces.pop("", None)
+    return _renamed(data, (), local, spaces)
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two values are the same, the order of keys included; ``1`` is ``1.0`` but not ``true``."""
+    if isinstance(a, dict):
+        return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple | list):
+        return isinstance(b, tuple | list) and len(a) == len(b) and all(map(same, a, b))
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
+    return bool(a == b) or (a != a and b != b)
+
+
+def copied(value: Any) -> Any:
+    """The same value in mappings of its own."""
+    match value:
+        case dict():
+            return {key: copied(item) for key, item in value.items()}
+        case tuple() | list():
+            return tuple(copied(item) for item in value)
+    return value
+
+
+def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, Any], dict[str, Any]]]:
+    """Every named mapping that both documents have at the same path."""
+    if not (isinstance(a, dict) and isinstance(b, dict)):
+        return
+    if path and path[-1] in SECTIONS:
+        yield path, a, b
+    for key, value in a.items():
+        if isinstance(value, dict) and key in b:
+            yield from _sections(value, b[key], (*path, key))
+
+
+def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
+    """The members of ``a`` that are in ``b`` under another name: the most similar pair first, each member once."""
+    gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
+    come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
+    if len(gone) * len(come) > MAX_PAIRS:
+        equal: dict[frozenset[Any], list[_Member]] = {}
+        for new in come:
+            equal.setdefault(new.leaves, []).append(new)
+        for old in gone:
+            if equal.get(old.leaves):
+                yield Rename(path, old.name, equal[old.leaves].pop(0).name)
+        return
+    scored = ((_likeness(old, new), i, k) for i, old in enumerate(gone) for k, new in enumerate(come))
+    taken: set[str] = set()
+    for _, i, k in sorted(((-like, -_like(gone[i], come[k])), i, k) for like, i, k in scored if like >= ALIKE):
+        if gone[i].name not in taken and come[k].name not in taken:
+            taken |= {gone[i].name, come[k].name}
+            yield Rename(path, gone[i].name, come[k].name)
+
+
+class _Member:
+    """A named member with its values by path."""
+
+    def __init__(self, name: str, value: dict[str, Any]) -> None:
+        self.name, self.value = name, value
+        self.leaves = frozenset(_leaves(value, ()))
+        self.paths = frozenset(path for path, _ in self.leaves)
+
+
+def _likeness(old: _Member, new: _Member) -> float:
+    """The share of all their values in which two members agree; 0 where they are different things."""
+    common = len(old.leaves & new.leaves)
+    if common < ALIKE * max(len(old.leaves), len(new.leaves)) or not _same_identity(old.value, new.value):
+        return 0.0
+    return common / len(old.paths | new.paths)
+
+
+def _like(old: _Member, new: _Member) -> float:
+    """How much of two names is alike: it decides between members that are equally similar."""
+    return difflib.SequenceMatcher(None, old.name, new.name).ratio()
+
+
+def _same_identity(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    return all(same(a.get(key), b.get(key)) for key in IDENTITY)
+
+
+def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
+    if isinstance(value, dict) and value:
+        for key, item in value.items():
+            yield from _leaves(item, (*path, key))
+    else:
+        yield path, value if isinstance(value, str | int | float | None) else repr(value)
+
+
+def _space(section: Path_) -> str:
+    """The section in which the names of a mapping are defined; empty where nothing refers to them."""
+    if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
+        return "objects"
+    if len(section) == 2 and section[0] == "allow":
+        return "objects"
+    return section[0] if len(section) == 1 else ""
+
+
+def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
+    if isinstance(value, dict):
+        mapping: dict[str, Any] = value
+        names = _new_names(mapping, {**spaces.get(_space(path), {}), **local.get(path, {})})
+        items = ((names.get(key, key), item) for key, item in mapping.items())
+        return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
+    if not spaces or not path:
+        return copied(value)
+    if path[-1] in _REFERENCES:
+        return _reference(value, _REFERENCES[path[-1]], spaces)
+    if path[-1] in _EXPRESSIONS:
+        return _expression(value, spaces)
+    return copied(value)
+
+
+def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
+    """The new names of the keys of a mapping, less those that would make two keys one."""
+    kept = {key: names[key] for key in mapping if key in names} if names else {}
+    while kept:
+        count = Counter(kept.get(key, key) for key in mapping)
+        clash = [key for key, new in kept.items() if count[new] > 1]
+        if not clash:
+            break
+        for key in clash:
+            del kept[key]
+    return kept
+
+
+def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
+    """An expression, or a list of them, with the new names of its arguments."""
+    match value:
+        case str():
+            return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)
+        case dict():
+            return {key: _expression(item, spaces) for key, item in value.items()}
+        case tuple() | list():
+            return tuple(_expression(item, spaces) for item in value)
+    return value
+
+
+def _reference(value: Any, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> Any:
+    if isinstance(value, tuple | list):
+        return tuple(_reference(item, sections, spaces) for item in value)
+    if not isinstance(value, str):
+        return value
+    head, dot, tail = value.partition(".")
+    return _name(head, sections, spaces) + dot + tail
+
+
+def _name(name: str, sections: tuple[str, ...], spaces: dict[str, dict[str, str]]) -> str:
+    return next((spaces[s][name] for s in sections if name in spaces.get(s, {})), name)
