@@ -13,13 +13,14 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, prin
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import Found
+    from simfoundry.verify.rest import Rested
     from simfoundry.verify.run import Measured, Reading, Subject
 
 
 @click.command()
 @click.argument("specs", nargs=-1, type=click.Path(path_type=Path, exists=True))
 @click.option("--engine", "engines", multiple=True, metavar="NAME", help="Default: all that are found.")
-@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Run what has a known answer.")
+@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Run things, too.")
 @click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False), help="Verify this build.")
 @click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="An interpreter that has engines.")
 @click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
@@ -43,7 +44,8 @@ def command(
     """Load builds of scenes in real simulators, and compare what each holds with the scene.
 
     SPECS are scenes, or folders of them. Each is compiled afresh; --build takes a finished build of one scene instead.
-    Without SPECS only the behaviours are measured. Engines are found in this Python, in those that --python names, and
+    Behaviours are machines with a known answer, as a pendulum, and each scene left alone for two seconds; without SPECS
+    only those machines are measured. Engines are found in this Python, in those that --python names, and
     in those of SIMFOUNDRY_ENGINES (separated by commas); each runs in a process of its own, so that a crash or a hang
     is reported and the rest goes on. Exit code 1 where a quantity differs from the scene without the loss report saying
     so, a behaviour is off without a known reason, or an engine fails.
@@ -62,17 +64,17 @@ def command(
     with ExitStack() as stack:
         progress = stack.enter_context(progress_bar(as_json))
         subjects = _subjects(stack, paths, build, found, progress)
-        readings, results = _verify(subjects, found, behaviours, jobs, timeout, progress)
+        readings, results, rested = _verify(subjects, found, behaviours, jobs, timeout, progress)
         if html is not None:
-            _write_page(html, readings, results, found, subjects)
+            _write_page(html, readings, results, rested, found, subjects)
     missing = [name for name in require if found[name] is None]
     if as_json:
-        print_json(_json(readings, results, found))
+        print_json(_json(readings, results, rested, found))
     else:
-        _print(readings, results, found)
+        _print(readings, results, rested, found)
     for name in missing:
         click.echo(f"{name} is required and was not found", err=True)
-    bad = not (_all_fine(readings) and _all_fine(results))
+    bad = not _all_fine(readings, results, rested)
     return FINDINGS if bad or missing else DONE
 
 
@@ -131,13 +133,15 @@ def _verify(
     jobs: int,
     timeout: float,
     progress: Callable[[str, float], None],
-) -> tuple[list[Reading], list[Measured]]:
+) -> tuple[list[Reading], list[Measured], list[Rested]]:
     from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.rest import settle_subjects
     from simfoundry.verify.run import measure_behaviours, read_subjects
 
     here = [f for f in found.values() if f is not None]
     readable = [f for f in here if all(f.engine.target in s.builds for s in subjects)]
-    work = len(subjects) * len(readable) + (len(BEHAVIOURS) * sum(f.engine.steps for f in here) if behaviours else 0)
+    stepping = sum(f.engine.steps for f in here)
+    work = len(subjects) * len(readable) + (stepping * (len(BEHAVIOURS) + len(subjects)) if behaviours else 0)
     done = 0
 
     def report(engine: str, units: int) -> None:
@@ -147,13 +151,15 @@ def _verify(
 
     readings = read_subjects(subjects, readable, report, jobs, timeout) if subjects else []
     results = measure_behaviours(BEHAVIOURS, here, report, jobs, timeout) if behaviours else []
-    return readings, results
+    rested = settle_subjects(subjects, readable, report, jobs, timeout) if behaviours else []
+    return readings, results, rested
 
 
 def _write_page(
     path: Path,
     readings: Sequence[Reading],
     results: Sequence[Measured],
+    rested: Sequence[Rested],
     found: Mapping[str, Found | None],
     subjects: Sequence[Subject],
 ) -> None:
@@ -163,22 +169,26 @@ def _write_page(
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
-    write_atomically(path, page(readings, results, BEHAVIOURS, found, pictures).encode())
+    write_atomically(path, page(readings, results, BEHAVIOURS, found, pictures, rested).encode())
 
 
-def _all_fine(outcomes: Sequence[Reading] | Sequence[Measured]) -> bool:
+def _all_fine(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested]) -> bool:
     from simfoundry.verify.run import Verdict
 
+    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
     return all(outcome.verdict in (Verdict.OK, Verdict.KNOWN) for outcome in outcomes)
 
 
 def _json(
-    readings: Sequence[Reading], results: Sequence[Measured], found: Mapping[str, Found | None]
+    readings: Sequence[Reading],
+    results: Sequence[Measured],
+    rested: Sequence[Rested],
+    found: Mapping[str, Found | None],
 ) -> dict[str, Any]:
     from simfoundry.verify.engines import engine_called
 
     return {
-        "ok": _all_fine(readings) and _all_fine(results),
+        "ok": _all_fine(readings, results, rested),
         "engines": {
             name: {"found": False, "install": engine_called(name).install}
             if f is None
@@ -187,10 +197,16 @@ def _json(
         },
         "readings": [r.to_json() for r in readings],
         "behaviours": [m.to_json() for m in results],
+        "left_alone": [r.to_json() for r in rested],
     }
 
 
-def _print(readings: Sequence[Reading], results: Sequence[Measured], found: Mapping[str, Found | None]) -> None:
+def _print(
+    readings: Sequence[Reading],
+    results: Sequence[Measured],
+    rested: Sequence[Rested],
+    found: Mapping[str, Found | None],
+) -> None:
     from simfoundry.verify import tables
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.engines import engine_called
@@ -200,8 +216,10 @@ def _print(readings: Sequence[Reading], results: Sequence[Measured], found: Mapp
         click.echo(tables.readings_table(readings, found) + "\n")
     if results:
         click.echo(tables.behaviours_table(results, BEHAVIOURS, found) + "\n")
+    if rested:
+        click.echo(tables.rested_table(rested, found) + "\n")
     sections = {
-        "differences": tables.details(readings, results),
+        "differences": tables.details(readings, results, rested),
         "not kept, and said so": tables.known_lines(readings, results),
         "notes": tables.stale_lines(readings),
         "not found": [tables.absent_line(engine_called(n)) for n, f in found.items() if f is None],
@@ -209,4 +227,4 @@ def _print(readings: Sequence[Reading], results: Sequence[Measured], found: Mapp
     for title, lines in sections.items():
         if lines:
             click.echo(f"{title}:\n" + "\n".join(f"  {line}" for line in lines) + "\n")
-    click.echo(summary(readings, results))
+    click.echo(summary(readings, results, rested))

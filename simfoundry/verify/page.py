@@ -8,8 +8,17 @@ from html import escape
 
 from simfoundry.verify.behaviours import Behaviour
 from simfoundry.verify.engines import Found
+from simfoundry.verify.rest import Rested
 from simfoundry.verify.run import Measured, Reading, Verdict
-from simfoundry.verify.tables import ABSENT, difference_line, known_lines, measured_cell, reading_cell, stale_lines
+from simfoundry.verify.tables import (
+    ABSENT,
+    difference_line,
+    known_lines,
+    measured_cell,
+    reading_cell,
+    rested_cell,
+    stale_lines,
+)
 
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:1200px;padding:0 1rem;color:#1d232b;background:#fff}
@@ -39,6 +48,7 @@ def page(
     behaviours: Sequence[Behaviour],
     engines: Mapping[str, Found | None],
     pictures: Mapping[str, bytes],
+    rested: Sequence[Rested] = (),
 ) -> str:
     """The whole page; ``pictures`` are PNGs by the name of the subject."""
     parts = [
@@ -46,10 +56,11 @@ def page(
         "<meta name='viewport' content='width=device-width,initial-scale=1'>",
         f"<title>simfoundry verify</title><style>{_STYLE}</style></head><body>",
         "<h1>What each simulator holds, and how it behaves</h1>",
-        f"<p>{escape(summary(readings, results))}</p>",
+        f"<p>{escape(summary(readings, results, rested))}</p>",
         _readings(readings, engines) if readings else "",
         _differences(readings),
         _behaviours(results, behaviours, engines) if results else "",
+        _rested(rested, engines) if rested else "",
         _list("What an engine does not keep", known_lines(readings, results)),
         _list("Losses that are reported but not seen", stale_lines(readings)),
         _pictures(pictures),
@@ -58,16 +69,20 @@ def page(
     return "\n".join(part for part in parts if part)
 
 
-def summary(readings: Sequence[Reading], results: Sequence[Measured]) -> str:
+def summary(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested] = ()) -> str:
     """One sentence: how much was compared, how much is wrong."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
-    failed = sum(r.verdict is Verdict.FAILED for r in readings) + sum(m.verdict is Verdict.FAILED for m in results)
+    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
+    failed = sum(o.verdict is Verdict.FAILED for o in outcomes)
     off = sum(m.verdict is Verdict.MISMATCH for m in results)
     text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
     if results:
         text += f"; {len(results)} behaviours measured, {off} are off without a reason"
+    if rested:
+        apart = sum(r.verdict is Verdict.MISMATCH for r in rested)
+        text += f"; {len(rested)} scenes left alone, {apart} end elsewhere than in other engines"
     return text + (f"; {failed} failed" if failed else "") + "."
 
 
@@ -124,6 +139,24 @@ def _behaviours(
         "at an end lies further out.</p>"
         f"<div class='wide'><table>{_head('', stepping)}{''.join(rows)}</table></div>"
     )
+
+
+def _rested(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> str:
+    by_cell = {(r.subject, r.engine): r for r in rested}
+    stepping = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
+    rows = []
+    for subject in dict.fromkeys(r.subject for r in rested):
+        cells = "".join(_rested_cell(by_cell.get((subject, engine))) for engine in stepping)
+        rows.append(f"<tr><th>{escape(subject)}</th>{cells}</tr>")
+    table = f"<div class='wide'><table>{_head('', stepping)}{''.join(rows)}</table></div>"
+    return f"<h2>Left alone for 2 s</h2><p>How far the worst thing ends from where other engines leave it.</p>{table}"
+
+
+def _rested_cell(rested: Rested | None) -> str:
+    if rested is None:
+        return "<td></td>"
+    note = escape(rested.error or rested.worst)
+    return f"<td class='{rested.verdict}'>{escape(rested_cell(rested))}<small>{note}</small></td>"
 
 
 def _measured_cell(behaviour: Behaviour, measured: Measured | None) -> str:

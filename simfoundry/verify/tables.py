@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from simfoundry.verify.behaviours import Behaviour
 from simfoundry.verify.compare import Difference
 from simfoundry.verify.engines import Engine, Found
+from simfoundry.verify.rest import Rested
 from simfoundry.verify.run import Measured, Reading, Verdict
 
 ABSENT = "not installed"
@@ -53,7 +54,22 @@ def behaviours_table(
     return _aligned(rows)
 
 
-def details(readings: Iterable[Reading], results: Iterable[Measured]) -> list[str]:
+def rested_cell(rested: Rested) -> str:
+    """How far an engine ends from the others."""
+    if rested.verdict is Verdict.FAILED:
+        return "failed"
+    return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is Verdict.MISMATCH else "")
+
+
+def rested_table(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> str:
+    """Specs down, engines across."""
+    names = [name for name in engines if any(r.engine == name for r in rested)]
+    cells = {(r.subject, r.engine): rested_cell(r) for r in rested}
+    subjects = dict.fromkeys(r.subject for r in rested)
+    return _aligned([["after 2 s", *names], *([s, *(cells.get((s, n), "") for n in names)] for s in subjects)])
+
+
+def details(readings: Iterable[Reading], results: Iterable[Measured], rested: Iterable[Rested] = ()) -> list[str]:
     """A line for everything that is wrong, and for what an engine is known not to do."""
     lines: list[str] = []
     for reading in readings:
@@ -70,6 +86,12 @@ def details(readings: Iterable[Reading], results: Iterable[Measured]) -> list[st
             lines.append(f"{m.behaviour} in {m.engine}: {m.error}")
         elif m.verdict is Verdict.MISMATCH:
             lines.append(f"{m.behaviour} in {m.engine}: {m.value:.5g} is outside of the tolerance")
+    for r in rested:
+        if r.verdict is Verdict.FAILED:
+            lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
+        elif r.verdict is Verdict.MISMATCH:
+            away = f"{r.mm:.2f} mm and {r.deg:.2f} deg from where other engines leave it"
+            lines.append(f"{r.subject} left alone in {r.engine}: {r.worst} ends {away}")
     return lines
 
 

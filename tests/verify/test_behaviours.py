@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from simfoundry.verify import behaviours as module
+from simfoundry.verify import rigs
 from simfoundry.verify.behaviours import BEHAVIOURS, KNOWN, Behaviour, Trial
 from simfoundry.verify.engines import ENGINES
 from simfoundry.verify.facts import Moment, pose_numbers
@@ -72,7 +72,7 @@ def test_the_slip_angle_is_found_on_ideal_ramps(angle: float) -> None:
 
 
 def test_ramps_rise_as_steeply_as_they_say_and_the_box_lies_on_them() -> None:
-    scene = module.rigs.ramps([20.0, 35.0], 0.3, 0.8)
+    scene = rigs.ramps([20.0, 35.0], 0.3, 0.8)
     for k, degrees in enumerate((20.0, 35.0)):
         X_WR, X_WB = scene.object(f"ramp{k}").X_WO, scene.object(f"box{k}").X_WO
         assert math.degrees(math.acos(X_WR.rotation[2, 2])) == pytest.approx(degrees)
