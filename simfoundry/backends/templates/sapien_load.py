@@ -63,7 +63,7 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
 
 
 def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
-    """Load one object in its pose, with its materials and joint positions; its links do not touch each other."""
+    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other."""
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
     articulations, actors, _ = loader.parse(str(urdf))
@@ -72,12 +72,13 @@ def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: 
         actors[0].set_initial_pose(pose)
         name = actors[0].name
         entity = actors[0].build_static(name) if item["fixed"] else actors[0].build(name)
-        set_surfaces(component_of(entity), physics["links"][name], group)
+        set_surfaces(component_of(entity), physics["links"][name], 0, group)
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"])
+    bits = silence({link.name for link in articulation.links}, {frozenset(pair) for pair in physics["silent"]})
     for link in articulation.links:
-        set_surfaces(link, physics["links"][link.name], group)
+        set_surfaces(link, physics["links"][link.name], bits[link.name], group)
     for joint in articulation.active_joints:
         set_joint(joint, physics["joints"][joint.name])
     articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
@@ -89,8 +90,30 @@ def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
     return next(c for c in entity.components if isinstance(c, physx.PhysxRigidBaseComponent))
 
 
-def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], group: int) -> None:
-    """Give each collision shape its material, and the group of its object, within which nothing collides."""
+def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
+    """For each link a mask, such that two share a bit if they do not touch: PhysX has 32 for a scene, we for an object.
+
+    Each bit stands for links of which no two touch, as many as can be found.
+    """
+    masks, left, bit = dict.fromkeys(links, 0), set(silent), 0
+    while left:
+        first = min(left, key=sorted)
+        quiet = sorted(first)
+        quiet += [a for a in sorted(links - first) if all(frozenset((a, b)) in silent for b in quiet)]
+        quiet = [a for k, a in enumerate(quiet) if all(frozenset((a, b)) in silent for b in quiet[:k])]
+        if bit == 32:
+            raise RuntimeError("PhysX cannot tell so many links apart that do not touch each other")
+        for link in quiet:
+            masks[link] |= 1 << bit
+        left -= {frozenset((a, b)) for a in quiet for b in quiet if a != b}
+        bit += 1
+    return masks
+
+
+def set_surfaces(
+    link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], mask: int, group: int
+) -> None:
+    """Give each collision shape its material, and the mask that silences it within the group of its object."""
     if hasattr(link, "angular_damping"):  # PhysX drags by itself
         link.linear_damping = link.angular_damping = 0.0
     shapes = link.collision_shapes
@@ -100,7 +123,7 @@ def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[s
         mu = surface["friction"]
         shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
         first, second, ignored, _ = shape.collision_groups
-        shape.set_collision_groups([first, second, ignored | 1 << 30, group])
+        shape.set_collision_groups([first, second, ignored | mask, group])
 
 
 def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, float]) -> None:
