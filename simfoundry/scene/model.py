@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +190,18 @@ class Camera:
     X_WC: Pose
 
 
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera that rides on a link: ``camera.X_WC`` is its pose in that link's frame.
+
+    ``carrier`` is a robot or an object; ``link`` one of its frames or links, empty for its base or root.
+    """
+
+    carrier: str
+    link: str
+    camera: Camera
+
+
 class LightType(StrEnum):
     """How a light shines."""
 
@@ -244,6 +257,8 @@ class Scene:
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
     left_out: tuple[LeftOut, ...] = ()
+    robots: tuple[Robot, ...] = ()
+    mounted: tuple[MountedCamera, ...] = ()
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""

@@ -7,6 +7,9 @@ Names: a body is its object, or ``object.link`` where it is not the root; a free
 Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
 colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links of one object do not collide with each
 other: joints, not contacts, hold a drawer in its cabinet.
+
+A robot is its own MJCF below a body of its name; its names have the robot's before them: ``arm.joint1``. Its frames
+that a scene can name are sites: ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -14,10 +17,11 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, number, numbers
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_object
 from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
 from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
 from simfoundry.scene.model import Scene
@@ -43,12 +47,24 @@ def compile_mjcf(scene: Scene) -> Artifact:
         qpos.extend(add_object(world, item, assets))
     add_contacts(root, scene)
     _add_texts(root, scene)
+    ctrl: list[float] = []
+    losses: list[Loss] = []
+    for robot in scene.robots:
+        read = add_robot(root, robot, assets)
+        if read is None:
+            losses.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in MJCF or URDF, and USD is not converted"))
+            continue
+        qpos.extend(read.qpos)
+        ctrl.extend(read.ctrl)
+        losses.extend(robot_losses(robot, read))
+    add_mounted_cameras(world, scene)
     keyframe = ET.SubElement(root, "keyframe")
-    ET.SubElement(keyframe, "key", {"name": "initial"} | ({"qpos": numbers(qpos)} if qpos else {}))
+    state = {"qpos": qpos, "ctrl": ctrl}
+    ET.SubElement(keyframe, "key", {"name": "initial"} | {key: numbers(value) for key, value in state.items() if value})
     ET.indent(root)
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene)))
+    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene), *losses))
 
 
 def _add_settings(root: ET.Element, scene: Scene) -> None:
@@ -70,8 +86,9 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
     ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
     visual = ET.SubElement(root, "visual")
-    if scene.cameras:  # the off-screen buffer must hold the largest picture
-        width, height = max(c.width for c in scene.cameras), max(c.height for c in scene.cameras)
+    cameras = [*scene.cameras, *(m.camera for m in scene.mounted)]
+    if cameras:  # the off-screen buffer must hold the largest picture
+        width, height = max(c.width for c in cameras), max(c.height for c in cameras)
         ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(visual, "headlight", own_light)
