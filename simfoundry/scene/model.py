@@ -267,6 +267,13 @@ class Scene:
                 return item
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
 
+    def robot(self, name: str) -> Robot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        for item in self.robots:
+            if item.name == name:
+                return item
+        raise KeyError(f"no robot {name!r}; there are: {', '.join(r.name for r in self.robots) or 'none'}")
+
 
 def pair_friction(a: float, b: float) -> float:
     """Coulomb coefficient of a contact between two surfaces: the geometric mean."""

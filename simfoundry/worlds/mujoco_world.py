@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.backends.robots import mujoco_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,7 +36,8 @@ class MujocoWorld:
         self.model: mujoco.MjModel = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
-        self._objects = {body: name for name, body in self._bodies.items()}
+        carried = {self.model.body(robot.name).id: robot.name for robot in scene.robots if mujoco_model(robot)}
+        self._objects = {body: name for name, body in self._bodies.items()} | carried
         joints = SceneState.initial(scene).joints
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in joints}
         self._free = {o.name: int(self.model.joint(o.name).qposadr[0]) for o in scene.objects if not o.fixed}
@@ -125,6 +129,10 @@ class MujocoWorld:
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
         )
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
     def _object_pose(self, item: SceneObject) -> Pose:
         # From qpos, not xpos: after a step, MuJoCo's body poses are still those before it.
