@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.assets.robot_files import urdf_mesh, urdf_meshes
+from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
 
@@ -64,7 +64,7 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
             spec = _assemble(native, prefix, files)
             spec.assets = files
             model = spec.compile()
-            servos = tuple(_add_servos(spec, model))
+            servos = tuple(_add_servos(spec, model, {prefix + name: force for name, force in native.effort.items()}))
             model = spec.compile() if servos else model
             _explicit_masses(spec, model)
     except (ValueError, OSError, KeyError) as error:
@@ -151,7 +151,7 @@ def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             body.explicitinertial = True
 
 
-def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel) -> Iterator[str]:
+def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str, float]) -> Iterator[str]:
     """Give every joint of a model without any actuator a position servo; yields their names."""
     import mujoco
 
@@ -163,7 +163,9 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel) -> Iterator[str]:
         k = model.joint(joint.name).id
         if k in followers or int(model.jnt_type[k]) not in moving:
             continue
-        limit = float(model.jnt_actfrcrange[k][1]) if model.jnt_actfrclimited[k] else _EFFORT
+        stated = float(model.jnt_actfrcrange[k][1]) if model.jnt_actfrclimited[k] else _EFFORT
+        limit = effort.get(joint.name, stated)
+        joint.actfrcrange = [-limit, limit]
         servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=limit / _SERVO_ERROR, dampratio=1.0)
         servo.forcerange = [-limit, limit]

@@ -15,7 +15,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
-from simfoundry.assets.robot_files import NoModelError
+from simfoundry.scene.robot_files import NoModelError
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen

@@ -69,7 +69,8 @@ class NativeModel:
     """A robot's model in one format.
 
     ``digest`` names the content of all its files, which lie where they were found on this machine. ``joints`` maps the
-    scene's names of the arm's joints onto the model's; a name that is not there is the model's own.
+    scene's names of the arm's joints onto the model's; a name that is not there is the model's own. ``effort`` is the
+    greatest force [N m or N] of joints for which the file does not tell the robot's.
     """
 
     format: ModelFormat
@@ -79,6 +80,7 @@ class NativeModel:
     links: Mapping[str, LinkFrame]
     joints: Mapping[str, str]
     gripper: Gripper | None
+    effort: Mapping[str, float]
 
     def frame(self, name: str) -> LinkFrame:
         """The frame that a scene calls ``name``: a known one, or a link of the model."""

@@ -10,7 +10,7 @@ from types import MappingProxyType
 import yaml
 from pydantic import ValidationError
 
-from simfoundry.assets.robot_files import NoModelError, digest, find_model, model_files
+from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.poses import pose
 from simfoundry.scene.robot import Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
@@ -104,6 +104,7 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path) -> NativeModel:
         links=MappingProxyType({n: LinkFrame(f.link, pose(f.pose)) for n, f in spec.links.items()}),
         joints=MappingProxyType({f"joint{k}": joint for k, joint in enumerate(spec.joints, 1)}),
         gripper=_gripper(spec),
+        effort=MappingProxyType(dict(spec.effort)),
     )
 
 

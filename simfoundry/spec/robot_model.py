@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from simfoundry.spec.base import Model, Name, Number, Pose
+from simfoundry.spec.base import Model, Name, Number, Pose, Positive
 from simfoundry.spec.robot import JointName
 
 Reference = str
@@ -57,6 +57,9 @@ class ModelSpec(Model):
     links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None
+    effort: dict[JointName, Positive] = Field(
+        {}, description="Greatest force of a joint [N m or N], where the file's own is not the robot's."
+    )
 
     @property
     def files(self) -> list[Reference]:

@@ -1,4 +1,4 @@
-"""Load this world: ``load()`` returns PyBullet body ids by object name; ``python load.py`` opens the viewer."""
+"""Load this world: ``load()`` returns PyBullet body ids by name of object or robot; ``python load.py`` opens the viewer."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ FLAGS = (
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
 
+GEAR_ERP, GEAR_FORCE = 0.2, 200.0  # share of an error mended a step; greatest force of a gear [N m or N]
+
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load every object; without a client, into the open default connection or a new one without a window."""
+    """Load every object and robot; without a client, into the open default connection or a new one without a window."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
-    return {name: load_object(client, item) for name, item in world["objects"].items()}
+    bodies = {name: load_object(client, item) for name, item in world["objects"].items()}
+    return bodies | {name: load_robot(client, item) for name, item in world.get("robots", {}).items()}
 
 
 def load_object(client: int, item: dict[str, Any]) -> int:
@@ -44,6 +47,53 @@ def load_object(client: int, item: dict[str, Any]) -> int:
         if joint in item["joints"]:
             set_joint(client, body, index, item, joint)
     return body
+
+
+def load_robot(client: int, item: dict[str, Any]) -> int:
+    """Load one robot of ``world.json``: at its place, its motors holding its joints, its fingers moving together."""
+    body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=FLAGS, physicsClientId=client)
+    place(client, body, item["p"], item["q_wxyz"])
+    joints: dict[str, int] = {}
+    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        info = pybullet.getJointInfo(body, index, physicsClientId=client)
+        joints[info[1].decode()] = index
+        pybullet.changeDynamics(body, index, linearDamping=0, angularDamping=0, physicsClientId=client)
+        if info[12].decode() in item["links"]:
+            set_surface(client, body, index, item["links"][info[12].decode()])
+    for name, position in item["joints"].items():
+        pybullet.resetJointState(body, joints[name], position, 0.0, physicsClientId=client)
+        motor = item["motors"].get(name, {"target": 0.0, "force": 0.0})
+        mode = pybullet.POSITION_CONTROL if name in item["motors"] else pybullet.VELOCITY_CONTROL
+        drive(client, body, joints[name], mode, motor)
+    for name, leader in item["follow"].items():
+        gear(client, body, joints[leader["joint"]], joints[name], leader)
+    return body
+
+
+def drive(client: int, body: int, index: int, mode: int, motor: dict[str, float]) -> None:
+    """Let a joint's motor hold a position, or leave the joint free."""
+    if mode == pybullet.POSITION_CONTROL:
+        pybullet.setJointMotorControl2(
+            body, index, mode, targetPosition=motor["target"], force=motor["force"], physicsClientId=client
+        )
+    else:
+        pybullet.setJointMotorControl2(body, index, mode, targetVelocity=0, force=0, physicsClientId=client)
+
+
+def gear(client: int, body: int, leader: int, follower: int, law: dict[str, Any]) -> None:
+    """Let a joint follow another: Bullet's gear keeps ``follower = -ratio * leader``."""
+    origin = [0, 0, 0]
+    constraint = pybullet.createConstraint(
+        body, leader, body, follower, pybullet.JOINT_GEAR, [1, 0, 0], origin, origin, physicsClientId=client
+    )
+    pybullet.changeConstraint(
+        constraint,
+        gearRatio=-law["multiplier"],
+        relativePositionTarget=law["offset"],
+        erp=GEAR_ERP,
+        maxForce=GEAR_FORCE,
+        physicsClientId=client,
+    )
 
 
 def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
