@@ -96,6 +96,12 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
         "motors": motors,
         "follow": follow,
         "links": links,
+        "arm": dict(robot.joints),
+        "gripper": {name: [_number(v) for v in pair] for name, pair in robot.gripper.items()},
+        "frames": {
+            name: {"link": frame.link, "p": _numbers(frame.X_LF.p), "q_wxyz": _numbers(frame.X_LF.q)}
+            for name, frame in robot.frames.items()
+        },
     }
 
 

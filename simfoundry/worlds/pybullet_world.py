@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import sys
 import tempfile
@@ -22,6 +23,8 @@ from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
+from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -43,8 +46,11 @@ class PybulletWorld:
                 folder = Path(temporary) / "world"
                 compile_pybullet(scene).write(folder)
                 self._loader = _import_file(folder / "load.py")
-                self.bodies: dict[str, int] = self._loader.load(self.client)
-        self._objects = {body: name for name, body in self.bodies.items()}
+                every: dict[str, int] = self._loader.load(self.client)
+                facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
+        self.bodies: dict[str, int] = {item.name: every[item.name] for item in scene.objects}
+        self._robots = {n: PybulletRobotHandle(self._call, n, every[n], facts[n]) for n in facts}
+        self._objects = {body: name for name, body in every.items()}
         self._links: dict[str, tuple[int, int]] = {}
         self._joints: dict[str, tuple[int, int]] = {}
         for item in scene.objects:
@@ -83,6 +89,14 @@ class PybulletWorld:
             self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
         for name, position in full.joints.items():
             self._call("resetJointState", *self._joints[name], position, 0.0)
+        for robot in self._robots.values():
+            robot.reset()
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        if name not in self._robots:
+            raise KeyError(f"no robot {name!r}; there are: {', '.join(self._robots) or 'none'}")
+        return self._robots[name]
 
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
@@ -95,6 +109,8 @@ class PybulletWorld:
             self._call("resetBaseVelocity", body, [0, 0, 0], [0, 0, 0])
         for at in self._joints.values():
             self._call("resetJointState", *at, self._call("getJointState", *at)[0], 0.0)
+        for robot in self._robots.values():
+            robot.halt()
 
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""
