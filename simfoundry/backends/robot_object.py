@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,16 +23,18 @@ from simfoundry.scene.model import (
     Capsule,
     Collider,
     Cylinder,
+    Drive,
     Geometry,
     Joint,
     JointType,
     Link,
     Mesh,
+    Mimic,
     SceneObject,
     Sphere,
     Visual,
 )
-from simfoundry.scene.robot import Follow, Robot
+from simfoundry.scene.robot import Robot
 
 if TYPE_CHECKING:
     import mujoco
@@ -41,26 +44,15 @@ _LIGHTEST, _LEAST = 1e-6, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Servo:
-    """What drives a joint: ``stiffness`` [N m/rad or N/m], ``damping``, and the greatest ``force`` [N m or N]."""
-
-    stiffness: float
-    damping: float
-    force: float
-
-
-@dataclass(frozen=True, eq=False)
 class RobotObject:
     """A robot as an ``item``. ``links`` and ``joints`` map the model's names onto the item's, which have no dots.
 
-    ``servos`` and ``follow`` are by joints of the item; ``loops`` is how many closed loops were cut.
+    ``loops`` is how many closed loops were cut.
     """
 
     item: SceneObject
     links: dict[str, str]
     joints: dict[str, str]
-    servos: dict[str, Servo]
-    follow: dict[str, Follow]
     loops: int
 
 
@@ -76,17 +68,21 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
     link_of = dict(zip(bodies, names.values(), strict=True))
     shift = {b: np.array(model.jnt_pos[moving[b]]) if b in moving else np.zeros(3) for b in bodies}
     links = tuple(_link(model, b, link_of[b], shift[b]) for b in bodies)
+    drives, (mimics, loops) = _drives(read, joints_of), _mimics(read, joint_names)
     joints = []
     for b in bodies[1:]:
         parent = int(model.body_parentid[b])
         X_PC = Pose.of(-shift[parent]) @ _pose(model.body_pos[b], model.body_quat[b]) @ Pose.of(shift[b])
         joint = moving.get(b)
         name = joints_of[joint] if joint is not None else f"{link_of[b]}_mount"
-        joints.append(_joint(model, read.qpos, joint, name, (link_of[parent], link_of[b]), X_PC))
+        one = _joint(model, read.qpos, joint, name, (link_of[parent], link_of[b]), X_PC)
+        mimic = mimics.get(name)
+        joints.append(replace(one, mimic=mimic, drive=drives.get(name) if mimic is None else None))
     root = bodies[0]
     X_WO = robot.X_WB @ _pose(model.body_pos[root], model.body_quat[root]) if root else robot.X_WB
-    item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(joints))
-    return RobotObject(item, names, joint_names, _servos(read, joints_of), *_followers(read, joint_names))
+    apart = tuple(combinations([link.name for link in links], 2))  # hulls overlap where the meshes do not
+    item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(joints), apart)
+    return RobotObject(item, names, joint_names, loops)
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:
@@ -191,25 +187,25 @@ def _joint(
     reference = float(model.qpos0[at])  # the model's poses are those at this position
     if reference == 0.0:
         return joint
-    fields = {k: getattr(joint, k) for k in joint.__dataclass_fields__}
-    return Joint(**{**fields, "X_PC": X_PC @ joint_transform(joint, -reference)})
+    return replace(joint, X_PC=X_PC @ joint_transform(joint, -reference))
 
 
-def _servos(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Servo]:
-    """The actuators that act on one joint each, and those of the gripper on each of its joints."""
+def _drives(read: MujocoRobot, joints: dict[int, str]) -> dict[str, Drive]:
+    """The actuators that act on one joint each, and those of the gripper on each joint that leads others."""
     import mujoco
 
-    model, servos = read.model, {}
+    model, drives = read.model, {}
     for k in range(model.nu):
         spring, damping = -float(model.actuator_biasprm[k][1]), -float(model.actuator_biasprm[k][2])
-        limited = bool(model.actuator_forcelimited[k])
-        servo = Servo(spring, damping, float(model.actuator_forcerange[k][1]) if limited else 1000.0)
+        limit = float(model.actuator_forcerange[k][1]) if model.actuator_forcelimited[k] else None
         if int(model.actuator_trntype[k]) == int(mujoco.mjtTrn.mjTRN_JOINT):
-            servos[joints[int(model.actuator_trnid[k][0])]] = servo
-        elif read.native.gripper is not None:
-            for name in _leaders(read):
-                servos[joints[model.joint(read.prefix + name).id]] = servo
-    return servos
+            driven = [int(model.actuator_trnid[k][0])]
+        else:
+            driven = [model.joint(read.prefix + name).id for name in _leaders(read)]
+        for joint in driven:
+            target = float(read.qpos[model.jnt_qposadr[joint]])
+            drives[joints[joint]] = Drive(max(spring, 0.0), max(damping, 0.0), target, limit)
+    return drives
 
 
 def _leaders(read: MujocoRobot) -> Iterator[str]:
@@ -219,19 +215,19 @@ def _leaders(read: MujocoRobot) -> Iterator[str]:
         yield from (name for name in gripper.joints if name not in gripper.follow)
 
 
-def _followers(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Follow], int]:
+def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
+    """What each joint follows: as the robot's description says, else as the model's equations do; and loops that are cut."""
     import mujoco
 
-    gripper = read.native.gripper
+    model, gripper = read.model, read.native.gripper
     given = gripper.follow if gripper is not None else {}
-    follow = {names[n]: Follow(names[f.joint], f.multiplier, f.offset) for n, f in given.items()}
-    model = read.model
-    for k in range(model.neq):
-        if int(model.eq_type[k]) == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_obj2id[k] >= 0:
-            one, other = (model.joint(int(i)).name.removeprefix(read.prefix) for i in (model.eq_obj1id[k], model.eq_obj2id[k]))
-            leads = names[one] in {f.joint for f in follow.values()}
-            offset, multiplier = (float(v) for v in model.eq_data[k][:2])
-            if names[one] not in follow and not leads:
-                follow[names[one]] = Follow(names[other], multiplier, offset)
-    loops = sum(int(t) in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)) for t in model.eq_type)
-    return follow, loops
+    mimics = {names[n]: Mimic(names[f.joint], f.multiplier, f.offset) for n, f in given.items()}
+    kinds = [int(kind) for kind in model.eq_type]
+    for k in (k for k, kind in enumerate(kinds) if kind == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_obj2id[k] >= 0):
+        ends = (int(model.eq_obj1id[k]), int(model.eq_obj2id[k]))
+        one, other = (names[model.joint(i).name.removeprefix(read.prefix)] for i in ends)
+        offset, multiplier = (float(v) for v in model.eq_data[k][:2])
+        if one not in mimics and one not in {m.joint for m in mimics.values()}:
+            mimics[one] = Mimic(other, multiplier, offset)
+    loops = sum(kind in (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)) for kind in kinds)
+    return mimics, loops

@@ -129,10 +129,14 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
         files=write(made.item),
         X_WB=made.item.X_WO,
         positions=moving,
-        efforts={name: servo.force for name, servo in made.servos.items()},
+        efforts={j.name: j.drive.force_limit or _STRONG for j in made.item.joints if j.drive is not None},
         joints={name: made.joints[joint] for name, joint in arm.items()},
         gripper={made.joints[name]: pair for name, pair in gripper.items()},
-        follow=made.follow,
+        follow={
+            j.name: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
+            for j in made.item.joints
+            if j.mimic is not None
+        },
         frames=frames,
         item=made.item,
         losses=tuple(conversion_losses(robot, made.loops)),

@@ -34,6 +34,8 @@ CODES = {
     "SF208": "places that depend on each other",
     "SF209": "a merge conflict that is left to decide",
     "SF210": "a place that cannot be solved",
+    "SF211": "a joint that follows nothing it can follow",
+    "SF212": "a pair without contact that is no pair",
     "SF301": "a mesh that cannot be used",
     "SF302": "a mesh that is not closed",
     "SF303": "a mesh of an implausible size",

@@ -10,7 +10,7 @@ from simfoundry.scene.robot import Gripper
 from simfoundry.worlds.robot import unknown_joint
 
 Call = Callable[..., Any]
-"""A function of PyBullet's by name, for one client."""
+"""A function of PyBullet's by name, for one client; or the loader's that lets a motor hold a position."""
 
 
 class PybulletRobotHandle:
@@ -19,8 +19,8 @@ class PybulletRobotHandle:
     ``facts`` are the robot's in ``world.json``.
     """
 
-    def __init__(self, call: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
-        self._call, self._name, self._body, self._facts = call, name, body, facts
+    def __init__(self, call: Call, hold: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
+        self._call, self._hold, self._name, self._body, self._facts = call, hold, name, body, facts
         infos = [call("getJointInfo", body, k) for k in range(call("getNumJoints", body))]
         self._index = {info[1].decode(): k for k, info in enumerate(infos)}
         self._limits = {info[1].decode(): (float(info[8]), float(info[9])) for info in infos}
@@ -51,9 +51,7 @@ class PybulletRobotHandle:
         low, high = self._limits[joint]
         if low <= high:
             target = min(max(target, low), high)
-        force = self._facts["motors"][joint]["force"]
-        mode = 2  # pybullet.POSITION_CONTROL
-        self._call("setJointMotorControl2", self._body, self._index[joint], mode, targetPosition=target, force=force)
+        self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
 
     def gripper(self) -> float:
         """How far the gripper is closed, from 0, open, to 1."""
