@@ -139,13 +139,14 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
         },
         frames=frames,
         item=made.item,
-        losses=tuple(conversion_losses(robot, made.loops)),
+        losses=tuple(conversion_losses(robot, native, made.loops)),
     )
 
 
-def conversion_losses(robot: Robot, loops: int) -> Iterator[Loss]:
-    """What is lost where a robot is converted from its MJCF."""
-    reason = "no model of it in this format is known: converted from its MJCF, collision meshes as their convex hulls"
+def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
+    """What is lost where a robot is converted from its MJCF or URDF."""
+    kind = source.format.value.upper()
+    reason = f"no model of it in this format is known: converted from its {kind}, collision meshes as convex hulls"
     yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
     if loops:
         plural = "s are" if loops > 1 else " is"
