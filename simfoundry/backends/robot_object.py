@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,7 @@ class RobotObject:
     loops: int
 
 
+@lru_cache(maxsize=4)
 def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
     """The robot, at its pose and in its joint positions. Raises :class:`RobotModelError` for what is no tree of links."""
     model = read.model

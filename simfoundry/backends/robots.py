@@ -12,6 +12,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,7 @@ class MujocoRobot:
     servos: tuple[str, ...]
 
 
+@lru_cache(maxsize=4)  # every target of a compile reads the same; a Robot is one by its identity
 def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
     """Read a robot's MJCF or URDF with the base at the origin. Raises :class:`RobotModelError`."""
     import mujoco
@@ -115,6 +117,9 @@ def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
             if item.file:
                 item.file = _keep(folder / directory / item.file, files)
         spec.meshdir = spec.texturedir = spec.modelfiledir = ""
+    for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
+        for k, item in enumerate(items):
+            item.name = item.name or f"{kind}{k}"
     for light in list(spec.lights):  # a lamp of the file is no part of the robot
         spec.delete(light)
     return spec
@@ -204,6 +209,13 @@ def _controls(native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.
         if model.actuator_ctrllimited[k]:
             ctrl[k] = np.clip(ctrl[k], *model.actuator_ctrlrange[k])
     return ctrl
+
+
+def xml(read: MujocoRobot) -> str:
+    """The robot's MJCF, in which every name starts with its prefix."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # said again of every odd mesh
+        return str(read.spec.to_xml())
 
 
 def body_name(read: MujocoRobot, frame: str) -> str:

@@ -9,11 +9,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 
-from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import pose_attributes
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera
-from simfoundry.backends.robots import MujocoRobot, RobotModelError, body_name, mujoco_model, read_robot
+from simfoundry.backends.robots import MujocoRobot, RobotModelError, body_name, mujoco_model, read_robot, xml
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, Robot
 
@@ -30,11 +30,12 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | N
     if native is None:
         return None
     read = read_robot(robot, native, f"{robot.name}.")
-    source = ET.fromstring(read.spec.to_xml())
+    source = ET.fromstring(xml(read))
     world = root.find("worldbody")
     assert world is not None
     base = ET.SubElement(world, "body", {"name": robot.name} | pose_attributes(robot.X_WB))
     base.extend(source.findall("worldbody/*"))
+    _write_exactly(base, read)
     _add_defaults(root, source, robot.name)
     for tag in _SECTIONS:
         _section(root, tag).extend(source.findall(f"{tag}/*"))
@@ -43,6 +44,27 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | N
         ET.SubElement(_body(base, body_name(read, name)), "site", site)
     assets.files.update(read.files)
     return read
+
+
+def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
+    """Write poses, masses and limits with all their digits; MuJoCo's writer keeps six."""
+    model = read.model
+    for body in base.iterfind(".//body"):
+        k = model.body(body.get("name")).id
+        for name, value, usual in (("pos", model.body_pos[k], "0 0 0"), ("quat", model.body_quat[k], "1 0 0 0")):
+            body.attrib.pop(name, None)
+            if numbers(value) != usual:
+                body.set(name, numbers(value))
+        inertial = body.find("inertial")
+        if inertial is not None:
+            inertial.attrib.clear()
+            inertial.set("pos", numbers(model.body_ipos[k]))
+            inertial.set("quat", numbers(model.body_iquat[k]))
+            inertial.set("mass", number(model.body_mass[k]))
+            inertial.set("diaginertia", numbers(model.body_inertia[k]))
+        for joint in body.findall("joint"):
+            if joint.get("range") is not None and joint.get("name"):
+                joint.set("range", numbers(model.jnt_range[model.joint(joint.get("name")).id]))
 
 
 def _section(root: ET.Element, tag: str) -> ET.Element:
