@@ -59,7 +59,7 @@ class RobotObject:
 
 @lru_cache(maxsize=4)
 def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
-    """The robot, at its pose and in its joint positions. Raises :class:`RobotModelError` for what is no tree of links."""
+    """The robot, at its pose and in its joint positions. Raises :class:`RobotModelError` for what is no tree."""
     model = read.model
     bodies = _bodies(robot, model)
     names = _names([model.body(b).name.removeprefix(read.prefix) for b in bodies])
@@ -163,9 +163,7 @@ def _geometry(model: mujoco.MjModel, g: int) -> Geometry | None:
             return None
 
 
-def _joint(
-    model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: tuple[str, str], X_PC: Pose
-) -> Joint:
+def _joint(model: mujoco.MjModel, qpos: Array, j: int | None, name: str, ends: tuple[str, str], X_PC: Pose) -> Joint:
     import mujoco
 
     if j is None:
@@ -218,7 +216,7 @@ def _leaders(read: MujocoRobot) -> Iterator[str]:
 
 
 def _mimics(read: MujocoRobot, names: dict[str, str]) -> tuple[dict[str, Mimic], int]:
-    """What each joint follows: as the robot's description says, else as the model's equations do; and loops that are cut."""
+    """What each joint follows, as the description says or else the model's equations; and how many loops are cut."""
     import mujoco
 
     model, gripper = read.model, read.native.gripper

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 
 if TYPE_CHECKING:
     import mujoco

@@ -16,7 +16,6 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
-from simfoundry.scene.robot_files import NoModelError
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
@@ -36,8 +35,9 @@ from simfoundry.scene.model import (
     SceneObject,
 )
 from simfoundry.scene.place import place_all, seen_by_camera
-from simfoundry.scene.poses import pose
+from simfoundry.scene.poses import pose as pose
 from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot_files import NoModelError
 from simfoundry.scene.robots import lower_robot
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec

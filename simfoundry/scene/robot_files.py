@@ -42,11 +42,13 @@ def find_model(reference: str, document: Path, suffix: str) -> Path:
 
 def _description(name: str, path: str | None, suffix: str) -> Path:
     try:
-        module = importlib.import_module(f"robot_descriptions.{name}")
-    except ModuleNotFoundError as error:
-        if error.name == f"robot_descriptions.{name}":
-            raise NoModelError(f"`robot_descriptions` has no `{name}`; update it") from None
+        importlib.import_module("robot_descriptions")
+    except ImportError:
         raise NoModelError("install its models with `pip install robot_descriptions`") from None
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except ModuleNotFoundError:
+        raise NoModelError(f"`robot_descriptions` has no `{name}`; update it") from None
     except Exception as error:  # whatever git says of a network that is not there
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise NoModelError(f"`robot_descriptions` could not fetch `{name}`: {reason}") from None

@@ -10,10 +10,10 @@ from types import MappingProxyType
 import yaml
 from pydantic import ValidationError
 
-from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.poses import pose
 from simfoundry.scene.robot import Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.spec.robot import RobotSpec
 from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec
 
@@ -71,7 +71,7 @@ def read_models(file: Path) -> RobotModelsSpec:
     except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
         if isinstance(error, ValidationError):
             first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"])
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
             raise SimfoundryError(f"{file}: {where}: {first['msg']}; docs/robots.md has the form") from None
         raise SimfoundryError(f"{file} is not a robot file: {str(error).splitlines()[0]}") from None
 

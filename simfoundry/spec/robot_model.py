@@ -53,7 +53,7 @@ class ModelSpec(Model):
     """A robot in one format. The names of an attached model have its name before them: `gripper.base`."""
 
     file: Reference | list[Reference] = Field(description="The file, or several of which the first found is taken.")
-    attach: dict[Name, AttachSpec] = {}
+    attach: dict[Name, AttachSpec] = Field({}, description="Models that its links carry, as a gripper, by name.")
     links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None

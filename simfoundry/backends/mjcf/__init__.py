@@ -55,7 +55,8 @@ def compile_mjcf(scene: Scene) -> Artifact:
     for robot in scene.robots:
         read = add_robot(root, robot, assets)
         if read is None:
-            losses.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in MJCF or URDF, and USD is not converted"))
+            reason = "it has no model in MJCF or URDF, and USD is not converted"
+            losses.append(Loss(robot.name, Fidelity.DROPPED, reason))
             continue
         qpos.extend(read.qpos)
         ctrl.extend(read.ctrl)

@@ -1,4 +1,4 @@
-"""Load this world: ``load()`` returns PyBullet body ids by name of object or robot; ``python load.py`` opens the viewer."""
+"""Load this world: ``load()`` returns PyBullet body ids by name; ``python load.py`` opens the viewer."""
 
 from __future__ import annotations
 

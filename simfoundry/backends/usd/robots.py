@@ -1,8 +1,9 @@
-"""Robots in a stage: their own USD by reference, or converted from their MJCF or URDF; and cameras that ride on links."""
+"""Robots in a stage: their own USD by reference, or converted from MJCF or URDF; cameras that ride on links."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 _UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
 """From a stage whose y axis is up to one whose z axis is."""
+
+_LAYER = re.compile(r"layer @([^@]+)@")
 
 
 @dataclass
@@ -75,6 +78,7 @@ def _refer(parent: Sdf.PrimSpec, robot: Robot, native: NativeModel, wanted: list
     default = stage.GetDefaultPrim()
     if not default:
         raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to refer to")
+    found.losses.extend(_missing(robot, stage))
     folder = f"robots/{native.file.stem}_{native.digest[:8]}"
     top = native.file.parent
     found.files |= {f"{folder}/{f.relative_to(top).as_posix()}": f.read_bytes() for f in model_files(native.file)}
@@ -99,6 +103,15 @@ def _refer(parent: Sdf.PrimSpec, robot: Robot, native: NativeModel, wanted: list
         if frame.link not in by_name:
             raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no link `{frame.link}`")
         found.frames[robot.name, name] = _over(model, default, by_name[frame.link]), frame.X_LF
+
+
+def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
+    """A loss where the robot's file refers to layers that are not there."""
+    absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
+    if absent:
+        count = f"{len(absent)} layer{'s' if len(absent) > 1 else ''}"
+        reason = f"its file refers to {count} that are not there, as {absent[0].rpartition('/')[2]}"
+        yield Loss(robot.name, Fidelity.DROPPED, reason)
 
 
 def _over(model: Sdf.PrimSpec, default: Usd.Prim, prim: Usd.Prim) -> Sdf.PrimSpec:

@@ -16,8 +16,8 @@ from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
+from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.scene.model import Mesh, Scene, SceneObject
 
 if TYPE_CHECKING:
@@ -28,9 +28,9 @@ def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
-    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
-    start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there twice, is an
-    :class:`~simfoundry.backends.names.InvalidSceneError`.
+    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's
+    own prims start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there
+    twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
 
