@@ -64,7 +64,7 @@ def pendulum(motion: Pose, damping: float = 0.0, friction: float = 0.0, armature
 
 
 def pot(fixed: bool = False) -> SceneObject:
-    """A pot with a welded handle and a lid that nothing holds, on which a knob turns on a ball joint of a hinged flap."""
+    """A pot with a welded handle and a lid that nothing holds; on that a flap, which carries a knob on a ball joint."""
     bodies = (
         part("body", Cylinder(0.1, 0.08), pose(0.01, 0.0, 0.04), 0.8),
         part("grip", box(0.08, 0.02, 0.02), pose(0.04, 0.0, 0.0, 0.3), 0.1),

@@ -20,6 +20,7 @@ from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
 from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
+from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.urdf import Dialect, Parts, joint_losses, placement, urdf_files, whole
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import (
@@ -177,11 +178,13 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance]) -> dict[str, obje
         "joint_friction": {joint.name: _number(joint.friction) for joint in moving},
         "joint_damping": {joint.name: _number(joint.damping) for joint in moving},
     }
-    names = {link.name for link in tree.links}
+    names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
     more: dict[str, object] = {
         "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
         "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
-        "drives": {j.name: _drive(j.drive) for j in moving if j.drive is not None},
+        "drives": {
+            name: _drive(drive) for name, drive in stable_drives(item, TIMESTEP, False).items() if name in joints
+        },
         "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
     }
     if more["self_collision"]:
@@ -272,6 +275,7 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
+    yield from stiffness_losses(scene, TIMESTEP, implicit_damping=False)
     for light in scene.lights:
         reason = "a PyBullet world holds no lights: each picture brings its own"
         yield Loss(light.name, Fidelity.DROPPED, reason)

@@ -46,7 +46,8 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.positions import Written, position
+from simfoundry.spec.scene import CameraSpec, LightSpec, ObjectSpec, SceneSpec
 
 Progress = Callable[[str, int, int], None]
 
@@ -238,25 +239,14 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
         todo += [j.child for j in spec.joints.values() if j.parent == link]
 
 
-def lower_joints(spec: AssetSpec, given: Mapping[str, float | Degrees | base.Pose]) -> tuple[Joint, ...]:
+def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
     """The joints of an asset at the positions ``given``, by name; one that follows another is where that leads it."""
-    positions: dict[str, float] = {}
-
-    def position(name: str) -> float:
-        if name not in positions:
-            mimic, written = spec.joints[name].mimic, given.get(name, 0.0)
-            if mimic is not None:
-                positions[name] = mimic.multiplier * position(mimic.joint) + mimic.offset
-            elif isinstance(written, Degrees):
-                positions[name] = math.radians(written.deg)
-            else:
-                positions[name] = written if isinstance(written, float) else 0.0
-        return positions[name]
-
-    return tuple(_joint(name, joint, position(name), given.get(name)) for name, joint in spec.joints.items())
+    return tuple(
+        _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
+    )
 
 
-def _joint(name: str, spec: JointSpec, position: float, written: float | Degrees | base.Pose | None) -> Joint:
+def _joint(name: str, spec: JointSpec, position: float, written: Written | None) -> Joint:
     limits = spec.limits
     if spec.limits_deg is not None:
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))

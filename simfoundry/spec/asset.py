@@ -1,7 +1,5 @@
 """``asset/1``: a thing with parts, links and joints, used by scenes."""
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -74,7 +72,7 @@ class Mimic(Model):
     """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
-    multiplier: Number = Field(1.0, description="Its position for one unit of the other's.")
+    multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
     offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simfoundry.backends import compile_scene
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene, Sphere
@@ -187,6 +188,30 @@ def test_a_drive_reaches_its_target(engine: Engine) -> None:
         assert world.state().joints["chain.slide_0"] == pytest.approx(0.25, rel=1e-3)
 
 
+@pytest.mark.parametrize(("stiffness", "damping"), [(1e7, 0.0), (1e7, 1e4), (1e4, 1e5)])
+def test_a_drive_too_stiff_for_the_step_is_written_softer(engine: Engine, stiffness: float, damping: float) -> None:
+    """It neither explodes nor is lost in silence, also where the joint moves a light finger on a heavy base."""
+    scene = slider(Drive(stiffness, damping, target=0.25, force_limit=50.0), pose(0, 0, 1, 0.3, 0.4, 0.7))
+    target = "mjcf" if engine is MujocoWorld else "pybullet"
+    lost = {loss.path: loss.reason for loss in compile_scene(scene, target).losses if ".drive." in loss.path}
+    assert (
+        lost if stiffness > 1e6 else set(lost) == ({"chain.slide_0.drive.damping"} if target == "pybullet" else set())
+    )
+    if stiffness > 1e6:
+        assert "125000 stands for 10000000" in lost["chain.slide_0.drive.stiffness"].replace(
+            "1.25e+05", "125000"
+        ).replace("1e+07", "10000000")
+    with engine(scene) as world:
+        run(world, 3.0)
+        before = world.state().joints["chain.slide_0"]
+        run(world, 0.2)
+        after = world.state().joints["chain.slide_0"]
+    assert abs(after) < 0.6
+    if 0 < damping < 1e5:
+        assert after == pytest.approx(0.25, rel=0.01)
+        assert abs(after - before) < 1e-3
+
+
 @pytest.mark.parametrize("limit", [4.5, 5.3])
 def test_a_drive_holds_its_force_limit(engine: Engine, limit: float) -> None:
     """The box weighs 4.905 N: it sinks with what is left of its weight, or rises with what the motor has beyond it."""
@@ -314,3 +339,25 @@ def test_a_lid_lies_on_its_pot(engine: Engine) -> None:
     with engine(scene) as world:
         run(world, 1.0)
         assert world.state().motions["pot.rests"].p[2] == pytest.approx(-0.005, abs=1e-3)
+
+
+def test_torsional_friction_stops_a_spinning_ball(engine: Engine) -> None:
+    """A ball of 4 cm that spins at 20 rad/s about the vertical, against 1 mm of resistance."""
+    ball = rough(solid("ball", Sphere(0.04), pose(0, 0, 0.04, 0.1, 0.2, 0.3), mass=0.2, friction=0.5), torsional=0.001)
+    table = solid("table", box(1, 1, 0.1), pose(0, 0, -0.05), friction=0.8, fixed=True)
+    with engine(scene_of(ball, table)) as world:
+        run(world, 0.2)  # it sinks in first
+        world.halt()
+        if isinstance(world, MujocoWorld):
+            start = int(world.model.joint("ball").dofadr[0]) + 3
+            world.data.qvel[start : start + 3] = world.state().poses["ball"].rotation.T @ [0, 0, 20.0]
+        else:
+            assert isinstance(world, PybulletWorld)
+            spin = {"angularVelocity": [0, 0, 20.0], "physicsClientId": world.client}
+            world._bullet.resetBaseVelocity(world.bodies["ball"], **spin)
+        before = world.state().poses["ball"]
+        run(world, 0.1)
+        turned = world.state().poses["ball"].angle_to(before)
+    slowed = 9.81 * 0.001 / (0.4 * 0.04**2)  # torque over inertia [rad/s^2]
+    assert turned == pytest.approx(20.0 * 0.1 - slowed * 0.1**2 / 2, rel=0.01)
+    assert slowed * 0.1**2 / 2 > 0.03 * turned

@@ -25,6 +25,7 @@ from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
+from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -49,18 +50,18 @@ def compile_mjcf(scene: Scene) -> Artifact:
         qpos.extend(add_object(world, item, assets, resisting))
     add_contacts(root, scene)
     add_mimics(root, scene)
-    ctrl = add_drives(root, scene)
+    ctrl = add_drives(root, scene, TIMESTEP)
     _add_texts(root, scene)
-    losses: list[Loss] = []
+    lost: list[Loss] = []
     for robot in scene.robots:
         read = add_robot(root, robot, assets)
         if read is None:
             reason = "it has no model in MJCF or URDF, and USD is not converted"
-            losses.append(Loss(robot.name, Fidelity.DROPPED, reason))
+            lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
             continue
         qpos.extend(read.qpos)
         ctrl.extend(read.ctrl)
-        losses.extend(robot_losses(robot, read))
+        lost.extend(robot_losses(robot, read))
     add_mounted_cameras(world, scene)
     keyframe = ET.SubElement(root, "keyframe")
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
@@ -68,7 +69,13 @@ def compile_mjcf(scene: Scene) -> Artifact:
     ET.indent(root)
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene), *losses))
+    losses = (
+        *restitution_losses(scene),
+        *stiffness_losses(scene, TIMESTEP, implicit_damping=True),
+        *light_losses(scene),
+        *lost,
+    )
+    return Artifact("mjcf", "scene.xml", files, losses)
 
 
 def _add_settings(root: ET.Element, scene: Scene) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.stiffness import stable_drives
 from simfoundry.scene.model import Drive, Joint, Scene
 
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}
@@ -27,12 +28,15 @@ def add_mimics(root: ET.Element, scene: Scene) -> None:
         )
 
 
-def add_drives(root: ET.Element, scene: Scene) -> list[float]:
+def add_drives(root: ET.Element, scene: Scene, timestep: float) -> list[float]:
     """Add ``<actuator>`` with one entry, called ``object.joint``, for each drive; returns the initial ``ctrl``.
 
-    Its control is the target of the drive, within the limits of the joint.
+    Its control is the target of the drive, within the limits of the joint. ``timestep`` [s] bounds the stiffness.
     """
-    driven = [(o.name, j, j.drive) for o in scene.objects for j in o.joints if j.drive is not None]
+    driven: list[tuple[str, Joint, Drive]] = []
+    for item in scene.objects:
+        stable = stable_drives(item, timestep, implicit_damping=True)
+        driven += [(item.name, joint, stable[joint.name]) for joint in item.joints if joint.name in stable]
     if not driven:
         return []
     actuator = ET.SubElement(root, "actuator")

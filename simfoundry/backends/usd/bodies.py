@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.joints import define_anchor, define_joint
 from simfoundry.backends.usd.materials import contact_material, visual_material
-from simfoundry.backends.usd.prims import apply_schemas, attribute, define, place, quatf, relate, rounded, vec3f
+from simfoundry.backends.usd.prims import (
+    apply_schemas,
+    attribute,
+    define,
+    place,
+    quatf,
+    relate,
+    rounded,
+    settled,
+    vec3f,
+)
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import JointType, Link, Mesh, Scene, SceneObject, principal_inertia
+from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -56,12 +66,25 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
         for link in tree.links:
             apply_schemas(links[link.name], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
         if tree.free_joint is not None:
-            attribute(links[tree.root.name], "simfoundry:freeJoint", "token", tree.free_joint.name, uniform=True)
+            _set_free(links[tree.root.name], tree.free_joint, links[tree.free_joint.parent].path)
     joined = [tree for tree in moving if tree.joints]
     if joined:
         scope = define(prim, "Joints", "Scope")
         for tree in joined:
             _articulate(prim, scope, tree, links, alone=len(joined) == 1)
+
+
+def _set_free(body: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path) -> None:
+    """State the free joint of a body, for which UsdPhysics has no prim: a body without a joint is free.
+
+    ``simfoundry:freePose`` is where it is at zero in its parent, as a matrix of USD, which multiplies row vectors.
+    """
+    from pxr import Gf
+
+    matrix = Gf.Matrix4d(*(settled(v) for v in joint.X_PC.matrix.T.ravel()))
+    attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
+    attribute(body, "simfoundry:freePose", "matrix4d", matrix, uniform=True)
+    relate(body, "simfoundry:freeParent", [parent])
 
 
 def _articulate(
@@ -88,28 +111,27 @@ def _articulate(
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     """State which links do not touch. What cannot move has no body to name: its colliders stand for it."""
-    static: dict[str, bool] = {}
-    prims: dict[str, Sdf.PrimSpec] = {}
+    bodies: dict[str, Sdf.PrimSpec] = {}
+    felt: dict[str, list[Sdf.Path]] = {}
     for item in scene.objects:
         for tree in trees(item):
             for link in tree.links:
-                name = item.qualified(link.name)
-                static[name] = is_static(tree)
-                prims[name] = scopes.objects.nameChildren[item.name].nameChildren[link.name]
+                prim = scopes.objects.nameChildren[item.name].nameChildren[link.name]
+                name, static = item.qualified(link.name), is_static(tree)
+                if not static:
+                    bodies[name] = prim
+                if link.colliders:
+                    colliders = prim.path.AppendChild("Colliders")
+                    felt[name] = [colliders.AppendChild(c.name) for c in link.colliders] if static else [prim.path]
     found: dict[str, list[Sdf.Path]] = {}
     own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
     for a, b in (*own, *scene.no_contact):
-        if static[a]:
-            a, b = b, a
-        if not static[a]:
-            colliders = prims[b].nameChildren.get("Colliders")
-            paths = (
-                [prims[b].path] if not static[b] else [c.path for c in (colliders.nameChildren if colliders else ())]
-            )
-            found.setdefault(a, []).extend(paths)
+        mover, other = (a, b) if a in bodies else (b, a)
+        if mover in bodies and mover in felt and other in felt:
+            found.setdefault(mover, []).extend(felt[other])
     for name, paths in found.items():
-        apply_schemas(prims[name], ["PhysicsFilteredPairsAPI"])
-        relate(prims[name], "physics:filteredPairs", paths)
+        apply_schemas(bodies[name], ["PhysicsFilteredPairsAPI"])
+        relate(bodies[name], "physics:filteredPairs", paths)
 
 
 def _define_link(scopes: Scopes, body: Sdf.PrimSpec, link: Link) -> None:

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.base import Pose
 from simfoundry.spec.checks.checker import Checker, Path_
+from simfoundry.spec.positions import Written, position
 from simfoundry.spec.scene import Degrees
 
-Position = float | Degrees | Pose
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec, JointSpec
 
 
-def check_joints(
-    c: Checker, asset: AssetSpec, given: Mapping[str, Position], path: Path_, resting: bool = True
-) -> None:
+def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
     """Findings of positions ``given`` below ``path``; with ``resting``, those not given are held to be 0."""
     for name in given:
         c.name(name, asset.joints, (*path, name), "joint")
     for name, joint in asset.joints.items():
         if name not in given and not resting:
             continue
-        place, position = (*path, name), given.get(name, 0.0)
-        if name in given and not _fits(c, name, joint, position, place):
+        place = (*path, name)
+        if name in given and not _fits(c, name, joint, given[name], place):
             continue
-        value = _led(asset, name, given) if joint.mimic is not None else _number(position)
-        _within(c, name, joint, value, place, "" if name in given else _remedy(joint))
+        _within(c, name, joint, position(asset, name, given), place, "" if name in given else _remedy(joint))
 
 
 def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: Path_) -> None:
@@ -43,21 +42,21 @@ def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[st
     seen.add(frozenset(pair))
 
 
-def _fits(c: Checker, name: str, joint: JointSpec, position: Position, place: Path_) -> bool:
+def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path_) -> bool:
     """Whether a joint can have a position like the one that is written; a finding where not."""
     if joint.type == "fixed":
         c.add("SF205", place, f"`{name}` is fixed and has no position", "remove it")
     elif joint.mimic is not None:
         hint = "remove it, and give the position of the other"
         c.add("SF205", place, f"`{name}` follows `{joint.mimic.joint}`", hint)
-    elif joint.type in ("ball", "free") and not isinstance(position, Pose):
+    elif joint.type in ("ball", "free") and not isinstance(written, Pose):
         hint = "give a rotation, as `{rpy_deg: [10, 0, 20]}`" if joint.type == "ball" else "give a pose"
         c.add("SF103", place, f"`{name}` is {joint.type}: one number does not say where it is", hint)
-    elif joint.type not in ("ball", "free") and isinstance(position, Pose):
+    elif joint.type not in ("ball", "free") and isinstance(written, Pose):
         c.add("SF103", place, f"`{name}` is {joint.type}: its position is one number, not a pose")
-    elif joint.type == "ball" and isinstance(position, Pose) and any(position.xyz):
+    elif joint.type == "ball" and isinstance(written, Pose) and any(written.xyz):
         c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "give a rotation only")
-    elif isinstance(position, Degrees) and joint.type == "prismatic":
+    elif isinstance(written, Degrees) and joint.type == "prismatic":
         c.add("SF103", place, f"`{name}` is prismatic: its position is in metres, not degrees")
     else:
         return True
@@ -81,21 +80,3 @@ def _remedy(joint: JointSpec) -> str:
     if joint.mimic is not None:
         return f"it follows `{joint.mimic.joint}`: give another position of that in `joints`"
     return "give its position in `joints`"
-
-
-def _led(asset: AssetSpec, name: str, given: Mapping[str, Position]) -> float:
-    """Position [m or rad] of a joint that follows others; 0 where they form a ring or lead nowhere."""
-    seen: list[str] = []
-    scale, offset = 1.0, 0.0
-    while (joint := asset.joints.get(name)) is not None and joint.mimic is not None and name not in seen:
-        seen.append(name)
-        scale, offset = scale * joint.mimic.multiplier, offset + scale * joint.mimic.offset
-        name = joint.mimic.joint
-    return 0.0 if name in seen else scale * _number(given.get(name, 0.0)) + offset
-
-
-def _number(position: Position) -> float:
-    """A position [m or rad]; that of what has none is 0."""
-    if isinstance(position, Degrees):
-        return math.radians(position.deg)
-    return position if isinstance(position, float) else 0.0
