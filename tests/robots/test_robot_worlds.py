@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,11 @@ import pytest
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
+from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.worlds.mounted import camera_now
 from simfoundry.worlds.mujoco_world import MujocoWorld
-from tests.robots.reach import Reach, grasp_and_lift
+from tests.conftest import REPOSITORY
+from tests.robots.reach import Reach, grasp_and_lift, move
 
 ONE_DEGREE = math.radians(1)
 
@@ -102,6 +107,29 @@ def test_both_engines_have_the_hand_where_kinematics_has_it(panda_lift: Scene) -
         _same_pose(world.robot("arm").frame("hand"), expected)
         _same_pose(world.robot("arm").frame("base"), robot.X_WB)
     bullet.close()
+
+
+def test_a_mounted_camera_is_where_the_hand_has_carried_it(panda_lift: Scene) -> None:
+    mounted = panda_lift.mounted[0]
+    q = {f"joint{k}": v for k, v in enumerate([0.3, -0.5, 0.2, -2.0, 0.4, 1.9, -0.6], 1)}
+    for world in (MujocoWorld(panda_lift), _pybullet(panda_lift)):
+        before = camera_now(world, mounted)
+        move(world, q, 2.0)
+        world.step(500)
+        now, arm = camera_now(world, mounted), world.robot("arm")
+        assert np.linalg.norm(now.X_WC.p - before.X_WC.p) > 0.1
+        _same_pose(now.X_WC, Reach(panda_lift.robot("arm")).hand(arm.positions()) @ mounted.camera.X_WC)
+        assert (now.name, now.fx, now.width) == ("wrist", 50, 64)
+        world.close()
+
+
+def test_the_page_s_python_runs(own_models: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    page = (REPOSITORY / "docs" / "robots.md").read_text()
+    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    monkeypatch.chdir(REPOSITORY)
+    for block in re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE):
+        exec(compile(block, "docs/robots.md", "exec"), {})
+    assert "'joint7'" in capsys.readouterr().out
 
 
 def test_a_joint_that_is_not_there_is_named(lift: Scene, panda_lift: Scene) -> None:
