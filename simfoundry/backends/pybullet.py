@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
+from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.urdf import Dialect, Parts, joint_losses, placement, urdf_files, whole
 from simfoundry.scene.frames import Array, Pose
@@ -51,7 +53,11 @@ _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 def compile_pybullet(scene: Scene) -> Artifact:
     """Compile a scene for PyBullet. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin(), ball="spherical"))
+    dialect = Dialect(shown=whole, felt=_under_skin(), ball="spherical")
+    files = urdf_files(scene, dialect)
+    robots, lost = bullet_robots(scene, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
+    for robot in robots.values():
+        files.update(robot.files)
     resistances = _resistances(scene)
     parts = [tree for item in scene.objects for tree in trees(item)]
     world: dict[str, object] = {
@@ -60,11 +66,62 @@ def compile_pybullet(scene: Scene) -> Artifact:
         "objects": {tree.name: _object(tree, resistances) for tree in parts},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
     }
+    if robots:
+        world["robots"] = {name: _robot(robot) for name, robot in robots.items()}
     if between := _silent_between(scene, parts):
         world["no_contact"] = between
     files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, tuple(_losses(scene)))
+    return Artifact("pybullet", "load.py", files, (*_losses(scene), *lost))
+
+
+def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
+    """The robots of a scene as URDF by name, and what is lost with them and with the cameras that ride on links."""
+    robots, losses = {}, []
+    for robot in scene.robots:
+        found = robot_urdf(robot, write)
+        if found is None:
+            reason = "it has no model in URDF or MJCF, and USD is not converted"
+            losses.append(Loss(robot.name, Fidelity.DROPPED, reason))
+            continue
+        robots[robot.name] = found
+        losses.extend(found.losses)
+        reason = "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's"
+        losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
+    for mounted in scene.mounted:
+        reason = f"it rides on `{mounted.carrier}`, and cameras in the files of PyBullet stand still"
+        losses.append(Loss(mounted.camera.name, Fidelity.DROPPED, reason))
+    return robots, losses
+
+
+def _robot(robot: RobotUrdf) -> dict[str, object]:
+    """A robot in ``world.json``: where it stands, what its motors hold, and which joints follow others."""
+    motors = {
+        name: {"target": _number(position), "force": _number(robot.efforts[name])}
+        for name, position in robot.positions.items()
+        if name in robot.efforts and name not in robot.follow
+    }
+    follow = {
+        name: {"joint": leader.joint, "multiplier": _number(leader.multiplier), "offset": _number(leader.offset)}
+        for name, leader in robot.follow.items()
+    }
+    links = robot.item.links if robot.item is not None else ()
+    surfaces = {k.name: {"lateral_friction": _number(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
+    return {
+        "urdf": robot.path,
+        "p": _numbers(robot.X_WB.p),
+        "q_wxyz": _numbers(robot.X_WB.q),
+        "joints": {name: _number(position) for name, position in robot.positions.items()},
+        "motors": motors,
+        "follow": follow,
+        "links": surfaces,
+        "arm": dict(robot.joints),
+        "gripper": {name: [_number(v) for v in pair] for name, pair in robot.gripper.items()},
+        "frames": {
+            name: {"link": frame.link, "p": _numbers(frame.X_LF.p), "q_wxyz": _numbers(frame.X_LF.q)}
+            for name, frame in robot.frames.items()
+        },
+    }
 
 
 def link_friction(link: Link) -> float:

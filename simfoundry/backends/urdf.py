@@ -12,11 +12,12 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.names import check_names
+from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
 from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
@@ -66,12 +67,31 @@ _FAR = 1000.0
 def compile_urdf(scene: Scene) -> Artifact:
     """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, Dialect(shown=capsule_parts, felt=capsule_parts))
+    dialect = Dialect(shown=capsule_parts, felt=capsule_parts)
+    files = urdf_files(scene, dialect)
     poses = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
+    lost: list[Loss] = []
+    for robot in scene.robots:
+        found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
+        if found is None:
+            lost.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in URDF or MJCF, and USD is not converted"))
+            continue
+        files |= found.files
+        lost.extend(found.losses)
+        poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
     files["physics.json"] = physics_manifest(scene, capsule_parts)
     files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
-    return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
+    return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
+
+
+def _robot_placement(robot: RobotUrdf) -> dict[str, object]:
+    return {
+        "fixed": True,
+        "p": [_rounded(v) for v in robot.X_WB.p],
+        "q_wxyz": [_rounded(v) for v in robot.X_WB.q],
+        "joints": {name: _rounded(position) for name, position in robot.positions.items()},
+    }
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
@@ -247,6 +267,8 @@ def _losses(scene: Scene) -> Iterator[Loss]:
         yield dropped("no_contact", "URDF does not say which objects pass through each other")
     for camera in scene.cameras:
         yield dropped(camera.name, "URDF has no cameras")
+    for mounted in scene.mounted:
+        yield dropped(mounted.camera.name, "URDF has no cameras")
     for light in scene.lights:
         yield dropped(light.name, "URDF has no lights")
 

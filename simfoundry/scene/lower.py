@@ -17,7 +17,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY, Pose, look_at, quat_from_rpy
+from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import (
     Camera,
@@ -29,11 +29,16 @@ from simfoundry.scene.model import (
     LightType,
     Link,
     Mimic,
+    MountedCamera,
     Relation,
     Scene,
     SceneObject,
 )
 from simfoundry.scene.place import place_all, seen_by_camera
+from simfoundry.scene.poses import pose as pose
+from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot_files import NoModelError
+from simfoundry.scene.robots import lower_robot
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.asset import Drive as DriveSpec
@@ -65,6 +70,8 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         objects.append(lowering.object(name, item, spec))
     if lowering.findings:
         raise SpecError(lowering.findings)
+    robots, no_models = _robots(loaded, spec)
+    mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
     return Scene(
         name=spec.name,
@@ -73,7 +80,9 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=tuple(_left_out(spec)),
+        left_out=(*no_models, *_left_out(spec)),
+        robots=robots,
+        mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
         no_contact=no_contact,
     )
 
@@ -103,13 +112,26 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     return tuple(solved.values())
 
 
+def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[LeftOut]]:
+    """The robots whose models are there, and what is left out with those that are not."""
+    found, lost = [], []
+    for name, item in spec.robots.items():
+        try:
+            found.append(lower_robot(name, item, loaded.path))
+        except NoModelError as error:
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
+            carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
+            lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
+    return tuple(found), lost
+
+
+def _mounted(name: str, spec: CameraSpec, mount: str) -> MountedCamera:
+    carrier, _, link = mount.partition(".")
+    return MountedCamera(carrier, link, camera(name, spec))
+
+
 def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
     """What the language can say and the lowered scene cannot hold."""
-    for name in spec.robots:
-        yield LeftOut(f"robots.{name}", "robots are not compiled yet")
-    for name, item in spec.cameras.items():
-        if item.mount is not None:
-            yield LeftOut(f"cameras.{name}", f"it rides on `{item.mount}`, and mounted cameras are not compiled yet")
     if spec.background is not None:
         yield LeftOut("background", "backgrounds are not compiled yet")
 
@@ -117,14 +139,6 @@ def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
 def _relation(text: str) -> Relation:
     call = parse_call(text)
     return Relation(call.predicate, call.args)
-
-
-def pose(spec: base.Pose) -> Pose:
-    """The pose that a document writes."""
-    if spec.quat_wxyz is not None:
-        return Pose.of(spec.xyz, spec.quat_wxyz)
-    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
-    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +235,18 @@ class Camera:
     X_WC: Pose
 
 
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera that rides on a link: ``camera.X_WC`` is its pose in that link's frame.
+
+    ``carrier`` is a robot or an object; ``link`` one of its frames or links, empty for its base or root.
+    """
+
+    carrier: str
+    link: str
+    camera: Camera
+
+
 class LightType(StrEnum):
     """How a light shines."""
 
@@ -290,6 +303,8 @@ class Scene:
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
     left_out: tuple[LeftOut, ...] = ()
+    robots: tuple[Robot, ...] = ()
+    mounted: tuple[MountedCamera, ...] = ()
     no_contact: tuple[tuple[str, str], ...] = ()
 
     def object(self, name: str) -> SceneObject:
@@ -298,6 +313,13 @@ class Scene:
             if item.name == name:
                 return item
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
+
+    def robot(self, name: str) -> Robot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        for item in self.robots:
+            if item.name == name:
+                return item
+        raise KeyError(f"no robot {name!r}; there are: {', '.join(r.name for r in self.robots) or 'none'}")
 
 
 def pair_friction(a: float, b: float) -> float:

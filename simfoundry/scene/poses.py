@@ -1,4 +1,4 @@
-"""Poses back into the words of a spec, and settled poses into a spec."""
+"""Poses from the words of a spec and back into them, and settled poses into a spec."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.base import Pose as PoseSpec
@@ -18,6 +18,14 @@ UPRIGHT_DEG = 0.05
 
 STILL = 1e-4
 """A joint that moved less than this [rad or m] stays as it is written."""
+
+
+def pose(spec: PoseSpec) -> Pose:
+    """The pose that a document writes."""
+    if spec.quat_wxyz is not None:
+        return Pose.of(spec.xyz, spec.quat_wxyz)
+    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
+    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:

@@ -10,6 +10,7 @@ from typing import Protocol, Self
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
+from simfoundry.worlds.robot import WorldRobot
 
 CONTACT_GAP = 1e-3
 """Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
@@ -98,7 +99,11 @@ class World(Protocol):
         ...
 
     def contacts(self) -> list[Contact]:
-        """Contacts between different objects, now."""
+        """Contacts between different objects and robots, now."""
+        ...
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
         ...
 
     def read_back(self) -> dict[str, LinkFacts]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
+from simfoundry.backends.robots import mujoco_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
@@ -16,6 +17,8 @@ from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,6 +41,7 @@ class MujocoWorld:
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]
         self._objects = {self.model.body(tree.name).id: tree.owner.name for tree in parts}
+        self._objects |= {self.model.body(robot.name).id: robot.name for robot in scene.robots if mujoco_model(robot)}
         initial = SceneState.initial(scene)
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
         self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
@@ -165,6 +169,10 @@ class MujocoWorld:
             mimic=self._mimic(joint),
             drive=self._drive(joint),
         )
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
     def _joint_type(self, joint: int, limited: bool) -> JointType:
         kinds = self._mujoco.mjtJoint

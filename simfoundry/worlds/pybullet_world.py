@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
@@ -24,6 +26,8 @@ from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
+from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -45,9 +49,14 @@ class PybulletWorld:
                 folder = Path(temporary) / "world"
                 compile_pybullet(scene).write(folder)
                 self._loader = _import_file(folder / "load.py")
-                self.bodies: dict[str, int] = self._loader.load(self.client)
+                every: dict[str, int] = self._loader.load(self.client)
+                facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
         self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
+        self.bodies: dict[str, int] = {name: every[name] for name in self._trees}
+        hold = partial(self._loader.hold, self.client)
+        self._robots = {n: PybulletRobotHandle(self._call, hold, n, every[n], facts[n]) for n in facts}
         self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
+        self._objects |= {every[name]: name for name in facts}
         self._bodies = {body: name for name, body in self.bodies.items()}
         self._links: dict[str, tuple[int, int]] = {}
         self._joints: dict[str, tuple[int, int]] = {}
@@ -94,12 +103,20 @@ class PybulletWorld:
             if tree.free_joint is not None:
                 X_OL = link_poses(item, full.of_object(item))
                 self._put(tree.name, full.poses[item.name] @ X_OL[tree.root.name])
+        for robot in self._robots.values():
+            robot.reset()
 
     def _put(self, name: str, pose: Pose) -> None:
         """Put the base of a body at a pose in the world, at rest."""
         X_WI = pose @ self._X_OI[name]
         self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
         self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        if name not in self._robots:
+            raise KeyError(f"no robot {name!r}; there are: {', '.join(self._robots) or 'none'}")
+        return self._robots[name]
 
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
@@ -115,6 +132,8 @@ class PybulletWorld:
                 self._call("resetJointStateMultiDof", *at, self._call("getJointStateMultiDof", *at)[0], [0, 0, 0])
             else:
                 self._call("resetJointState", *at, self._call("getJointState", *at)[0], 0.0)
+        for robot in self._robots.values():
+            robot.halt()
 
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""

@@ -1,4 +1,4 @@
-"""Load this world: ``load()`` returns PyBullet body ids by object name; ``python load.py`` opens the viewer."""
+"""Load this world: ``load()`` returns PyBullet body ids by name; ``python load.py`` opens the viewer."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ GEAR_ERP = 0.2  # share of the error between two geared joints that is mended in
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load every object; without a client, into the open default connection or a new one without a window."""
+    """Load every object and robot; without a client, into the open default connection or a new one without a window."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
     bodies = {name: load_object(client, item) for name, item in world["objects"].items()}
+    bodies |= {name: load_robot(client, item) for name, item in world.get("robots", {}).items()}
     for (name_a, link_a), (name_b, link_b) in world.get("no_contact", []):
         a, b = bodies[name_a], bodies[name_b]
         silence(client, a, link_index(client, a, link_a), b, link_index(client, b, link_b))
@@ -59,6 +60,41 @@ def load_object(client: int, item: dict[str, Any]) -> int:
     for a, b in item.get("no_contact", []):
         silence(client, body, link_index(client, body, a), body, link_index(client, body, b))
     return body
+
+
+def load_robot(client: int, item: dict[str, Any]) -> int:
+    """Load one robot of ``world.json``: at its place, its motors holding its joints, its fingers moving together."""
+    body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=FLAGS, physicsClientId=client)
+    place(client, body, item["p"], item["q_wxyz"])
+    for index in range(joints(client, body)):
+        link = pybullet.getJointInfo(body, index, physicsClientId=client)[12].decode()
+        pybullet.changeDynamics(body, index, linearDamping=0, angularDamping=0, physicsClientId=client)
+        if link in item["links"]:
+            set_surface(client, body, index, item["links"][link])
+    for joint, position in item["joints"].items():
+        index = joint_index(client, body, joint)
+        pybullet.resetJointState(body, index, position, 0.0, physicsClientId=client)
+        if joint in item["motors"]:
+            hold(client, body, index, item["motors"][joint])
+        else:  # free but for what it follows: away with Bullet's own motor
+            pybullet.setJointMotorControl2(
+                body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=0, physicsClientId=client
+            )
+    for joint, leader in item["follow"].items():
+        follow(client, body, joint_index(client, body, joint), joint_index(client, body, leader["joint"]), leader)
+    return body
+
+
+def hold(client: int, body: int, index: int, motor: dict[str, float], target: float | None = None) -> None:
+    """Let a motor bring a joint to its target, or to another, with at most its force, and hold it there."""
+    pybullet.setJointMotorControl2(
+        body,
+        index,
+        pybullet.POSITION_CONTROL,
+        targetPosition=motor["target"] if target is None else target,
+        force=motor["force"],
+        physicsClientId=client,
+    )
 
 
 def joint_index(client: int, body: int, joint: str) -> int:
