@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -64,16 +65,18 @@ def command(
     with ExitStack() as stack:
         progress = stack.enter_context(progress_bar(as_json))
         subjects = _subjects(stack, paths, build, found, progress)
+        if build is not None:
+            found = {n: f for n, f in found.items() if f is None or f.engine.target in subjects[0].builds}
         readings, results, rested = _verify(subjects, found, behaviours, jobs, timeout, progress)
         if html is not None:
             _write_page(html, readings, results, rested, found, subjects)
-    missing = [name for name in require if found[name] is None]
+    missing = [name for name in require if found.get(name) is None]
     if as_json:
-        print_json(_json(readings, results, rested, found))
+        print_json(_finite(_json(readings, results, rested, found)))
     else:
         _print(readings, results, rested, found)
     for name in missing:
-        click.echo(f"{name} is required and was not found", err=True)
+        click.echo(f"{name} is required and was not found, or has nothing to read", err=True)
     bad = not _all_fine(readings, results, rested)
     return FINDINGS if bad or missing else DONE
 
@@ -199,6 +202,15 @@ def _json(
         "behaviours": [m.to_json() for m in results],
         "left_alone": [r.to_json() for r in rested],
     }
+
+
+def _finite(data: Any) -> Any:
+    """The same with null for numbers that JSON has no word for."""
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
 def _print(

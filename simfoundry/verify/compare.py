@@ -7,7 +7,7 @@ which USD, PhysX and Newton count, is a hundred times finer.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -274,9 +274,3 @@ def _should_show(path: str, engine: Engine, checker: _Checker) -> bool:
     quantity = path.rpartition(".")[2]
     seen = path in checker.checked and path not in checker.untold
     return "." in path and seen and quantity not in engine.by_loader
-
-
-def gaps_of(engine: Engine) -> Iterator[str]:
-    """The gaps of an engine, as sentences."""
-    for gap in engine.gaps:
-        yield f"{gap.quantity}: {gap.reason}"

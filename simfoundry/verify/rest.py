@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -96,13 +95,6 @@ def judged(subject: Subject, ends: Mapping[str, Moment | str]) -> list[Rested]:
         near = all(mm <= NEAR_MM and deg <= NEAR_DEG for mm, deg in apart.values())
         results.append(Rested(subject.name, name, *apart[worst], worst, Verdict.OK if near else Verdict.MISMATCH))
     return results
-
-
-def spread(scene: Scene, ends: Sequence[Moment]) -> tuple[float, float]:
-    """The most that any two engines are apart, in millimetres and degrees."""
-    places = [_places(scene, end) for end in ends]
-    pairs = [a[t].apart(b[t]) for a, b in combinations(places, 2) for t in _things(scene)]
-    return max((mm for mm, _ in pairs), default=0.0), max((deg for _, deg in pairs), default=0.0)
 
 
 def _moves(scene: Scene) -> bool:

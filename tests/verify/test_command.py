@@ -52,6 +52,18 @@ def test_a_false_build(spec: Path, tmp_path: Path) -> None:
     assert wrong["error"] == pytest.approx(1 / 3)
 
 
+def test_numbers_that_are_none_are_null_in_json(spec: Path, tmp_path: Path) -> None:
+    assert run("compile", spec, "-t", "usd", "-o", tmp_path / "build").code == 0
+    stage = tmp_path / "build" / "usd" / "scene.usda"
+    stage.write_text(stage.read_text().replace("float physics:mass = 0.3", "float physics:mass = nan"))
+    done = run("verify", spec, "--build", tmp_path / "build", "--no-behaviours", "--json")
+    assert done.code == 1
+    assert "NaN" not in done.out
+    readings = {r["engine"]: r for r in done.json["readings"]}
+    assert "usd" in readings and "mujoco" not in readings  # of which there is no build
+    assert [(d["name"], d["got"]) for d in readings["usd"]["mismatches"]] == [("cup", None)]
+
+
 def test_a_build_that_does_not_load(spec: Path, tmp_path: Path) -> None:
     assert run("compile", spec, "-t", "mjcf", "-o", tmp_path / "build").code == 0
     (tmp_path / "build" / "mjcf" / "scene.xml").write_text("<mujoco><nonsense/></mujoco>")

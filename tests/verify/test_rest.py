@@ -13,7 +13,7 @@ from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene, Sphere
 from simfoundry.scene.state import SceneState
 from simfoundry.verify.facts import Moment, pose_numbers
-from simfoundry.verify.rest import judged, settle_subjects, spread
+from simfoundry.verify.rest import judged, settle_subjects
 from simfoundry.verify.run import Subject, Verdict, built
 from tests.scenes import box, full_scene, pose, scene_of, solid
 
@@ -71,15 +71,6 @@ def test_an_engine_that_failed_does_not_count(scene: Scene) -> None:
     assert [r.verdict for r in results] == [Verdict.OK, Verdict.FAILED, Verdict.OK]
     assert results[1].error == "crashed: SIGSEGV"
     assert all(r.verdict is Verdict.FAILED for r in judged(subject, {"a": "no", "b": "no"}))
-
-
-def test_the_spread_is_the_most_that_two_are_apart(scene: Scene) -> None:
-    def shift(by: float) -> Moment:
-        return moment_of(scene, lambda name, X: Pose.of(X.p + [by, 0, 0], X.q) if name == "can" else X)
-
-    mm, deg = spread(scene, [shift(0.0), shift(0.001), shift(-0.0005)])
-    assert mm == pytest.approx(1.5)
-    assert deg == pytest.approx(0.0, abs=1e-6)
 
 
 def test_real_engines_agree_on_a_small_scene(tmp_path: Path) -> None:
