@@ -1,5 +1,7 @@
 """URDF: one file an object, and ``poses.json`` for what URDF has no place for: the poses and joint positions.
 
+``physics.json`` holds the rest that simulators know and URDF does not; ``load_drake.py`` and ``load_sapien.py`` use it.
+
 A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
 them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
 Link, joint and collider names are the scene's own; the robot's name is the object's.
@@ -16,6 +18,7 @@ from pathlib import Path
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
+from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
@@ -40,7 +43,8 @@ Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
-_LOADER = Path(__file__).parent / "templates" / "urdf_load.py"
+_TEMPLATES = Path(__file__).parent / "templates"
+_LOADERS = {"load.py": "urdf_load.py", "load_drake.py": "drake_load.py", "load_sapien.py": "sapien_load.py"}
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,8 @@ def compile_urdf(scene: Scene) -> Artifact:
         lost.extend(found.losses)
         poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
-    files["load.py"] = _LOADER.read_bytes()
+    files["physics.json"] = physics_manifest(scene, capsule_parts)
+    files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
 
 

@@ -145,8 +145,7 @@ def test_moving_the_whole_scene_changes_nothing(
     a, b = (t.at(X_WV @ t.X_WO) for t in (first, second))
     pairs = [list(close_pairs(s.touching, t.touching, -DEEP)) for s, t in ((first, second), (a, b))]
     before, after = map(deepest, pairs)
-    # How deep is sampled over directions: exact near contact, a tenth off where things are far inside each other.
-    assert after == pytest.approx(before, abs=2e-4, rel=0.1) or max(before, after) <= DEEP + 2e-4
+    assert after == pytest.approx(before, abs=1e-3) or max(before, after) <= DEEP + 2e-4
     assert _margin(first, second) or carries(a, b) == carries(first, second)
 
 

@@ -20,6 +20,7 @@ FLAGS = (
 FAR = 1e9  # a force out of reach [N or N m]
 GEAR_ERP = 0.2  # share of the error between two geared joints that is mended in a step
 
+
 def load(client: int | None = None) -> dict[str, int]:
     """Load every object and robot; without a client, into the open default connection or a new one without a window."""
     if client is None:
