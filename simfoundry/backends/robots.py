@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -57,13 +57,12 @@ class MujocoRobot:
 @lru_cache(maxsize=4)  # every target of a compile reads the same; a Robot is one by its identity
 def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
     """Read a robot's MJCF or URDF with the base at the origin. Raises :class:`RobotModelError`."""
-    import mujoco
 
     files: dict[str, bytes] = {}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a robot's own options give way to the scene's, as is meant
-            spec = _assemble(native, prefix, files)
+            spec, home = _assemble(native, prefix, files)
             spec.assets = files
             model = spec.compile()
             servos = tuple(_add_servos(spec, model, {prefix + name: force for name, force in native.effort.items()}))
@@ -72,15 +71,21 @@ def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
     except (ValueError, OSError, KeyError) as error:
         reason = str(error).strip().splitlines()[0]
         raise RobotModelError(f"robot `{robot.name}`: MuJoCo cannot read {native.file}: {reason}") from error
-    qpos = _start(robot, native, prefix, model, mujoco)
-    return MujocoRobot(native, prefix, spec, model, files, qpos, _controls(native, prefix, model, qpos), servos)
+    qpos = _start(robot, native, prefix, model, home[0] if len(home[0]) == model.nq else model.qpos0)
+    ctrl = _controls(native, prefix, model, qpos, home[1] if len(home[1]) == model.nu else np.zeros(model.nu))
+    return MujocoRobot(native, prefix, spec, model, files, qpos, ctrl, servos)
 
 
-def _assemble(native: NativeModel, prefix: str, files: dict[str, bytes]) -> mujoco.MjSpec:
-    """One spec of the model and of those attached to it, below the world's origin."""
+def _assemble(
+    native: NativeModel, prefix: str, files: dict[str, bytes]
+) -> tuple[mujoco.MjSpec, tuple[np.ndarray, np.ndarray]]:
+    """One spec of the model and of those attached to it, below the world's origin; positions and controls of its
+    keyframe ``home``, empty where it has none."""
     import mujoco
 
     whole = _read(native.file, files)
+    key = next((key for key in whole.keys if key.name == "home"), None)
+    home = (np.array(key.qpos), np.array(key.ctrl)) if key is not None else (np.zeros(0), np.zeros(0))
     for part in native.attached:
         carrier = whole.body(part.to)
         if carrier is None:
@@ -94,7 +99,7 @@ def _assemble(native: NativeModel, prefix: str, files: dict[str, bytes]) -> mujo
     parent.attach(whole, prefix=prefix, frame=parent.worldbody.add_frame())
     for key in list(parent.keys):
         parent.delete(key)
-    return parent
+    return parent, home
 
 
 def _same_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
@@ -177,15 +182,18 @@ def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str,
         yield joint.name
 
 
-def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, module: Any) -> np.ndarray:
-    qpos = np.array(model.qpos0)
+def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, home: np.ndarray) -> np.ndarray:
+    """Positions at the start: as the scene and the gripper say, else those of the file's ``home``."""
+    import mujoco
+
+    qpos = np.array(home)
     positions = robot.start(native)
     follow = native.gripper.follow if native.gripper is not None else {}
     for name, leader in follow.items():
         if leader.joint in positions:
             positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
     for name, position in positions.items():
-        joint = module.mj_name2id(model, module.mjtObj.mjOBJ_JOINT, prefix + name)
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, prefix + name)
         if joint < 0:
             there = ", ".join(model.joint(k).name.removeprefix(prefix) for k in range(model.njnt))
             raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
@@ -193,12 +201,14 @@ def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel
     return qpos
 
 
-def _controls(native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+def _controls(
+    native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray, home: np.ndarray
+) -> np.ndarray:
     """What holds the robot where it starts: a servo's target is its joint's position, the gripper's is open."""
     import mujoco
 
     command = native.gripper.command if native.gripper is not None else {}
-    ctrl = np.zeros(model.nu)
+    ctrl = np.array(home)
     for k in range(model.nu):
         name = model.actuator(k).name.removeprefix(prefix)
         gain, spring = float(model.actuator_gainprm[k][0]), float(model.actuator_biasprm[k][1])

@@ -56,6 +56,8 @@ def _known_models(name: str) -> tuple[dict[ModelFormat, NativeModel], str]:
     """The models of a known robot; what one's own folder says of a format stands in place of what is built in."""
     folder = os.environ.get(OWN_MODELS)
     own = Path(folder).expanduser().resolve() / f"{name}.yaml" if folder else None
+    if own is not None and not own.parent.is_dir():
+        raise SimfoundryError(f"{OWN_MODELS} names {own.parent}, and there is no such folder")
     models = read_models(_BUILT_IN / f"{name}.yaml")
     if own is None or not own.is_file():
         return _models(models, _BUILT_IN)

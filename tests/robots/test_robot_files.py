@@ -10,6 +10,7 @@ from types import ModuleType
 import pytest
 
 from simfoundry.backends import compile_scene
+from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.robot import ModelFormat
 from simfoundry.scene.robot_files import NoModelError, find_model, model_files
@@ -138,6 +139,12 @@ def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
     done = run("compile", str(scene), "-t", "urdf", "-o", str(tmp_path / "out"))
     assert done.code == 2
     assert "robot `bot`: plain.urdf has no joint `elbow`; there are: turn" in (done.out + done.err)
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(OWN_MODELS, str(tmp_path / "nowhere"))
+    with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS names .*nowhere, and there is no such folder"):
+        lower_file(WITH_ROBOTS[0])
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import pytest
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.scene.frames import Pose
+from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
 from tests.robots.conftest import lowered
@@ -166,6 +167,24 @@ def _quat(matrix: Any) -> Any:
     q = np.zeros(4)
     mujoco.mju_mat2Quat(q, np.ravel(matrix))
     return q
+
+
+def test_a_robot_of_ones_own_starts_in_the_home_of_its_file(robot_data: Path, tmp_path: Path) -> None:
+    shutil.copytree(robot_data / "i2rt_yam_menagerie", tmp_path / "yam")
+    scene = tmp_path / "own.scene.yaml"
+    scene.write_text(
+        "simfoundry: scene/1\nname: own\nrobots: {own: {model: {mjcf: yam/yam.xml}, joints: {joint1: 0.5}}}\n"
+    )
+    _, data = built(lower_file(scene), tmp_path)
+    assert [data.joint(f"own.joint{k}").qpos[0] for k in range(1, 4)] == pytest.approx([0.5, 1.047, 1.047])
+    assert [data.actuator(f"own.joint{k}").ctrl[0] for k in range(1, 4)] == pytest.approx([0.5, 1.047, 1.047])
+
+
+def test_a_build_names_no_place_of_this_machine(lift: Scene, yam: Scene, panda_lift: Scene) -> None:
+    for scene in (lift, yam, panda_lift):
+        for robot in scene.robots:
+            for native in robot.models.values():
+                assert str(native.file.parent).encode() not in compile_mjcf(scene).files["scene.xml"]
 
 
 def test_two_compiles_are_equal(yam: Scene) -> None:
