@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from itertools import combinations
 from typing import Protocol
 
 from simfoundry.backends.artifact import number
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Geometry, JointType, Link, Scene, SceneObject
+from simfoundry.scene.touching import silent_pairs
 
 
 class Split(Protocol):
@@ -36,12 +36,7 @@ def _object(item: SceneObject, split: Split) -> dict[str, object]:
         if joint.type is not JointType.FIXED
     }
     links = {link.name: _surfaces(link, split) for link in item.links}
-    return {"links": links, "joints": joints, "silent": [list(pair) for pair in _silent_pairs(item)]}
-
-
-def _silent_pairs(item: SceneObject) -> Iterator[tuple[str, str]]:
-    """Pairs of links that do not touch: all of one object, for joints, not contacts, hold a drawer in its cabinet."""
-    return combinations((link.name for link in item.links), 2)
+    return {"links": links, "joints": joints, "silent": [list(pair) for pair in silent_pairs(item)]}
 
 
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
