@@ -37,8 +37,8 @@ class Part(Model):
     color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
         "both",
-        description="`visual` is only seen: nothing touches it and it weighs nothing; `collision` touches and weighs, and "
-        "is not seen.",
+        description="`visual` is only seen: nothing touches it and it weighs nothing; `collision` touches and weighs, "
+        "and is not seen.",
     )
 
     @model_validator(mode="after")
@@ -55,8 +55,8 @@ class Inertial(Model):
     com: Vec3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
-        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of the "
-        "parts about their own.",
+        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
+        "the parts about their own.",
     )
 
 
