@@ -39,10 +39,11 @@ class MeshPart:
     rgba: tuple[float, float, float, float] | None = None
 
 
-def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
+def read_mesh(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
     """The geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
 
-    Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
+    ``scale`` may differ along the axes of the file, and mirror; faces then are turned outward again. Raises
+    :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
     """
     import trimesh
 
@@ -63,9 +64,11 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     return parts
 
 
-def _part(mesh: Any, scale: float, y_up: bool) -> MeshPart:
+def _part(mesh: Any, scale: float | tuple[float, float, float], y_up: bool) -> MeshPart:
     used, faces = np.unique(mesh.faces, return_inverse=True)  # stray points are no part of the surface
-    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * scale
+    if np.prod(np.broadcast_to(scale, 3)) < 0:
+        faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
+    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(mesh)
@@ -110,7 +113,7 @@ def _png(image: Any) -> bytes:
     return stream.getvalue()
 
 
-def _check_size(name: str, vertices: Array, scale: float) -> None:
+def _check_size(name: str, vertices: Array, scale: float | tuple[float, float, float]) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
@@ -118,7 +121,10 @@ def _check_size(name: str, vertices: Array, scale: float) -> None:
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimetres = SMALLEST < size / 1000 < LARGEST
-        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
+        if millimetres and not isinstance(scale, tuple):
+            hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`"
+        else:
+            hint = "set `scale`"
         raise MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
     if size < SMALLEST:
         raise MeshError("SF303", f"{shown}, less than a millimetre", "set `scale`, the metres of one unit of the mesh")

@@ -199,6 +199,11 @@ def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
     return geometry, solid, [geometry]
 
 
+def shape_solid(shape: ShapeSpec) -> mass.Solid:
+    """What a shape weighs at density 1, in its own frame."""
+    return _primitive(shape)[1]
+
+
 def _meshes(
     whole: tuple[Array, Faces], parts: list[tuple[Array, Faces]]
 ) -> tuple[Geometry, mass.Solid, list[Geometry]]:

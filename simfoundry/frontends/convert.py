@@ -1,0 +1,174 @@
+"""One file in, documents and meshes out: read, check by lowering, and put in place in one step."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from simfoundry.errors import OutputError
+from simfoundry.files import replace_folder, write_atomically
+from simfoundry.frontends.build import Built, build_asset, build_scene
+from simfoundry.frontends.drafts import Draft, Note
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.spec.diagnostics import Severity
+from simfoundry.spec.loaded import project_root
+
+SCENE, ASSET = ".scene.yaml", ".asset.yaml"
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to import: folders of packages by name, and whether files that exist are replaced."""
+
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of one file: where it went and what of it is not as it was; or, in ``error``, why it was refused."""
+
+    source: str
+    out: str | None
+    format: str = ""
+    bodies: int = 0
+    links: int = 0
+    joints: int = 0
+    cameras: int = 0
+    lights: int = 0
+    meshes: int = 0
+    notes: tuple[Note, ...] = ()
+    names: tuple[tuple[str, str], ...] = ()
+    error: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping for ``--json``."""
+        if self.error:
+            return {"source": self.source, "error": self.error}
+        counts = {key: getattr(self, key) for key in ("bodies", "links", "joints", "cameras", "lights", "meshes")}
+        return {
+            "source": self.source,
+            "out": self.out,
+            "format": self.format,
+            **counts,
+            "notes": [note.to_json() for note in self.notes],
+            "renamed": dict(self.names),
+        }
+
+
+def read(path: Path, options: Options = Options()) -> Draft:  # noqa: B008 - it is frozen
+    """What a file says; raises :class:`ImportRefusedError`."""
+    reader = _reader(path)
+    return reader(path, options)
+
+
+def _reader(path: Path) -> Callable[[Path, Options], Draft]:
+    suffix = path.suffix.lower()
+    if suffix == ".urdf":
+        return _read_urdf
+    if suffix == ".xml":
+        from simfoundry.frontends.xmltree import read_xml
+
+        tag = read_xml(path).tag
+        if tag == "robot":
+            return _read_urdf
+        if tag == "mujoco":
+            return _read_mjcf
+        raise ImportRefusedError(path, f"its root is `<{tag}>`", hint="URDF has `<robot>`, MJCF `<mujoco>`")
+    raise ImportRefusedError(path, "its kind is not known", hint="valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz")
+
+
+def _read_urdf(path: Path, options: Options) -> Draft:
+    from simfoundry.frontends.urdf import read_urdf
+
+    return read_urdf(path, options.packages)
+
+
+def _read_mjcf(path: Path, options: Options) -> Draft:
+    from simfoundry.frontends.mjcf import read_mjcf
+
+    return read_mjcf(path, options.packages)
+
+
+def import_file(path: Path, out: Path, options: Options = Options()) -> Report:  # noqa: B008 - it is frozen
+    """Import a file to ``out``, NAME.scene.yaml or NAME.asset.yaml, with what it needs in NAME_files beside it.
+
+    Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something would
+    be lost. What is written lowers without an error, or nothing is written.
+    """
+    kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
+    if kind is None:
+        raise OutputError(f"{out}: the output is called NAME{SCENE} or NAME{ASSET}")
+    name = out.name.removesuffix(kind)
+    folder = out.parent / f"{name}_files"
+    for place in (out, folder):
+        if place.exists() and not options.force:
+            raise OutputError(f"{place} exists; write elsewhere, or replace it with --force")
+    draft = read(path, options)
+    if kind == ASSET and len(draft.bodies) != 1:
+        raise ImportRefusedError(path, f"it holds {len(draft.bodies)} bodies", hint=f"import it to NAME{SCENE}")
+    built = _write(draft, kind, name, out, folder, path)
+    return _report(path, out, draft, built)
+
+
+def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path) -> Built:
+    """Write everything beside its place, check it there, and move it."""
+    root = project_root(out)
+    marked = any((root / mark).exists() for mark in (".git", "simfoundry.yaml"))
+    build = build_asset if kind == ASSET else build_scene
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{name}.import.", dir=out.parent) as temporary:
+        staging = Path(temporary)
+        _fill(staging, build(draft, name, staging, root if marked else None))
+        _check(staging, f"{name}{kind}", root, source)
+        built = build(draft, name, out.parent, root if marked else None)
+        for document, text in built.documents.items():
+            (staging / document).write_text(text)
+        if (staging / folder.name).exists():
+            replace_folder(staging / folder.name, folder)
+        write_atomically(out, built.documents[out.name].encode())
+    return built
+
+
+def _fill(folder: Path, built: Built) -> None:
+    texts = {name: text.encode() for name, text in built.documents.items()}
+    for name, data in {**texts, **built.files}.items():
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(data)
+
+
+def _check(folder: Path, document: str, root: Path, source: Path) -> None:
+    """Lower what was written; raises :class:`ImportRefusedError` where that finds an error."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.diagnostics import SpecError
+    from simfoundry.spec.load import load
+
+    if document.endswith(ASSET):
+        scene = folder / "check.scene.yaml"
+        scene.write_text(f"simfoundry: scene/1\nname: check\nobjects: {{thing: {{asset: {document}}}}}\n")
+    else:
+        scene = folder / document
+    loaded = load(scene, root)
+    try:
+        lower(loaded, Cache.default())
+    except SpecError as error:
+        found = [d for d in error.diagnostics if d.severity is Severity.ERROR]
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        place = Path(os.path.relpath(found[0].file, folder)).name
+        raise ImportRefusedError(source, f"{found[0].message}{more}", hint=f"{place} {found[0].path}") from None
+
+
+def _report(path: Path, out: Path, draft: Draft, built: Built) -> Report:
+    links = sum(len(body.links) for body in draft.bodies)
+    joints = sum(len(body.joints) for body in draft.bodies)
+    meshes = sum(name.lower().endswith((".obj", ".stl", ".glb", ".ply")) for name in built.files)
+    return Report(
+        str(path), str(out), draft.format, len(draft.bodies), links, joints, len(draft.cameras), len(draft.lights),
+        meshes, tuple(draft.notes), tuple(built.names.items()),
+    )  # fmt: skip
