@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshError, MeshPart, read_mesh
+from simfoundry.assets.mesh import MeshError, MeshPart, read_parts
 from simfoundry.frontends.drafts import MeshDraft
 from simfoundry.frontends.found import NotFoundError, Search
 from simfoundry.frontends.names import plain_name
@@ -82,7 +82,7 @@ def _baked(path: Path, scale: tuple[float, float, float]) -> MeshDraft:
 
         parts = read_collada(path, scale)
     elif suffix in (*MESH_SUFFIXES, ".gltf"):
-        parts = read_mesh(path, scale)
+        parts = read_parts(path, scale)
     else:
         raise MeshError("SF301", f"{path.name} is of a kind that is not read", "convert it to OBJ, STL, PLY or GLB")
     return mesh_of_parts(parts, plain_name(path.stem, "mesh"))
