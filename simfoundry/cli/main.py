@@ -21,6 +21,9 @@ def _postpone(name: str) -> None:
         spec.loader = importlib.util.LazyLoader(spec.loader)
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
+        package, _, own = name.rpartition(".")
+        if package:
+            setattr(importlib.import_module(package), own, module)
 
 
 # Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
@@ -39,6 +42,7 @@ COMMANDS = {
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "git": "Let git show and merge documents by meaning.",
+    "import": "Turn URDF, MJCF, USD or a scene of the authors' release into documents.",
     "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "new": "Start a document of any kind, with comments that teach.",
@@ -48,6 +52,9 @@ COMMANDS = {
     "show": "Show a scene as a tree with sizes and masses.",
     "synthesize": "Render a scene to a capture with sensor noise.",
 }
+
+MODULES = {"import": "import_"}
+"""Modules of commands whose names Python keeps for itself."""
 
 
 class _Lazy(click.Group):
@@ -59,7 +66,7 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"simfoundry.cli.{cmd_name}")
+        module = importlib.import_module(f"simfoundry.cli.{MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = module.command
         return command
 

@@ -14,7 +14,7 @@ import numpy as np
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.scene.frames import Pose, rpy_from_quat
-from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.base import Model
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.tree import plain_tree
@@ -289,6 +289,7 @@ def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
 
 def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft that is one body, as NAME.asset.yaml in the folder ``base``."""
+    _fit(draft)
     built = Built()
     shelf = Shelf(base, f"{name}_files", root, built.files)
     spec = asset_spec(draft.bodies[0], plain_name(name, "thing"), shelf, built)
@@ -298,6 +299,7 @@ def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built
 
 def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft, as NAME.scene.yaml in the folder ``base``."""
+    _fit(draft)
     built = Built()
     folder = f"{name}_files"
     shelf = Shelf(base / folder, ".", root)
@@ -333,6 +335,19 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     built.documents |= {f"{folder}/{called}.asset.yaml": text_of(asset) for called, asset in assets.items()}
     built.files = {f"{folder}/{path.removeprefix('./')}": data for path, data in shelf.files.items()}
     return built
+
+
+def _fit(draft: Draft) -> None:
+    """Leave out, with a note, what the language has no words for yet."""
+    for body in draft.bodies:
+        for joint in body.joints:
+            for word in ("mimic", "drive"):
+                if getattr(joint, word) is not None and word not in JointSpec.model_fields:
+                    setattr(joint, word, None)
+                    draft.dropped(f"{word} of joint `{joint.name}`", "the language has no word for it")
+        if body.no_contact and "no_contact" not in AssetSpec.model_fields:
+            draft.dropped(f"contact exclusions of `{body.name}`", "the language has no word for it", f"{len(body.no_contact)}")
+            body.no_contact = []
 
 
 def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:

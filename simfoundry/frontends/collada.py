@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshError, MeshPart
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import MeshPart
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array

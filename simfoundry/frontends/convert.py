@@ -43,6 +43,7 @@ class Report:
     meshes: int = 0
     notes: tuple[Note, ...] = ()
     names: tuple[tuple[str, str], ...] = ()
+    more: tuple[str, ...] = ()
     error: str = ""
 
     def to_json(self) -> dict[str, Any]:
@@ -57,6 +58,7 @@ class Report:
             **counts,
             "notes": [note.to_json() for note in self.notes],
             "renamed": dict(self.names),
+            "more": list(self.more),
         }
 
 
@@ -111,6 +113,8 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report: 
     draft = read(path, options)
     if kind == ASSET and len(draft.bodies) != 1:
         raise ImportRefusedError(path, f"it holds {len(draft.bodies)} bodies", hint=f"import it to NAME{SCENE}")
+    if kind == ASSET and draft.bodies[0].fixed:
+        draft.changed("its root, which does not move", "objects are fixed where they are used: write `fixed: true` there")
     built = _write(draft, kind, name, out, folder, path)
     return _report(path, out, draft, built)
 

@@ -28,15 +28,20 @@ class NoteKind(StrEnum):
 
 @dataclass(frozen=True)
 class Note:
-    """One thing that could not be taken over as it stood: ``what`` it is in the file, and ``why`` or how it changed."""
+    """One thing that could not be taken over as it stood.
+
+    ``what`` it is in the file, ``why``, the same for all things of that kind, and the ``detail`` of this one.
+    """
 
     kind: NoteKind
     what: str
     why: str
+    detail: str = ""
 
     def to_json(self) -> dict[str, str]:
         """A plain mapping for ``--json``."""
-        return {"kind": str(self.kind), "what": self.what, "why": self.why}
+        shown = {"kind": str(self.kind), "what": self.what, "why": self.why, "detail": self.detail}
+        return {key: value for key, value in shown.items() if value}
 
 
 @dataclass(eq=False)
@@ -185,14 +190,14 @@ class Draft:
     notes: list[Note] = field(default_factory=list)
     description: str = ""
 
-    def dropped(self, what: str, why: str) -> None:
+    def dropped(self, what: str, why: str, detail: str = "") -> None:
         """Note what is left out."""
-        self.notes.append(Note(NoteKind.DROPPED, what, why))
+        self.notes.append(Note(NoteKind.DROPPED, what, why, detail))
 
-    def changed(self, what: str, why: str) -> None:
+    def changed(self, what: str, why: str, detail: str = "") -> None:
         """Note what is said in another way than the file says it."""
-        self.notes.append(Note(NoteKind.CHANGED, what, why))
+        self.notes.append(Note(NoteKind.CHANGED, what, why, detail))
 
-    def assumed(self, what: str, why: str) -> None:
+    def assumed(self, what: str, why: str, detail: str = "") -> None:
         """Note what the file does not say, and what is taken for it."""
-        self.notes.append(Note(NoteKind.ASSUMED, what, why))
+        self.notes.append(Note(NoteKind.ASSUMED, what, why, detail))

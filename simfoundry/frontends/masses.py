@@ -43,8 +43,8 @@ def _melt(draft: Draft, body: BodyDraft) -> None:
         if carrier is not None and carrier.type == "fixed":
             _join(body, body.links[carrier.parent], link, carrier)
             what = "its shapes are" if link.parts else "its frame is"
-            place = _at(carrier.X_PC)
-            draft.changed(f"link `{link.name}`", f"it weighs nothing; {what} part of `{carrier.parent}` {place}")
+            why = f"it weighs nothing and is fixed: {what} part of the link that carries it"
+            draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` {_at(carrier.X_PC)}")
             continue
         below = [j for j in body.joints if j.parent == link.name and j.type == "fixed" and body.links[j.child].mass]
         if below and not link.parts:
@@ -74,16 +74,14 @@ def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) 
     frame.com = None if child.com is None else X.apply(child.com)
     frame.inertia = None if child.inertia is None else X.rotation @ child.inertia @ X.rotation.T
     body.joints.remove(joint)
-    body.no_contact = [(_renamed(a, child.name, frame.name), _renamed(b, child.name, frame.name)) for a, b in body.no_contact]
+    rename = {child.name: frame.name}
+    body.no_contact = [(rename.get(a, a), rename.get(b, b)) for a, b in body.no_contact]
     del body.links[child.name]
     _reparent(body, child.name, frame.name, X)
-    draft.changed(f"link `{child.name}`", f"it is one with `{frame.name}`, which carries it and weighs nothing by itself")
+    why = "it is one with the link that carries it, which weighs nothing by itself"
+    draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
     if frame.name.lower() in WORLD:
         body.fixed = True
-
-
-def _renamed(name: str, old: str, new: str) -> str:
-    return new if name == old else name
 
 
 def _reparent(body: BodyDraft, old: str, new: str, X_NO: Pose) -> None:
@@ -105,7 +103,8 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
     link.mass, link.com, link.inertia = None, None, None
     if any(part.use != "visual" for part in link.parts):
         link.density, link.assumed = USUAL_DENSITY, "import"
-        draft.assumed(f"mass of `{link.name}`", f"none is given; {USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it")
+        why = f"none is given; {USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it"
+        draft.assumed(f"mass of `{link.name}`", why)
     elif root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
         draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it")
@@ -128,26 +127,26 @@ def _mend_inertia(draft: Draft, link: LinkDraft) -> None:
         gyration = math.sqrt(float(moments[2]) / link.mass)
         if gyration <= WIDEST_GYRATION:
             return
-        reason = f"{shown} kg m^2 would mean a thing {2 * gyration:.2g} m wide"
+        reason, detail = "only something many metres wide has it", f"{shown} kg m^2 for {link.mass:.3g} kg"
     elif moments[0] > 0 and missing <= moments[2] * ROUNDING:
         link.inertia = link.inertia + missing * (1 + 1e-6) * np.eye(3)
-        share = missing / moments[2]
-        draft.changed(f"inertia of `{link.name}`", f"{shown} kg m^2 missed what a body can have by {share:.1g}; rounded up")
+        why = "rounding took it out of what a body can have; rounded back"
+        draft.changed(f"inertia of `{link.name}`", why, f"moments {shown} kg m^2, by {missing / moments[2]:.1g}")
         return
     else:
-        reason = f"no body has the moments {shown} kg m^2"
+        reason, detail = "no body has such moments", f"{shown} kg m^2"
     if any(part.use != "visual" for part in link.parts):
         link.inertia = None
-        draft.changed(f"inertia of `{link.name}`", f"{reason}; computed from its shapes")
+        draft.changed(f"inertia of `{link.name}`", f"{reason}; computed from its shapes", detail)
     else:
-        _as_ball(draft, link, reason)
+        _as_ball(draft, link, reason, detail)
 
 
-def _as_ball(draft: Draft, link: LinkDraft, reason: str) -> None:
+def _as_ball(draft: Draft, link: LinkDraft, reason: str, detail: str = "") -> None:
     assert link.mass is not None
     link.com = np.zeros(3) if link.com is None else link.com
     link.inertia = ball(link.mass)
-    draft.assumed(f"inertia of `{link.name}`", f"{reason}; that of a ball of water of {link.mass:.4g} kg")
+    draft.assumed(f"inertia of `{link.name}`", f"{reason}; that of a ball of water stands for it", detail)
 
 
 def ball(mass: float) -> Array:

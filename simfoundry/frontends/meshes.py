@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import io
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshError, MeshPart, read_parts
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import MeshPart, extent, read_parts
 from simfoundry.frontends.drafts import MeshDraft
 from simfoundry.frontends.found import NotFoundError, Search
 from simfoundry.frontends.names import plain_name
@@ -37,6 +39,18 @@ def mesh_draft(path: Path, scale: tuple[float, float, float], search: Search) ->
         _add_materials(files, path, search)
     source = path if list(files) == [path.name] or len(files) > 1 else None
     return MeshDraft(files, x, source)
+
+
+def width(mesh: MeshDraft) -> float:
+    """The longest side of the bounds of a mesh [m]; 0 where it cannot be read, which is found where it is used."""
+    name, data = next(iter(mesh.files.items()))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        path.write_bytes(data)
+        try:
+            return extent(read_parts(path, mesh.scale))
+        except MeshError:
+            return 0.0
 
 
 def file_name(path: Path) -> str:

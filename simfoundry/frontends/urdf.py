@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshError
+from simfoundry.assets.faults import LARGEST, MeshError
 from simfoundry.frontends.drafts import (
     BodyDraft,
     Draft,
@@ -23,7 +23,7 @@ from simfoundry.frontends.drafts import (
 )
 from simfoundry.frontends.found import NotFoundError, Search, refused
 from simfoundry.frontends.masses import make_sound
-from simfoundry.frontends.meshes import mesh_draft
+from simfoundry.frontends.meshes import mesh_draft, width
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
@@ -54,6 +54,7 @@ class _Urdf:
         self.draft = Draft(self.root.get("name") or path.stem, "URDF")
         self.left: Counter[str] = Counter()
         self.meshes: dict[tuple[Path, tuple[float, float, float]], MeshDraft] = {}
+        self.widths: dict[int, float] = {}
         self.colors: dict[str, Element] = {}
         for material in self.root.walk():
             name = material.get("name")
@@ -78,7 +79,7 @@ class _Urdf:
         self.count_left()
         make_sound(self.draft, str(self.path))
         for what, count in sorted(self.left.items()):
-            self.draft.dropped(what, f"{count} of them" if count > 1 else "the language has no word for it")
+            self.draft.dropped(what, "the language has no word for it", f"{count} times" if count > 1 else "")
         return self.draft
 
     def root_link(self, links: dict[str, LinkDraft], joints: list[JointDraft]) -> str:
@@ -145,6 +146,9 @@ class _Urdf:
         if made is None:
             return
         drafted, X_extra = made
+        if use == "visual" and isinstance(drafted, MeshDraft) and self.too_wide(drafted):
+            self.draft.dropped(f"visual mesh of `{link}`", f"it is wider than {LARGEST:g} m")
+            return
         color = self.color(element.first("material"), drafted) if use == "visual" else None
         yield PartDraft(element.get("name") or use, drafted, use, X @ X_extra, color)
 
@@ -190,6 +194,12 @@ class _Urdf:
         except MeshError as error:
             raise shape.refused(str(error), error.hint) from None
         return self.meshes[file, scale]
+
+    def too_wide(self, mesh: MeshDraft) -> bool:
+        """Whether a mesh is wider than anything around a table."""
+        if id(mesh) not in self.widths:
+            self.widths[id(mesh)] = width(mesh)
+        return self.widths[id(mesh)] > LARGEST
 
     def scale(self, shape: Element) -> tuple[float, float, float]:
         text = shape.get("scale")
