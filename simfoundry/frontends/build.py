@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft, Rgba
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.spec.asset import AssetSpec, JointSpec
@@ -50,7 +50,7 @@ class Shelf:
             return Path(os.path.relpath(mesh.source.resolve(), self.base.resolve())).as_posix()
         if id(mesh) not in self.taken:
             self.taken[id(mesh)] = self._store(mesh.files)
-        return self.taken[id(mesh)]
+        return self.taken[id(mesh)].removeprefix("./")
 
     def _store(self, files: dict[str, bytes]) -> str:
         main = next(iter(files))
@@ -208,10 +208,16 @@ def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
     if pose:
         out["pose"] = pose
     if part.color is not None and part.use != "collision":
-        out["color"] = part.color if part.color[3] < 1 else part.color[:3]
+        out["color"] = _color(part.color)
     if part.use != "both":
         out["use"] = part.use
     return out
+
+
+def _color(color: Rgba) -> tuple[float, ...]:
+    """A colour at the precision of a screen; single precision leaves noise behind that."""
+    values = tuple(round(v, 4) for v in color)
+    return values if values[3] < 1 else values[:3]
 
 
 def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> dict[str, Any]:
@@ -264,10 +270,12 @@ def inline_data(body: BodyDraft) -> dict[str, Any] | None:
         return None
     out = {"shape": to_data(part.geometry)} | _surface(link)
     out.pop("inertial", None)
+    if body.fixed and link.assumed:
+        out.pop("density", None)
     friction, restitution = _contact(part, link)
     out |= {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
     if part.color is not None:
-        out["color"] = part.color if part.color[3] < 1 else part.color[:3]
+        out["color"] = _color(part.color)
     if body.category is not None:
         out["category"] = plain_name(body.category)
     return out | _placed(body)
@@ -324,7 +332,7 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     lights = Names("light")
     data["lights"] = {
         lights.name(light.name): {
-            "type": light.type, "intensity": light.intensity, "color": light.color,
+            "type": light.type, "intensity": round(light.intensity, 4), "color": _color((*light.color, 1.0)),
             **({"direction": light.direction} if light.type == "distant" else {}),
             **({"xyz": light.xyz} if light.type == "point" else {}),
         }

@@ -24,14 +24,28 @@ WORLD = ("world", "map", "universe")
 
 
 def make_sound(draft: Draft, file: str) -> None:
-    """Give every link of every body a mass and an inertia that simulators accept; what is changed is noted."""
+    """Give every link of every body a mass and an inertia that simulators accept; what is changed is noted.
+
+    Joints that start beyond a limit start at it.
+    """
     for body in draft.bodies:
+        for joint in body.joints:
+            _start_inside(draft, joint)
         _melt(draft, body)
         for link in list(body.links.values()):
             if not link.mass and link.density is None:
                 _weigh(draft, body, link, file)
             elif link.mass:
                 _mend_inertia(draft, link)
+
+
+def _start_inside(draft: Draft, joint: JointDraft) -> None:
+    if joint.limits is None or joint.limits[0] <= joint.position <= joint.limits[1]:
+        return
+    inside = min(max(joint.position, joint.limits[0]), joint.limits[1])
+    why = "it starts beyond its limits; here it starts at the nearer one"
+    draft.changed(f"position of joint `{joint.name}`", why, f"{joint.position:.4g} to {inside:.4g}")
+    joint.position = inside
 
 
 def _melt(draft: Draft, body: BodyDraft) -> None:
@@ -103,11 +117,14 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
     link.mass, link.com, link.inertia = None, None, None
     if any(part.use != "visual" for part in link.parts):
         link.density, link.assumed = USUAL_DENSITY, "import"
+        if root and body.fixed:
+            return
         why = f"none is given; {USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it"
         draft.assumed(f"mass of `{link.name}`", why)
     elif root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
-        draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it")
+        if not body.fixed:
+            draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it")
     else:
         message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
         raise ImportRefusedError(file, message, hint="give it an inertial")
