@@ -18,6 +18,7 @@ from simfoundry.spec.diagnostics import Severity
 from simfoundry.spec.loaded import project_root
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
+USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,8 @@ def _reader(path: Path) -> Callable[[Path, Options], Draft]:
         if tag == "mujoco":
             return _read_mjcf
         raise ImportRefusedError(path, f"its root is `<{tag}>`", hint="URDF has `<robot>`, MJCF `<mujoco>`")
+    if suffix in USD:
+        return _read_usd
     raise ImportRefusedError(path, "its kind is not known", hint="valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz")
 
 
@@ -88,6 +91,12 @@ def _read_urdf(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.urdf import read_urdf
 
     return read_urdf(path, options.packages)
+
+
+def _read_usd(path: Path, _options: Options) -> Draft:
+    from simfoundry.frontends.usd import read_usd
+
+    return read_usd(path)
 
 
 def _read_mjcf(path: Path, options: Options) -> Draft:
