@@ -6,15 +6,16 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft, Rgba
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.scene.frames import Pose, rpy_from_quat
-from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.asset import AssetSpec, JointKind, JointSpec
 from simfoundry.spec.base import Model
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.tree import plain_tree
@@ -32,6 +33,8 @@ class Built:
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
     """What had to be renamed: the name in the file, qualified by its body, and the name in the documents."""
+    parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
+    """By asset, link and part as the documents call them: what they were made from."""
 
 
 @dataclass
@@ -110,6 +113,9 @@ def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetS
     data: dict[str, Any] = {"simfoundry": "asset/1", "name": name, "materials": materials}
     if body.category is not None:
         data["category"] = plain_name(body.category)
+    for link in body.links.values():
+        for called, part in zip(part_names(link), link.parts, strict=True):
+            built.parts[name, link_names[link.name], called] = (link, part)
     data["links"] = {link_names[n]: _link(body.links[n], shelf, materials) for n in order}
     data["joints"] = {joint_names[j.name]: _joint(j, link_names, joint_names) for j in body.joints}
     if body.no_contact:
@@ -189,10 +195,9 @@ def part_names(link: LinkDraft) -> Iterator[str]:
     taken: list[str] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
-        name, count = plain, 1
-        while any(name == t or name.startswith(f"{t}_") or t.startswith(f"{name}_") for t in taken):
-            count += 1
-            name = f"{plain}{count}"
+        numbered = (n for k in range(2, 100_000) for n in (f"{plain}{k}", f"part{k}_{plain}"))
+        candidates = chain([plain], numbered)
+        name = next(n for n in candidates if not any(f"{n}_".startswith(f"{t}_") or f"{t}_".startswith(f"{n}_") for t in taken))
         taken.append(name)
         yield name
 
@@ -349,6 +354,9 @@ def _fit(draft: Draft) -> None:
     """Leave out, with a note, what the language has no words for yet."""
     for body in draft.bodies:
         for joint in body.joints:
+            if joint.type not in get_args(JointKind):
+                draft.dropped(f"motion of {joint.type} joint `{joint.name}`", "the language has no word for it; it is fixed")
+                joint.type = "fixed"
             for word in ("mimic", "drive"):
                 if getattr(joint, word) is not None and word not in JointSpec.model_fields:
                     setattr(joint, word, None)

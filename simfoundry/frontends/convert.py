@@ -9,15 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from simfoundry.errors import OutputError
 from simfoundry.files import replace_folder, write_atomically
 from simfoundry.frontends.build import Built, build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.spec.diagnostics import Severity
+from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import project_root
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
+ATTEMPTS = 3
+"""How often a draft is mended until it lowers."""
+
 USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -136,8 +141,16 @@ def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: 
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{name}.import.", dir=out.parent) as temporary:
         staging = Path(temporary)
-        _fill(staging, build(draft, name, staging, root if marked else None))
-        _check(staging, f"{name}{kind}", root, source)
+        for _ in range(ATTEMPTS):
+            made = build(draft, name, staging, root if marked else None)
+            _fill(staging, made)
+            found = _check(staging, f"{name}{kind}", root)
+            if not found or not _without_bad_meshes(draft, made, found, source):
+                break
+        if found:
+            more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+            place = Path(os.path.relpath(found[0].file, staging)).name
+            raise ImportRefusedError(source, f"{found[0].message}{more}", hint=f"{place} {found[0].path}")
         built = build(draft, name, out.parent, root if marked else None)
         for document, text in built.documents.items():
             (staging / document).write_text(text)
@@ -155,8 +168,40 @@ def _fill(folder: Path, built: Built) -> None:
         target.write_bytes(data)
 
 
-def _check(folder: Path, document: str, root: Path, source: Path) -> None:
-    """Lower what was written; raises :class:`ImportRefusedError` where that finds an error."""
+def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:
+    """Leave out flat colliders, which nothing can touch, and things seen that are too wide; whether there were any."""
+    from simfoundry.frontends.masses import make_sound
+
+    mended = False
+    for finding in found:
+        words = finding.path.split(".")
+        key = (Path(finding.file).name.removesuffix(ASSET), *words[1:4:2])
+        if len(words) != 4 or key not in built.parts:
+            continue
+        link, part = built.parts[key]
+        what = f"`{part.name}` of link `{link.name}`"
+        if finding.code == "SF301" and "flat" in finding.message and part.use != "visual":
+            draft.dropped(f"contact of {what}", "its mesh is flat")
+            if part.use == "both":
+                part.use = "visual"
+            else:
+                link.parts.remove(part)
+        elif finding.code == "SF303" and part.use == "visual":
+            draft.dropped(what, "no mesh of such a size is shown", finding.message)
+            link.parts.remove(part)
+        else:
+            continue
+        mended = True
+        if link.density is not None and all(p.use == "visual" for p in link.parts):
+            link.mass, link.com, link.density, link.assumed = 1.0, np.zeros(3), None, "import"
+            draft.assumed(f"mass of `{link.name}`", "nothing of it has a volume; 1 kg, as PhysX takes it")
+    if mended:
+        make_sound(draft, str(source))
+    return mended
+
+
+def _check(folder: Path, document: str, root: Path) -> list[Diagnostic]:
+    """Errors of what was written, found by lowering it."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.diagnostics import SpecError
@@ -171,10 +216,8 @@ def _check(folder: Path, document: str, root: Path, source: Path) -> None:
     try:
         lower(loaded, Cache.default())
     except SpecError as error:
-        found = [d for d in error.diagnostics if d.severity is Severity.ERROR]
-        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        place = Path(os.path.relpath(found[0].file, folder)).name
-        raise ImportRefusedError(source, f"{found[0].message}{more}", hint=f"{place} {found[0].path}") from None
+        return [d for d in error.diagnostics if d.severity is Severity.ERROR]
+    return []
 
 
 def _report(path: Path, out: Path, draft: Draft, built: Built) -> Report:

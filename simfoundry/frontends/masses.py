@@ -33,7 +33,7 @@ def make_sound(draft: Draft, file: str) -> None:
             _start_inside(draft, joint)
         _melt(draft, body)
         for link in list(body.links.values()):
-            if not link.mass and link.density is None:
+            if not link.mass and (link.density is None or not any(part.use != "visual" for part in link.parts)):
                 _weigh(draft, body, link, file)
             elif link.mass:
                 _mend_inertia(draft, link)

@@ -32,18 +32,21 @@ _EXPECTED = {"Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset
 
 def read_usd(path: Path) -> Draft:
     """The scene of a USD file; raises :class:`ImportRefusedError`."""
-    from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade
+    from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
     pxr = SimpleNamespace(
         Gf=Gf, Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade
     )  # fmt: skip
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it keeps the warnings that OpenUSD would print
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = " ".join(str(error).split())
         raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[-200:]}") from None
     _check_layers(path, stage)
-    return _Usd(path, pxr, stage).read()
+    draft = _Usd(path, pxr, stage).read()
+    quiet.TakeUncoalescedDiagnostics()
+    return draft
 
 
 def _check_layers(path: Path, stage: Any) -> None:
