@@ -43,21 +43,31 @@ def _packages(_context: click.Context, _option: click.Parameter, values: tuple[s
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=_packages,
     help="The folder of a package that `package://NAME/…` means; may be given more than once.",
 )  # fmt: skip
+@click.option(
+    "--scene", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="The scene document that a task of the authors' release is for.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
 @json_option
 @reporting
 def command(
-    files: tuple[Path, ...], out: Path | None, packages: dict[str, Path], force: bool, strict: bool, as_json: bool
+    files: tuple[Path, ...],
+    out: Path | None,
+    packages: dict[str, Path],
+    scene: Path | None,
+    force: bool,
+    strict: bool,
+    as_json: bool,
 ) -> int:
-    """Import URDF, MJCF, USD, or a scene of the authors' release, as a scene or an asset.
+    """Import URDF, MJCF, USD, or a scene or task of the authors' release, as a scene, an asset or a task.
 
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
     Nothing is written for a file that is refused. Exit code 2 where one was refused.
     """
     from simfoundry.frontends.convert import Options, import_file
 
-    options = Options(packages, force)
+    options = Options(packages, force, scene)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
@@ -127,8 +137,10 @@ def _is_model(path: Path) -> bool:
 
 
 def _default_name(path: Path) -> str:
-    from simfoundry.frontends.convert import ASSET, SCENE
+    from simfoundry.frontends.convert import ASSET, SCENE, TASK, TASKS
 
+    if path.suffix.lower() in TASKS:
+        return f"{path.stem}{TASK}"
     return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
 
 

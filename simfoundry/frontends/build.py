@@ -260,6 +260,8 @@ def _placed(body: BodyDraft) -> dict[str, Any]:
     pose = pose_data(body.X_WO)
     if pose:
         out["pose"] = pose
+    if body.note:
+        out["origin"] = {"note": body.note}
     return out
 
 
@@ -333,6 +335,8 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     data: dict[str, Any] = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": objects}
     if draft.gravity is not None:
         data["gravity"] = draft.gravity
+    robots = Names("robot")
+    data["robots"] = {robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB)} for r in draft.robots}
     data["cameras"] = _cameras(draft, bodies, assets)
     lights = Names("light")
     data["lights"] = {

@@ -13,16 +13,19 @@ import numpy as np
 
 from simfoundry.errors import OutputError
 from simfoundry.files import replace_folder, write_atomically
-from simfoundry.frontends.build import Built, build_asset, build_scene
+from simfoundry.frontends.build import Built, build_asset, build_scene, text_of
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import project_root
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
+VALID = "valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz, .json (a scene of OmniGibson)"
+
 ATTEMPTS = 3
 """How often a draft is mended until it lowers."""
 
+TASK, TASKS = ".task.yaml", (".yaml", ".yml")
 USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -32,6 +35,8 @@ class Options:
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     force: bool = False
+    scene: Path | None = None
+    """The scene document that a task is for."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +92,11 @@ def _reader(path: Path) -> Callable[[Path, Options], Draft]:
         if tag == "mujoco":
             return _read_mjcf
         raise ImportRefusedError(path, f"its root is `<{tag}>`", hint="URDF has `<robot>`, MJCF `<mujoco>`")
+    if suffix == ".json":
+        return _read_omnigibson
     if suffix in USD:
         return _read_usd
-    raise ImportRefusedError(path, "its kind is not known", hint="valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz")
+    raise ImportRefusedError(path, "its kind is not known", hint=VALID)
 
 
 def _read_urdf(path: Path, options: Options) -> Draft:
@@ -104,6 +111,12 @@ def _read_usd(path: Path, _options: Options) -> Draft:
     return read_usd(path)
 
 
+def _read_omnigibson(path: Path, options: Options) -> Draft:
+    from simfoundry.frontends.omnigibson import read_omnigibson
+
+    return read_omnigibson(path, options.packages)
+
+
 def _read_mjcf(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.mjcf import read_mjcf
 
@@ -116,6 +129,8 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report: 
     Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something would
     be lost. What is written lowers without an error, or nothing is written.
     """
+    if path.suffix.lower() in TASKS:
+        return _import_task(path, out, options)
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
     if kind is None:
         raise OutputError(f"{out}: the output is called NAME{SCENE} or NAME{ASSET}")
@@ -131,6 +146,34 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report: 
         draft.changed("its root, which does not move", "objects are fixed where they are used: write `fixed: true` there")
     built = _write(draft, kind, name, out, folder, path)
     return _report(path, out, draft, built)
+
+
+def _import_task(path: Path, out: Path, options: Options) -> Report:
+    """Import a task of the release."""
+    from simfoundry.frontends.omnigibson_task import read_task
+    from simfoundry.spec.load import load, load_kind
+    from simfoundry.spec.scene import SceneSpec
+
+    if not out.name.endswith(TASK):
+        raise OutputError(f"{out}: the output is called NAME{TASK}")
+    if options.scene is None:
+        raise ImportRefusedError(path, "a task is for a scene", hint="name its document: --scene NAME.scene.yaml")
+    if out.exists() and not options.force:
+        raise OutputError(f"{out} exists; write elsewhere, or replace it with --force")
+    scene = load_kind(options.scene, "scene/1").spec
+    assert isinstance(scene, SceneSpec)
+    spec, draft = read_task(path, options.scene, scene, out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    trial = out.parent / f".{out.name.removesuffix(TASK)}.import{TASK}"
+    try:
+        trial.write_text(text_of(spec))
+        errors = load(trial).errors
+    finally:
+        trial.unlink(missing_ok=True)
+    if errors:
+        raise ImportRefusedError(path, errors[0].message, hint=errors[0].hint)
+    write_atomically(out, text_of(spec).encode())
+    return Report(str(path), str(out), draft.format, notes=tuple(draft.notes))
 
 
 def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path) -> Built:

@@ -144,6 +144,8 @@ class BodyDraft:
     X_WO: Pose = IDENTITY
     category: str | None = None
     no_contact: list[tuple[str, str]] = field(default_factory=list)
+    note: str = ""
+    """Where it comes from, for people and for tasks that call it so."""
 
     def carrier(self, link: str) -> JointDraft | None:
         """The joint whose child a link is."""
@@ -178,6 +180,15 @@ class LightDraft:
 
 
 @dataclass(eq=False)
+class RobotDraft:
+    """A robot that the language knows, with the pose of its base."""
+
+    name: str
+    model: str
+    X_WB: Pose
+
+
+@dataclass(eq=False)
 class Draft:
     """All that one file says, and ``notes`` on what it says beyond that."""
 
@@ -186,6 +197,7 @@ class Draft:
     bodies: list[BodyDraft] = field(default_factory=list)
     cameras: list[CameraDraft] = field(default_factory=list)
     lights: list[LightDraft] = field(default_factory=list)
+    robots: list[RobotDraft] = field(default_factory=list)
     gravity: tuple[float, float, float] | None = None
     notes: list[Note] = field(default_factory=list)
     description: str = ""

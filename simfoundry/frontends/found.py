@@ -71,6 +71,8 @@ class Search:
     def _packaged(self, path: str) -> Iterator[tuple[Path, Path]]:
         """Candidates for ``package://NAME/REST``: named packages, then folders upward, then without any name."""
         name, _, rest = path.partition("/")
+        if name in ("", ".", ".."):
+            return
         if name in self.packages:
             yield self.packages[name] / rest, self.packages[name]
             return

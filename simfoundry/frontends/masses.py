@@ -42,7 +42,8 @@ def make_sound(draft: Draft, file: str) -> None:
 def _start_inside(draft: Draft, joint: JointDraft) -> None:
     if joint.limits is None or joint.limits[0] <= joint.position <= joint.limits[1]:
         return
-    inside = min(max(joint.position, joint.limits[0]), joint.limits[1])
+    margin = 1e-6 * (joint.limits[1] - joint.limits[0])  # a number on the limit may be rounded past it
+    inside = min(max(joint.position, joint.limits[0] + margin), joint.limits[1] - margin)
     why = "it starts beyond its limits; here it starts at the nearer one"
     draft.changed(f"position of joint `{joint.name}`", why, f"{joint.position:.4g} to {inside:.4g}")
     joint.position = inside

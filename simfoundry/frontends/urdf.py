@@ -251,8 +251,11 @@ class _Urdf:
                 if limit.get(name) and limit.number(name):
                     self.left[f"{name} limit of a joint"] += 1
         match joint.type:
-            case "fixed" | "continuous":
+            case "fixed":
                 return
+            case "continuous":
+                if bounds is not None and bounds != (0.0, 0.0):
+                    self.draft.dropped(f"limits of {what}", "a continuous joint has none, by the specification of URDF")
             case "revolute" | "prismatic" if bounds is not None and bounds[0] < bounds[1]:
                 joint.limits = bounds
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] != 0.0:

@@ -41,8 +41,9 @@ def read_usd(path: Path) -> Draft:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reason = " ".join(str(error).split())
-        raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[-200:]}") from None
+        reasons = [line.partition(" : '")[2] for line in str(error).splitlines() if " : '" in line]
+        reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
+        raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
     _check_layers(path, stage)
     draft = _Usd(path, pxr, stage).read()
     quiet.TakeUncoalescedDiagnostics()
@@ -116,8 +117,11 @@ class _Usd:
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
             self.draft.dropped(f"prims of type {kind}", "the language has no word for it", f"{count}")
+        missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
         if not self.draft.bodies:
-            raise ImportRefusedError(self.path, "it has no geometry")
+            raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
+        for error in missing:
+            self.draft.dropped("what it takes in", "OpenUSD cannot compose it", error[:200])
         make_sound(self.draft, str(self.path))
         return self.draft
 
