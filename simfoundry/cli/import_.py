@@ -37,7 +37,7 @@ def _packages(_context: click.Context, _option: click.Parameter, values: tuple[s
     "-o",
     "--out",
     type=click.Path(path_type=Path),
-    help="NAME.scene.yaml or NAME.asset.yaml; a folder where there are several files. Default: named after the file, here.",
+    help="NAME.scene.yaml or NAME.asset.yaml; a folder for several files. Default: named after the file, here.",
 )
 @click.option(
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=_packages,
@@ -85,7 +85,9 @@ def command(
 def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bool, as_json: bool) -> int:
     jobs = list(_jobs(files, out))
     if not jobs:
-        raise CannotError(f"there is no file to import below {', '.join(map(str, files))}; {', '.join(SUFFIXES)} are read")
+        raise CannotError(
+            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(SUFFIXES)} are read"
+        )
     reports = []
     with progress_bar(as_json) as progress:
         for done, (source, target) in enumerate(jobs):

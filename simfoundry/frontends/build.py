@@ -3,102 +3,19 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 
-from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft, Rgba
+from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
 from simfoundry.frontends.names import Names, plain_name
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.frontends.pieces import Built, Shelf, color_data, pose_data, rounded, text_of
 from simfoundry.spec.asset import AssetSpec, JointKind, JointSpec
-from simfoundry.spec.base import Model
 from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.tree import plain_tree
-from simfoundry.spec.write import to_data, write_tree
-
-DIGITS = 9
-"""Significant digits of imported numbers: more than any simulator keeps, and no rounding noise."""
-
-
-@dataclass
-class Built:
-    """Documents by file name, the asked-for one first, and other files; names are relative to the folder of it."""
-
-    documents: dict[str, str] = field(default_factory=dict)
-    files: dict[str, bytes] = field(default_factory=dict)
-    names: dict[str, str] = field(default_factory=dict)
-    """What had to be renamed: the name in the file, qualified by its body, and the name in the documents."""
-    parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
-    """By asset, link and part as the documents call them: what they were made from."""
-
-
-@dataclass
-class Shelf:
-    """Where files go: into ``folder`` (relative to ``base``), or nowhere if they lie below ``root`` already."""
-
-    base: Path
-    folder: str
-    root: Path | None
-    files: dict[str, bytes] = field(default_factory=dict)
-    taken: dict[int, str] = field(default_factory=dict)
-
-    def place(self, mesh: MeshDraft) -> str:
-        """The path of a mesh, relative to ``base``; equal files are stored once."""
-        if mesh.source is not None and self.root is not None and mesh.source.resolve().is_relative_to(self.root.resolve()):
-            return Path(os.path.relpath(mesh.source.resolve(), self.base.resolve())).as_posix()
-        if id(mesh) not in self.taken:
-            self.taken[id(mesh)] = self._store(mesh.files)
-        return self.taken[id(mesh)].removeprefix("./")
-
-    def _store(self, files: dict[str, bytes]) -> str:
-        main = next(iter(files))
-        for count in range(1, 100_000):
-            place = self.folder if count == 1 else f"{self.folder}/{plain_name(Path(main).stem, 'mesh')}_{count}"
-            wanted = {f"{place}/{name}": data for name, data in files.items()}
-            if all(self.files.get(name, data) == data for name, data in wanted.items()):
-                self.files |= wanted
-                return f"{place}/{main}"
-        raise AssertionError("no free name")
-
-
-def rounded(value: Any) -> Any:
-    """Plain data with its numbers at :data:`DIGITS` significant digits."""
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") + 0.0
-    if isinstance(value, dict):
-        return {key: rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return tuple(rounded(item) for item in value)
-    return value
-
-
-def text_of(spec: Model, comment: str = "") -> str:
-    """The canonical text of a document, with all digits of its numbers."""
-    tree = plain_tree(rounded(to_data(spec)))
-    lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-    return lines + write_tree(tree, type(spec))
-
-
-def pose_data(X: Pose) -> dict[str, Any]:
-    """A pose as a document writes it: the plainest of the rotations that say it."""
-    out: dict[str, Any] = {}
-    if np.abs(X.p).max() > 1e-12:
-        out["xyz"] = tuple(float(v) for v in X.p)
-    if abs(abs(X.q[0]) - 1) < 1e-15 or np.abs(X.q[1:]).max() < 1e-10:
-        return out
-    roll, pitch, yaw = (math.degrees(v) for v in rpy_from_quat(X.q))
-    if np.abs(X.q[1:3]).max() < 1e-10:
-        out["yaw_deg"] = yaw
-    elif all(abs(v - round(v, 3)) < 1e-7 for v in (roll, pitch, yaw)):
-        out["rpy_deg"] = (roll, pitch, yaw)
-    else:
-        out["quat_wxyz"] = tuple(float(v) for v in X.q)
-    return out
+from simfoundry.spec.write import to_data
 
 
 def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetSpec:
@@ -137,7 +54,9 @@ def _link(link: LinkDraft, shelf: Shelf, materials: dict[str, Any]) -> dict[str,
         if uniform is None and part.use != "visual":
             parts[name]["material"] = _material(part, link, materials)
     if uniform is not None:
-        out |= {key: value for key, value in zip(("friction", "restitution"), uniform, strict=True) if value is not None}
+        out |= {
+            key: value for key, value in zip(("friction", "restitution"), uniform, strict=True) if value is not None
+        }
     if any(isinstance(part.geometry, MeshDraft) and part.use != "visual" for part in link.parts):
         out["collision"] = link.collision
         if link.inertia is None:
@@ -197,7 +116,9 @@ def part_names(link: LinkDraft) -> Iterator[str]:
         plain = plain_name(part.name, "part")[:50]
         numbered = (n for k in range(2, 100_000) for n in (f"{plain}{k}", f"part{k}_{plain}"))
         candidates = chain([plain], numbered)
-        name = next(n for n in candidates if not any(f"{n}_".startswith(f"{t}_") or f"{t}_".startswith(f"{n}_") for t in taken))
+        name = next(
+            n for n in candidates if not any(f"{n}_".startswith(f"{t}_") or f"{t}_".startswith(f"{n}_") for t in taken)
+        )
         taken.append(name)
         yield name
 
@@ -213,16 +134,10 @@ def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
     if pose:
         out["pose"] = pose
     if part.color is not None and part.use != "collision":
-        out["color"] = _color(part.color)
+        out["color"] = color_data(part.color)
     if part.use != "both":
         out["use"] = part.use
     return out
-
-
-def _color(color: Rgba) -> tuple[float, ...]:
-    """A colour at the precision of a screen; single precision leaves noise behind that."""
-    values = tuple(round(v, 4) for v in color)
-    return values if values[3] < 1 else values[:3]
 
 
 def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> dict[str, Any]:
@@ -240,7 +155,11 @@ def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> 
         out["limits_deg"] = tuple(math.degrees(v) for v in joint.limits)
     out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
     if joint.mimic is not None:
-        out["mimic"] = {"joint": joints[joint.mimic.joint], "multiplier": joint.mimic.multiplier, "offset": joint.mimic.offset}
+        out["mimic"] = {
+            "joint": joints[joint.mimic.joint],
+            "multiplier": joint.mimic.multiplier,
+            "offset": joint.mimic.offset,
+        }
     if joint.drive is not None:
         given = {k: getattr(joint.drive, k) for k in ("stiffness", "damping", "target", "force_limit")}
         out["drive"] = {k: float(v) for k, v in given.items() if v is not None}
@@ -282,7 +201,7 @@ def inline_data(body: BodyDraft) -> dict[str, Any] | None:
     friction, restitution = _contact(part, link)
     out |= {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
     if part.color is not None:
-        out["color"] = _color(part.color)
+        out["color"] = color_data(part.color)
     if body.category is not None:
         out["category"] = plain_name(body.category)
     return out | _placed(body)
@@ -299,7 +218,9 @@ def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
         return False
     solid = shape_solid(part.geometry)
     inertia = solid.inertia * (link.mass / solid.volume)
-    return link.inertia is None or bool(np.allclose(link.inertia, inertia, rtol=1e-6, atol=1e-6 * np.abs(inertia).max()))
+    return link.inertia is None or bool(
+        np.allclose(link.inertia, inertia, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())
+    )
 
 
 def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
@@ -341,7 +262,7 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     lights = Names("light")
     data["lights"] = {
         lights.name(light.name): {
-            "type": light.type, "intensity": round(light.intensity, 4), "color": _color((*light.color, 1.0)),
+            "type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1.0)),
             **({"direction": light.direction} if light.type == "distant" else {}),
             **({"xyz": light.xyz} if light.type == "point" else {}),
         }
@@ -359,14 +280,18 @@ def _fit(draft: Draft) -> None:
     for body in draft.bodies:
         for joint in body.joints:
             if joint.type not in get_args(JointKind):
-                draft.dropped(f"motion of {joint.type} joint `{joint.name}`", "the language has no word for it; it is fixed")
+                draft.dropped(
+                    f"motion of {joint.type} joint `{joint.name}`", "the language has no word for it; it is fixed"
+                )
                 joint.type = "fixed"
             for word in ("mimic", "drive"):
                 if getattr(joint, word) is not None and word not in JointSpec.model_fields:
                     setattr(joint, word, None)
                     draft.dropped(f"{word} of joint `{joint.name}`", "the language has no word for it")
         if body.no_contact and "no_contact" not in AssetSpec.model_fields:
-            draft.dropped(f"contact exclusions of `{body.name}`", "the language has no word for it", f"{len(body.no_contact)}")
+            draft.dropped(
+                f"contact exclusions of `{body.name}`", "the language has no word for it", f"{len(body.no_contact)}"
+            )
             body.no_contact = []
 
 
@@ -376,12 +301,17 @@ def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec])
     for camera in draft.cameras:
         data: dict[str, Any] = {"size": camera.size, "fx": camera.fx, "fy": camera.fy}
         data |= {k: v for k, v in (("cx", camera.cx), ("cy", camera.cy)) if v is not None}
-        data["pose"] = {"xyz": tuple(float(v) for v in camera.X_WC.p), "quat_wxyz": tuple(float(v) for v in camera.X_WC.q)}
+        data["pose"] = {
+            "xyz": tuple(float(v) for v in camera.X_WC.p),
+            "quat_wxyz": tuple(float(v) for v in camera.X_WC.q),
+        }
         if camera.mount is not None:
             body, link = camera.mount
             order = [originals[body].root, *(n for n in originals[body].links if n != originals[body].root)]
             asset = assets.get(bodies[body])
-            called = list(asset.links)[order.index(link)] if asset is not None and link != originals[body].root else None
+            called = (
+                list(asset.links)[order.index(link)] if asset is not None and link != originals[body].root else None
+            )
             data["mount"] = bodies[body] if called is None else f"{bodies[body]}.{called}"
         out[names.name(camera.name)] = data
     return out

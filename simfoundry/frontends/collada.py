@@ -42,9 +42,7 @@ def read_collada(path: Path, scale: Vec3) -> tuple[MeshPart, ...]:
     factor = np.array(scale)
     flip = float(np.prod(factor)) < 0
     faces = [np.ascontiguousarray(p.faces[:, ::-1]) if flip else p.faces for p in parts]
-    return tuple(
-        MeshPart(p.vertices * factor, f, p.uv, p.texture, p.rgba) for p, f in zip(parts, faces, strict=True)
-    )
+    return tuple(MeshPart(p.vertices * factor, f, p.uv, p.texture, p.rgba) for p, f in zip(parts, faces, strict=True))
 
 
 @dataclass(frozen=True)
@@ -79,37 +77,37 @@ class _Collada:
         for node in scenes[0].all("node"):
             yield from self.node(node, to_metres, 0)
 
-    def node(self, node: Element, X: Array, depth: int) -> Iterator[MeshPart]:
+    def node(self, node: Element, X_WN: Array, depth: int) -> Iterator[MeshPart]:
         """The geometries of a node and of those below it."""
         self.count += 1
         if depth > 50 or self.count > MAX_INSTANCES:
             raise node.refused("its nodes nest too deep, or too often")
         for child in node.children:
-            X = X @ _transform(child)
+            X_WN = X_WN @ _transform(child)
         for child in node.children:
             target = self.by_id.get((child.get("url") or "").lstrip("#"))
             if child.tag == "node":
-                yield from self.node(child, X, depth + 1)
+                yield from self.node(child, X_WN, depth + 1)
             elif child.tag == "instance_node" and target is not None:
-                yield from self.node(target, X, depth + 1)
+                yield from self.node(target, X_WN, depth + 1)
             elif child.tag == "instance_geometry" and target is not None:
-                yield from self.geometry(target, X, self.bound(child))
+                yield from self.geometry(target, X_WN, self.bound(child))
 
     def bound(self, instance: Element) -> dict[str, str]:
         """Which material each symbol of a geometry stands for."""
         pairs = (e for e in instance.walk() if e.tag == "instance_material")
         return {e.get("symbol") or "": (e.get("target") or "").lstrip("#") for e in pairs}
 
-    def geometry(self, geometry: Element, X: Array, materials: dict[str, str]) -> Iterator[MeshPart]:
+    def geometry(self, geometry: Element, X_WN: Array, materials: dict[str, str]) -> Iterator[MeshPart]:
         """Each primitive of a geometry."""
         mesh = geometry.first("mesh")
         for primitive in mesh.children if mesh is not None else ():
             if primitive.tag in ("triangles", "polylist", "polygons", "tristrips", "trifans"):
-                part = self.primitive(primitive, X, materials)
+                part = self.primitive(primitive, X_WN, materials)
                 if part is not None:
                     yield part
 
-    def primitive(self, primitive: Element, X: Array, materials: dict[str, str]) -> MeshPart | None:
+    def primitive(self, primitive: Element, X_WN: Array, materials: dict[str, str]) -> MeshPart | None:
         """The triangles of a primitive; polygons are cut into fans."""
         inputs = {e.get("semantic") or "": _Corner((e.get("source") or "").lstrip("#"), int(e.number("offset", 0)))
                   for e in primitive.all("input")}  # fmt: skip
@@ -137,11 +135,13 @@ class _Collada:
         else:
             used, inverse = np.unique(corners, return_inverse=True)
             vertices, faces = points[used], inverse.reshape(-1, 3)
-        vertices = vertices @ X[:3, :3].T + X[:3, 3]
-        if np.linalg.det(X[:3, :3]) < 0:
+        vertices = vertices @ X_WN[:3, :3].T + X_WN[:3, 3]
+        if np.linalg.det(X_WN[:3, :3]) < 0:
             faces = faces[:, ::-1]
         texture, rgba = self.look(materials.get(primitive.get("material") or "", primitive.get("material") or ""))
-        return MeshPart(vertices, np.ascontiguousarray(faces, dtype=np.int32), uv, texture if uv is not None else None, rgba)
+        return MeshPart(
+            vertices, np.ascontiguousarray(faces, dtype=np.int32), uv, texture if uv is not None else None, rgba
+        )
 
     def triangles(self, primitive: Element, rows: list[np.ndarray], stride: int) -> Iterator[Array]:
         """Index triples, shape (n, 3, stride), of the index lists of a primitive."""

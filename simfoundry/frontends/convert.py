@@ -13,9 +13,10 @@ import numpy as np
 
 from simfoundry.errors import OutputError
 from simfoundry.files import replace_folder, write_atomically
-from simfoundry.frontends.build import Built, build_asset, build_scene, text_of
+from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import project_root
 
@@ -73,7 +74,7 @@ class Report:
         }
 
 
-def read(path: Path, options: Options = Options()) -> Draft:  # noqa: B008 - it is frozen
+def read(path: Path, options: Options = Options()) -> Draft:
     """What a file says; raises :class:`ImportRefusedError`."""
     reader = _reader(path)
     return reader(path, options)
@@ -123,11 +124,11 @@ def _read_mjcf(path: Path, options: Options) -> Draft:
     return read_mjcf(path, options.packages)
 
 
-def import_file(path: Path, out: Path, options: Options = Options()) -> Report:  # noqa: B008 - it is frozen
-    """Import a file to ``out``, NAME.scene.yaml or NAME.asset.yaml, with what it needs in NAME_files beside it.
+def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
+    """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with what it needs in NAME_files beside it.
 
-    Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something would
-    be lost. What is written lowers without an error, or nothing is written.
+    Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something
+    would be lost. What is written lowers without an error, or nothing is written.
     """
     if path.suffix.lower() in TASKS:
         return _import_task(path, out, options)
@@ -143,7 +144,9 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report: 
     if kind == ASSET and len(draft.bodies) != 1:
         raise ImportRefusedError(path, f"it holds {len(draft.bodies)} bodies", hint=f"import it to NAME{SCENE}")
     if kind == ASSET and draft.bodies[0].fixed:
-        draft.changed("its root, which does not move", "objects are fixed where they are used: write `fixed: true` there")
+        draft.changed(
+            "its root, which does not move", "objects are fixed where they are used: write `fixed: true` there"
+        )
     built = _write(draft, kind, name, out, folder, path)
     return _report(path, out, draft, built)
 

@@ -48,8 +48,8 @@ class Note:
 class MeshDraft:
     """A mesh file with what belongs to it.
 
-    ``files`` holds name and bytes, the mesh first; ``scale`` [m per unit]; ``source`` is the file that the first of them
-    equals, so that a document nearby may name it where it lies.
+    ``files`` holds name and bytes, the mesh first; ``scale`` [m per unit]; ``source`` is the file that the first of
+    them equals, so that a document nearby may name it where it lies.
     """
 
     files: dict[str, bytes]

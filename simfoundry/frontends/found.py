@@ -56,7 +56,9 @@ class Search:
                 raise NotFoundError(f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
             return target
         if outside:
-            raise NotFoundError(f"lies outside {self.root}; name the folder that it belongs to with `--package NAME=PATH`")
+            raise NotFoundError(
+                f"lies outside {self.root}; name the folder that it belongs to with `--package NAME=PATH`"
+            )
         if package:
             name = package[1].partition("/")[0]
             raise NotFoundError(f"is not found; say where its package lies: `--package {name}=PATH`")

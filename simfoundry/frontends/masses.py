@@ -81,18 +81,18 @@ def _join(body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraf
 
 def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
     """Give a frame without a mass or shape what is fixed to it, so that the frame stays where it is."""
-    child, X = body.links[joint.child], joint.X_PC
+    child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts = child.parts
     for part in frame.parts:
-        part.X_LG = X @ part.X_LG
+        part.X_LG = X_PC @ part.X_LG
     frame.mass, frame.friction, frame.restitution = child.mass, child.friction, child.restitution
-    frame.com = None if child.com is None else X.apply(child.com)
-    frame.inertia = None if child.inertia is None else X.rotation @ child.inertia @ X.rotation.T
+    frame.com = None if child.com is None else X_PC.apply(child.com)
+    frame.inertia = None if child.inertia is None else X_PC.rotation @ child.inertia @ X_PC.rotation.T
     body.joints.remove(joint)
     rename = {child.name: frame.name}
     body.no_contact = [(rename.get(a, a), rename.get(b, b)) for a, b in body.no_contact]
     del body.links[child.name]
-    _reparent(body, child.name, frame.name, X)
+    _reparent(body, child.name, frame.name, X_PC)
     why = "it is one with the link that carries it, which weighs nothing by itself"
     draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
     if frame.name.lower() in WORLD:
@@ -105,8 +105,8 @@ def _reparent(body: BodyDraft, old: str, new: str, X_NO: Pose) -> None:
             joint.parent, joint.X_PC = new, X_NO @ joint.X_PC
 
 
-def _at(X: Pose) -> str:
-    x, y, z = (f"{v:.4g}" for v in X.p + 0.0)
+def _at(X_PC: Pose) -> str:
+    x, y, z = (f"{v:.4g}" for v in X_PC.p + 0.0)
     return f"at ({x}, {y}, {z})"
 
 
@@ -125,7 +125,9 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
     elif root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
         if not body.fixed:
-            draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it")
+            draft.assumed(
+                f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it"
+            )
     else:
         message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
         raise ImportRefusedError(file, message, hint="give it an inertial")
@@ -170,4 +172,4 @@ def _as_ball(draft: Draft, link: LinkDraft, reason: str, detail: str = "") -> No
 def ball(mass: float) -> Array:
     """Inertia [kg m^2] of a ball of water of a mass [kg]."""
     radius = (3 * mass / (4 * math.pi * 1000.0)) ** (1 / 3)
-    return 0.4 * mass * radius**2 * np.eye(3)
+    return np.diag([0.4 * mass * radius**2] * 3)

@@ -1,4 +1,4 @@
-"""MJCF in: read and compiled by MuJoCo itself, so that defaults, classes, includes and frames mean what they mean there."""
+"""MJCF in: read and compiled by MuJoCo itself, so that defaults, includes and frames mean what they mean there."""
 
 from __future__ import annotations
 
@@ -111,7 +111,8 @@ class _Mjcf:
 
     def read(self) -> Draft:
         model = self.model
-        self.draft.gravity = tuple(float(v) for v in model.opt.gravity)
+        x, y, z = (float(v) for v in model.opt.gravity)
+        self.draft.gravity = (x, y, z)
         self.world()
         for body in range(1, model.nbody):
             if model.body_parentid[body] == 0:
@@ -139,11 +140,11 @@ class _Mjcf:
             if part is None:
                 continue
             name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom) or f"{part.name}"
-            X, part.X_LG = part.X_LG, Pose.of()
+            X_WG, part.X_LG = part.X_LG, Pose.of()
             link = LinkDraft("base", [part])
             taken = {body.name for body in self.draft.bodies}
             unique = name if name not in taken else f"{name}_{geom}"
-            self.draft.bodies.append(BodyDraft(unique, "base", {"base": link}, fixed=True, X_WO=X))
+            self.draft.bodies.append(BodyDraft(unique, "base", {"base": link}, fixed=True, X_WO=X_WG))
 
     def root(self, body: int) -> None:
         """A child of the world: free, fixed, or carried by a base that stands still."""

@@ -40,7 +40,7 @@ class Geoms:
         model, types = self.model, self.mujoco.mjtGeom
         name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom)
         kind = self.mujoco.mjtGeom(int(model.geom_type[geom]))
-        X = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
+        X_BG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         geometry: PrimitiveShape | MeshDraft
         a, b, c = (float(v) for v in model.geom_size[geom])
         match kind:
@@ -56,16 +56,21 @@ class Geoms:
                 geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
             case types.mjGEOM_PLANE:
                 geometry = BoxShape(box=(2 * a or GROUND, 2 * b or GROUND, DEPTH))
-                X = X @ Pose.of([0, 0, -DEPTH / 2])
-                self.draft.changed(f"plane `{name or geom}`", f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it")
+                X_BG = X_BG @ Pose.of([0, 0, -DEPTH / 2])
+                self.draft.changed(
+                    f"plane `{name or geom}`", f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it"
+                )
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
-                geometry, X = self.mesh(geom, X)
+                geometry, X_BG = self.mesh(geom, X_BG)
             case _:
-                self.draft.dropped(f"geom `{name or geom}`", f"the language has no {kind.name.removeprefix('mjGEOM_').lower()}")
+                self.draft.dropped(
+                    f"geom `{name or geom}`", f"the language has no {kind.name.removeprefix('mjGEOM_').lower()}"
+                )
                 return None
-        return self.surface(geom, PartDraft(name or self.role(geom), geometry, X_LG=X))
+        return self.surface(geom, PartDraft(name or self.role(geom), geometry, X_LG=X_BG))
 
     def role(self, geom: int) -> str:
+        """A name for a geom without one, by what it is for."""
         return "collision" if self.use(geom) == "collision" else "visual" if self.use(geom) == "visual" else "geom"
 
     def use(self, geom: int) -> str:
@@ -95,6 +100,7 @@ class Geoms:
         return part
 
     def rgba(self, geom: int) -> Rgba:
+        """The colour of a geom: its own, or that of its material."""
         model, material = self.model, int(self.model.geom_matid[geom])
         own: Rgba = tuple(float(np.clip(v, 0, 1)) for v in model.geom_rgba[geom])  # type: ignore[assignment]
         if own != UNSET or material < 0:
@@ -109,7 +115,7 @@ class Geoms:
         flat = texture >= 0 and int(self.model.tex_type[texture]) == int(self.mujoco.mjtTexture.mjTEXTURE_2D)
         return texture if flat else -1
 
-    def mesh(self, geom: int, X: Pose) -> tuple[MeshDraft, Pose]:
+    def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:
         """The mesh of a geom in the frame of its file, and its pose there."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
@@ -117,9 +123,10 @@ class Geoms:
         texture = self.texture(material) if material >= 0 else -1
         if (mesh, texture) not in self.meshes:
             self.meshes[mesh, texture] = self.mesh_draft(mesh, texture, X_FM)
-        return self.meshes[mesh, texture], X @ X_FM.inverse()
+        return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
     def mesh_draft(self, mesh: int, texture: int, X_FM: Pose) -> MeshDraft:
+        """A mesh with its texture; ``X_FM`` takes MuJoCo's frame of it into that of its file."""
         model = self.model
         name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_MESH, mesh) or f"mesh_{mesh}"
         start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -137,6 +144,7 @@ class Geoms:
         return mesh_of_parts([part], plain_name(name, "mesh"))
 
     def png(self, texture: int) -> bytes:
+        """A texture as a PNG."""
         from PIL import Image
 
         model = self.model
@@ -149,6 +157,7 @@ class Geoms:
         return stream.getvalue()
 
     def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
+        """A mesh for an ellipsoid with three radii [m]."""
         import trimesh
 
         ball = trimesh.creation.icosphere(subdivisions=3)

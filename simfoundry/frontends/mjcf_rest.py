@@ -1,4 +1,4 @@
-"""What a MuJoCo model has beside its bodies: equalities, actuators, contact rules, cameras, lights, and all the rest."""
+"""What a MuJoCo model has beside its bodies: equalities, actuators, contact rules, cameras, lights, and the rest."""
 
 from __future__ import annotations
 
@@ -156,17 +156,17 @@ def add_cameras(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_CAMERA, k) or f"camera_{k}"
         if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
             draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
-        if _is_orthographic(mujoco, model, k):
+        if _is_orthographic(model, k):
             draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
             continue
         body = int(model.cam_bodyid[k])
-        X = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+        X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
         width, height = (int(v) for v in model.cam_resolution[k])
         if width <= 1 or height <= 1:
             width, height = PICTURE
             draft.assumed(f"picture size of camera `{name}`", f"none is given; {width} x {height} px")
         fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
-        camera = CameraDraft(name, (width, height), fy, fy, X)
+        camera = CameraDraft(name, (width, height), fy, fy, X_BC)
         sensor = [float(v) for v in model.cam_sensorsize[k]]
         if sensor[0] > 0 and sensor[1] > 0:
             fx, fy, cx, cy = (float(v) for v in model.cam_intrinsic[k])
@@ -175,12 +175,12 @@ def add_cameras(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
             camera.cy = (height - 1) / 2 + cy / sensor[1] * height
         if body != 0:
             owner, link, X_BL = owners[body]
-            camera.X_WC = X_BL.inverse() @ X
+            camera.X_WC = X_BL.inverse() @ X_BC
             camera.mount = (owner.name, link)
         draft.cameras.append(camera)
 
 
-def _is_orthographic(mujoco: Any, model: Any, camera: int) -> bool:
+def _is_orthographic(model: Any, camera: int) -> bool:
     if hasattr(model, "cam_projection"):
         return int(model.cam_projection[camera]) == 1
     return bool(getattr(model, "cam_orthographic", np.zeros(model.ncam))[camera])
@@ -234,16 +234,19 @@ def count_left_out(draft: Draft, mujoco: Any, model: Any, roots: list[Element]) 
         bodies = [k for k in range(model.nbody) if float(getattr(model, field)[k])]
         for body in bodies:
             draft.dropped(f"{word} of body {_named(mujoco, model, 'body', body)}", "the language has no word for it")
-    _contact_details(draft, mujoco, model)
+    _contact_details(draft, model)
 
 
-def _contact_details(draft: Draft, mujoco: Any, model: Any) -> None:
+def _contact_details(draft: Draft, model: Any) -> None:
     """Note contact parameters beyond Coulomb friction."""
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     counts = {
         "torsional and rolling friction of geoms": sum(int(model.geom_condim[g]) > 3 for g in touching),
         "`solref` and `solimp` of geoms": sum(
-            not (np.allclose(model.geom_solref[g], (0.02, 1)) and np.allclose(model.geom_solimp[g], (0.9, 0.95, 0.001, 0.5, 2)))
+            not (
+                np.allclose(model.geom_solref[g], (0.02, 1))
+                and np.allclose(model.geom_solimp[g], (0.9, 0.95, 0.001, 0.5, 2))
+            )
             for g in touching
         ),
         "`margin` and `gap` of geoms": sum(bool(model.geom_margin[g]) or bool(model.geom_gap[g]) for g in touching),

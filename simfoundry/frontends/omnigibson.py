@@ -79,7 +79,9 @@ class _Scene:
                 listed = read_json(file)
                 entries = listed.values() if isinstance(listed, dict) else []
                 return {str(e["name"]): e for e in entries if isinstance(e, dict) and "name" in e}
-        self.draft.assumed("friction of the objects", "scene_objects_info.json is not found; 0.5, as the evaluation takes it")
+        self.draft.assumed(
+            "friction of the objects", "scene_objects_info.json is not found; 0.5, as the evaluation takes it"
+        )
         return {}
 
     def read(self) -> Draft:
@@ -105,13 +107,15 @@ class _Scene:
             p, q = np.array(position, dtype=np.float64).reshape(3), np.array(rotation, dtype=np.float64).reshape(4)
             if not (np.isfinite(p).all() and np.isfinite(q).all()):
                 raise ValueError
-            X = Pose.of(p, from_xyzw(q))
+            X_WO = Pose.of(p, from_xyzw(q))
         except (TypeError, ValueError):
-            raise ImportRefusedError(self.path, f"the state of `{name}` has no usable `root_link.pos` and `ori`") from None
+            raise ImportRefusedError(
+                self.path, f"the state of `{name}` has no usable `root_link.pos` and `ori`"
+            ) from None
         speeds = [float(v) for key in ("lin_vel", "ang_vel") for v in root.get(key) or ()]
         if any(abs(v) > 1e-3 for v in speeds):
             self.draft.dropped(f"velocity of `{name}`", "a scene starts at rest")
-        return X
+        return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
         """An object from its URDF, with the friction and pose that stand elsewhere."""
@@ -132,7 +136,9 @@ class _Scene:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                self.draft.dropped(f"`{word}` of `{name}` in the scene", "it is a record; what counts stands in the URDF")
+                self.draft.dropped(
+                    f"`{word}` of `{name}` in the scene", "it is a record; what counts stands in the URDF"
+                )
         if args.get("visual_only"):
             for link in body.links.values():
                 link.collision = "none"
@@ -204,7 +210,9 @@ class _Scene:
         for joint, value in zip(order, listed, strict=True):
             joint.position = value
         if len(order) > 1:
-            self.draft.assumed(f"joint positions of `{name}`", "the file lists them without names; level by level from the root")
+            self.draft.assumed(
+                f"joint positions of `{name}`", "the file lists them without names; level by level from the root"
+            )
 
     def robot(self, name: str, kind: str, args: dict[str, Any], state: dict[str, Any]) -> None:
         model = ROBOTS.get(kind)
@@ -225,10 +233,12 @@ class _Scene:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            self.draft.changed("`ground_plane_info`", "the table stands at that height; OmniGibson itself does not restore it")
+            self.draft.changed(
+                "`ground_plane_info`", "the table stands at that height; OmniGibson itself does not restore it"
+            )
         part = PartDraft("table", BoxShape(box=TABLE))
-        X = Pose.of([0, 0, height - TABLE[2] / 2])
-        self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X))
+        X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
+        self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X_WO))
         why = f"a box of {TABLE[0]:g} x {TABLE[1]:g} m stands for it"
         self.draft.changed("the plane without an end that is the table", why)
 
@@ -248,5 +258,3 @@ def _scaled(part: PartDraft, s: float) -> PartDraft:
         case CapsuleShape(capsule=size):
             part.geometry = CapsuleShape(capsule=Round(radius=size.radius * s, height=size.height * s))
     return part
-
-

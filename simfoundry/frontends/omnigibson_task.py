@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.build import rounded
 from simfoundry.frontends.drafts import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import Names, plain_name
+from simfoundry.frontends.pieces import rounded
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.text import YamlError
@@ -30,7 +30,8 @@ _DROPPED = {
     "robot_z_rot_randomization": "robots stand still", "robot_joint_randomization": "robots start at home",
     "ground_plane_z_offset": "the table stands in the scene", "ground_plane_z_randomization": "the table stands still",
     "camera_look_at_point": "cameras stand in the scene", "camera_randomization": "cameras stand still",
-    "group_init_relative_poses": "objects stand in the scene", "group_predicate_placement": "starts are ranges of poses",
+    "group_init_relative_poses": "objects stand in the scene",
+    "group_predicate_placement": "starts are ranges of poses",
     "workspace_bounds": "starts are ranges of poses", "additional_objects": "distractors are made by cousins",
     "reward_config": "success is what counts", "hdr_background_name": "backgrounds stand in the scene",
 }  # fmt: skip
@@ -72,9 +73,8 @@ class _Task:
             "instruction": str(instruction), "goal": goal, "control_hz": CONTROL_HZ, "horizon": int(steps),
         }  # fmt: skip
         subtasks, start, reset = self.subtasks(), self.start(), self.reset()
-        for key, value in (("subtasks", subtasks), ("start", start), ("reset", {"objects": reset} if reset else {})):
-            if value:
-                data[key] = value
+        beside = {"subtasks": subtasks, "start": start, "reset": {"objects": reset} if reset else {}}
+        data |= {key: value for key, value in beside.items() if value}
         for key, why in _DROPPED.items():
             if self.config.get(key):
                 self.draft.dropped(f"`{key}`", why)
@@ -108,11 +108,15 @@ class _Task:
     def goal(self) -> Any:
         """All predicates together; `all` and `any` in their keys are about the objects of a group."""
         if self.predicates("goal_predicates_specific"):
-            raise self.refused("`goal_predicates_specific` names objects by number", "write them as `goal_predicates_all`")
+            raise self.refused(
+                "`goal_predicates_specific` names objects by number", "write them as `goal_predicates_all`"
+            )
         every = [self.condition(p, "all") for p in self.predicates("goal_predicates_all")]
         every += [self.condition(p, "any") for p in self.predicates("goal_predicates_any")]
         if self.predicates("goal_predicates_any"):
-            self.draft.changed("`goal_predicates_any`", "each asks for any object of its group, and all of them must hold")
+            self.draft.changed(
+                "`goal_predicates_any`", "each asks for any object of its group, and all of them must hold"
+            )
         if not every:
             raise self.refused("its goal is empty: every rollout would succeed at once", "give it goal predicates")
         return every[0] if len(every) == 1 else {"all": tuple(every)}
@@ -128,7 +132,11 @@ class _Task:
         state, wanted = str(predicate.get("state")), predicate.get("value", True) is not False
         others = self.members(predicate["other_group"]) if predicate.get("other_group") else []
         if predicate.get("state_kwargs"):
-            self.draft.changed(f"parameters of {state}", "predicates here have thresholds of their own", str(predicate["state_kwargs"])[:80])
+            self.draft.changed(
+                f"parameters of {state}",
+                "predicates here have thresholds of their own",
+                str(predicate["state_kwargs"])[:80],
+            )
         if len(others) > 1:
             raise self.refused(f"`{predicate.get('other_group')}` must mean one object, and means {len(others)}")
         if state == "Touching" and "agent" in (name, *others):
@@ -151,7 +159,9 @@ class _Task:
     def subtasks(self) -> dict[str, Any]:
         """Milestones in an order that their `requires` allow."""
         listed = self.predicates("milestone_predicates")
-        names, out, done = Names("step"), {}, set()
+        names = Names("step")
+        out: dict[str, Any] = {}
+        done: set[str] = set()
         while listed:
             ready = next((m for m in listed if set(m.get("requires") or ()) <= done), None)
             if ready is None:
@@ -166,12 +176,16 @@ class _Task:
         for key in ("init_predicates_all", "init_predicates_any", "init_predicates_specific"):
             for predicate in self.predicates(key):
                 if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
-                    self.draft.dropped(f"`{key}`: {predicate.get('state')}", "only objects placed on others can be said")
+                    self.draft.dropped(
+                        f"`{key}`: {predicate.get('state')}", "only objects placed on others can be said"
+                    )
                     continue
                 below = self.members(predicate.get("other_group"))
                 members = self.members(predicate.get("group"))
                 if len(members) > 1:
-                    self.draft.changed(f"`{key}` of `{predicate.get('group')}`", "the release keeps the last object only; so does this")
+                    self.draft.changed(
+                        f"`{key}` of `{predicate.get('group')}`", "the release keeps the last object only; so does this"
+                    )
                 place[members[-1]] = {"on": below[0]}
         joints: dict[str, Any] = {}
         for group, positions in (self.config.get("group_init_joint_positions") or {}).items():
@@ -187,7 +201,9 @@ class _Task:
             half = [abs(float(v)) for v in widths.get(group) or (0, 0, 0)]
             turn = math.degrees(abs(float(turns.get(group) or 0.0)))
             if half[2]:
-                self.draft.dropped(f"range of height of `{group}`", "objects start at the height that the scene gives them")
+                self.draft.dropped(
+                    f"range of height of `{group}`", "objects start at the height that the scene gives them"
+                )
             for name in self.members(group):
                 pose = self.scene.objects[name].pose
                 region: dict[str, Any] = {k: (pose.xyz[i] - half[i], pose.xyz[i] + half[i]) for i, k in enumerate("xy")}

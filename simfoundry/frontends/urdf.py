@@ -1,4 +1,4 @@
-"""URDF in: links, joints, shapes and meshes; the meaning is that of the URDF specification, with Bullet's `<contact>`."""
+"""URDF in: links, joints, shapes and meshes, as the specification has them, with Bullet's `<contact>`."""
 
 from __future__ import annotations
 
@@ -94,7 +94,9 @@ class _Urdf:
         if not roots:
             raise self.root.refused("its joints form a ring: no link is the root")
         if len(roots) > 1:
-            raise self.root.refused(f"it has {len(roots)} roots: `{'`, `'.join(roots[:4])}`", "join them by fixed joints")
+            raise self.root.refused(
+                f"it has {len(roots)} roots: `{'`, `'.join(roots[:4])}`", "join them by fixed joints"
+            )
         reached, todo = set(), [roots[0]]
         while todo:
             link = todo.pop()
@@ -127,13 +129,13 @@ class _Urdf:
         link.mass = mass.number("value")
         if link.mass < 0:
             raise mass.refused(f"link `{link.name}` has the mass {link.mass:g} kg")
-        X = _origin(inertial)
-        link.com = X.p.copy()
+        X_LG = _origin(inertial)
+        link.com = X_LG.p.copy()
         if inertia is not None:
             names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
             xx, yy, zz, xy, xz, yz = (inertia.number(name, 0.0) for name in names)
             tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            link.inertia = X.rotation @ tensor @ X.rotation.T
+            link.inertia = X_LG.rotation @ tensor @ X_LG.rotation.T
 
     def part(self, element: Element, use: str, link: str) -> Iterator[PartDraft]:
         """The piece that a `<visual>` or `<collision>` describes."""
@@ -141,16 +143,16 @@ class _Urdf:
         shape = next(iter(geometry.children), None) if geometry is not None else None
         if shape is None:
             raise element.refused(f"a `<{element.tag}>` of link `{link}` has no geometry")
-        X = _origin(element)
+        X_LG = _origin(element)
         made = self.geometry(shape, use, link)
         if made is None:
             return
-        drafted, X_extra = made
+        drafted, X_GS = made
         if use == "visual" and isinstance(drafted, MeshDraft) and self.too_wide(drafted):
             self.draft.dropped(f"visual mesh of `{link}`", f"it is wider than {LARGEST:g} m")
             return
         color = self.color(element.first("material"), drafted) if use == "visual" else None
-        yield PartDraft(element.get("name") or use, drafted, use, X @ X_extra, color)
+        yield PartDraft(element.get("name") or use, drafted, use, X_LG @ X_GS, color)
 
     def geometry(self, shape: Element, use: str, link: str) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
         """A shape and its pose beyond that of its element; None, with a note, for one that cannot be said."""
@@ -167,7 +169,9 @@ class _Urdf:
                 radius, length = shape.number("radius"), shape.number("length")
                 if radius > 0 and length > 0:
                     size = Round(radius=radius, height=length)
-                    return (CylinderShape(cylinder=size) if shape.tag == "cylinder" else CapsuleShape(capsule=size)), Pose.of()
+                    return (
+                        CylinderShape(cylinder=size) if shape.tag == "cylinder" else CapsuleShape(capsule=size)
+                    ), Pose.of()
             case "mesh":
                 return self.mesh(shape), Pose.of()
             case "plane":
@@ -261,8 +265,11 @@ class _Urdf:
             case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] != 0.0:
                 _lock(joint, bounds[0])
                 self.draft.changed(what, f"both its limits are {bounds[0]:g}, so it is fixed there")
-            case "revolute" | "prismatic" if bounds is not None and bounds[0] == bounds[1] and limit is not None and (
-                limit.get("lower") or limit.get("upper")
+            case "revolute" | "prismatic" if (
+                bounds is not None
+                and bounds[0] == bounds[1]
+                and limit is not None
+                and (limit.get("lower") or limit.get("upper"))
             ):
                 joint.type = "fixed"
                 self.draft.changed(what, "both its limits are 0, so it is fixed")
@@ -301,7 +308,11 @@ class _Urdf:
         sections = {"link": _READ_IN_LINK, "joint": _READ_IN_JOINT, "contact": _READ_IN_CONTACT}
         for element in (e for top in self.root.children if top.tag in ("link", "joint") for e in top.walk()):
             for child in element.children:
-                if element.tag in sections and child.tag not in sections[element.tag] and child.tag != "joint_properties":
+                if (
+                    element.tag in sections
+                    and child.tag not in sections[element.tag]
+                    and child.tag != "joint_properties"
+                ):
                     self.left[f"`<{child.tag}>` of a {'link' if element.tag == 'contact' else element.tag}"] += 1
         for child in self.root.children:
             if child.tag not in _READ:

@@ -1,11 +1,10 @@
-"""Any USD stage in: UsdPhysics bodies, colliders and joints, meshes and looks, cameras and lights, in SI units, z up."""
+"""Any USD stage in: UsdPhysics bodies, colliders and joints, looks, cameras and lights, in SI units, z up."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,16 +17,24 @@ from simfoundry.frontends.found import Search
 from simfoundry.frontends.masses import make_sound
 from simfoundry.frontends.usd_geoms import Geoms, is_collider
 from simfoundry.frontends.usd_joints import UsdJoint, read_joint
+from simfoundry.frontends.usd_masses import Body, weigh
 from simfoundry.frontends.usd_rest import add_cameras, add_lights
 from simfoundry.scene.frames import Array, Pose
-
-DENSITY = 1000.0
-"""Density [kg/m^3] that UsdPhysics takes where none is given."""
 
 WORLD = ""
 """The path that stands for the world among those of bodies."""
 
-_EXPECTED = {"Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset", "NodeGraph", "PhysicsCollisionGroup", ""}
+_EXPECTED = {
+    "Xform",
+    "Scope",
+    "Material",
+    "Shader",
+    "PhysicsScene",
+    "GeomSubset",
+    "NodeGraph",
+    "PhysicsCollisionGroup",
+    "",
+}
 
 
 def read_usd(path: Path) -> Draft:
@@ -59,16 +66,6 @@ def _check_layers(path: Path, stage: Any) -> None:
             raise ImportRefusedError(path, f"it takes in {place}, which lies outside {root}")
 
 
-@dataclass
-class _Body:
-    """A rigid body of the stage: its frame in the world, and the scale that its own units have."""
-
-    prim: Any
-    X_WB: Pose
-    scale: Array
-    link: LinkDraft
-
-
 class _Usd:
     """A stage on its way into a draft."""
 
@@ -85,15 +82,13 @@ class _Usd:
             self.W[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) @ self.W[:3, :3]
         self.transforms = usd.XformCache()
         self.geoms = Geoms(pxr, self.draft, self.to_kg, self.to_m)
-        self.bodies: dict[str, _Body] = {}
+        self.bodies: dict[str, Body] = {}
         self.left: Counter[str] = Counter()
-        self.shifts: dict[str, Pose] = {}
-        """By path of a body: the frame of its link in its own."""
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
         """By path of a body: what it became part of, and as which link."""
 
     def read(self) -> Draft:
-        prims = [p for p in self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies())]
+        prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
         self.gravity(prims)
         for prim in prims:
             if prim.HasAPI(self.pxr.UsdPhysics.RigidBodyAPI) and self.enabled(prim):
@@ -112,7 +107,7 @@ class _Usd:
         joints = list(self.joints(prims))
         self.trees(joints)
         for body in self.bodies.values():
-            self.weigh(body)
+            weigh(self.pxr, self.draft, body, self.colliders(body), self.geoms, (self.to_m, self.to_kg))
         add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
@@ -145,7 +140,12 @@ class _Usd:
     def known(self, prim: Any) -> bool:
         """Whether a prim is read elsewhere, or says nothing by itself."""
         usd = self.pxr
-        kinds = (usd.UsdGeom.Camera, usd.UsdPhysics.Joint, usd.UsdLux.BoundableLightBase, usd.UsdLux.NonboundableLightBase)
+        kinds = (
+            usd.UsdGeom.Camera,
+            usd.UsdPhysics.Joint,
+            usd.UsdLux.BoundableLightBase,
+            usd.UsdLux.NonboundableLightBase,
+        )
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
@@ -154,22 +154,22 @@ class _Usd:
 
     def frame(self, prim: Any) -> tuple[Pose, Array]:
         """The frame of a prim without its scale, and the scale [m per unit]; mirrored frames lose the mirror."""
-        X = self.matrix(prim)
-        scales = np.linalg.norm(X[:3, :3], axis=0)
+        X_WP = self.matrix(prim)
+        scales = np.linalg.norm(X_WP[:3, :3], axis=0)
         scales = np.where(scales > 0, scales, 1.0)
-        u, _, v = np.linalg.svd(X[:3, :3] / scales)
+        u, _, v = np.linalg.svd(X_WP[:3, :3] / scales)
         rotation = u @ v
         if np.linalg.det(rotation) < 0:
             rotation, scales = rotation @ np.diag([1.0, 1.0, -1.0]), scales * (1, 1, -1)
         out = np.eye(4)
-        out[:3, :3], out[:3, 3] = rotation, X[:3, 3]
+        out[:3, :3], out[:3, 3] = rotation, X_WP[:3, 3]
         return Pose.from_matrix(out), scales
 
-    def body(self, prim: Any) -> _Body:
-        X, scale = self.frame(prim)
-        return _Body(prim, X, scale, LinkDraft(str(prim.GetPath())))
+    def body(self, prim: Any) -> Body:
+        X_WP, scale = self.frame(prim)
+        return Body(prim, X_WP, scale, LinkDraft(str(prim.GetPath())))
 
-    def owner(self, prim: Any) -> _Body | None:
+    def owner(self, prim: Any) -> Body | None:
         """The nearest rigid body above a prim, or that it is."""
         while prim and not prim.IsPseudoRoot():
             if str(prim.GetPath()) in self.bodies:
@@ -177,7 +177,7 @@ class _Usd:
             prim = prim.GetParent()
         return None
 
-    def add_part(self, body: _Body, prim: Any) -> None:
+    def add_part(self, body: Body, prim: Any) -> None:
         if self.geoms.use(prim) == "none":
             return
         part = self.geoms.part(prim, np.asarray(body.X_WB.inverse().matrix @ self.matrix(prim)))
@@ -203,13 +203,15 @@ class _Usd:
         """What belongs to no rigid body stands still."""
         for path, prims in statics.items():
             prim = self.stage.GetPrimAtPath(path)
-            X, scale = self.frame(prim)
-            made = _Body(prim, X, scale, LinkDraft("base"))
+            X_WP, scale = self.frame(prim)
+            made = Body(prim, X_WP, scale, LinkDraft("base"))
             for gprim in prims:
                 self.add_part(made, gprim)
             if not made.link.parts:
                 continue
-            self.draft.bodies.append(BodyDraft(self.unique(prim.GetName()), "base", {"base": made.link}, fixed=True, X_WO=X))
+            self.draft.bodies.append(
+                BodyDraft(self.unique(prim.GetName()), "base", {"base": made.link}, fixed=True, X_WO=X_WP)
+            )
 
     def unique(self, name: str) -> str:
         taken = {body.name for body in self.draft.bodies}
@@ -231,12 +233,12 @@ class _Usd:
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
         body = self.owner(prim)
-        X, scale = self.frame(prim)
+        X_WP, scale = self.frame(prim)
         if body is None:
-            return WORLD, X, scale
+            return WORLD, X_WP, scale
         if body.prim == prim:
             return str(prim.GetPath()), Pose.of(), scale
-        return str(body.prim.GetPath()), body.X_WB.inverse() @ X, scale
+        return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
 
     def trees(self, joints: list[UsdJoint]) -> None:
         """Bodies that joints connect are one thing; joints that close a loop are noted."""
@@ -258,7 +260,7 @@ class _Usd:
     def is_root(self, path: str) -> bool:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
-    def tree(self, root: str, left: dict[str, _Body], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
+    def tree(self, root: str, left: dict[str, Body], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """One thing: its root, and all that joints carry from there."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
@@ -301,7 +303,7 @@ class _Usd:
         """Carry a child by a joint; the frame of its link moves to the joint."""
         X_CJ = joint.frame(child)
         X_CL = Pose.of(X_CJ.p) if joint.type != "fixed" else Pose.of()
-        frames[child] = self.shifts[child] = X_CL
+        frames[child] = self.bodies[child].X_BL = X_CL
         made = JointDraft(joint.path, joint.type, parent, child, X_PJ @ (X_CL.inverse() @ X_CJ).inverse())
         # Of a joint that carries its body0 the axis is turned about, so that its coordinate stays.
         made.axis = X_CJ.rotation @ joint.axis * (-1.0 if joint.child == parent else 1.0)
@@ -356,7 +358,7 @@ class _Usd:
     def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
         """By path of a body: what it became part of, and the frame of its link in the world of the stage."""
         return {
-            path: (draft, link, self.bodies[path].X_WB @ self.shifts.get(path, Pose.of()))
+            path: (draft, link, self.bodies[path].X_WB @ self.bodies[path].X_BL)
             for path, (draft, link) in self.placed_links.items()
         }
 
@@ -367,61 +369,12 @@ class _Usd:
         shared = paths[0].split("/")[:-1]
         for path in paths[1:]:
             words = path.split("/")
-            shared = shared[: next((k for k, (a, b) in enumerate(zip(shared, words, strict=False)) if a != b), len(shared))]
+            shared = shared[
+                : next((k for k, (a, b) in enumerate(zip(shared, words, strict=False)) if a != b), len(shared))
+            ]
         return shared[-1] if len(shared) > 1 else str(self.bodies[paths[0]].prim.GetName())
 
-    def weigh(self, body: _Body) -> None:
-        """Mass properties by UsdPhysics' order: mass of the body, its density, masses and materials of its colliders."""
-        physics, link = self.pxr.UsdPhysics, body.link
-        shift = self.shift_of(body)
-        api = physics.MassAPI(body.prim)
-        mass = api.GetMassAttr().Get() if api else None
-        density = api.GetDensityAttr().Get() if api else None
-        if mass and mass > 0:
-            link.mass = float(mass) * self.to_kg
-            self.inertia(body, api, shift)
-            return
-        if density and density > 0:
-            link.density = float(density) * self.to_kg / self.to_m**3
-            return
-        colliders = [p for p in self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
-                     if is_collider(self.pxr, p) and self.owner(p) is body]  # fmt: skip
-        masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]
-        if masses and len(masses) == len(colliders):
-            link.mass = sum(masses) * self.to_kg
-            if len(masses) > 1:
-                self.draft.changed(f"masses of the colliders of `{link.name}`", "their sum is spread by volume")
-            return
-        densities = {self.geoms.surface(p).density for p in colliders}
-        known = densities.pop() if len(densities) == 1 else None
-        if known is not None:
-            link.density = known
-        elif any(part.use != "visual" for part in link.parts):
-            link.density, link.assumed = DENSITY, "import"
-            self.draft.assumed(f"mass of `{link.name}`", f"none is given; {DENSITY:g} kg/m^3, as UsdPhysics takes it")
-        else:
-            link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
-            self.draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")
-
-    def shift_of(self, body: _Body) -> Pose:
-        return self.shifts.get(str(body.prim.GetPath()), Pose.of())
-
-    def inertia(self, body: _Body, api: Any, X_BL: Pose) -> None:
-        """Centre of mass and inertia of a body where the stage gives them, in the frame of its link."""
-        link, X_LB = body.link, X_BL.inverse()
-        com = api.GetCenterOfMassAttr().Get()
-        given = api.GetCenterOfMassAttr().HasAuthoredValue() and all(math.isfinite(v) for v in com)
-        if given:
-            link.com = X_LB.apply(np.array(com, dtype=np.float64) * body.scale)
-        diagonal = np.array(api.GetDiagonalInertiaAttr().Get() or (0, 0, 0), dtype=np.float64)
-        if not diagonal.any():
-            return
-        axes = Pose.of()
-        rotation = api.GetPrincipalAxesAttr().Get()
-        if rotation is not None and (rotation.GetReal() or any(rotation.GetImaginary())):
-            axes = Pose.of(q=[rotation.GetReal(), *rotation.GetImaginary()])
-        R = (X_LB @ axes).rotation
-        inertia = R @ np.diag(diagonal * self.to_kg * self.to_m**2) @ R.T
-        link.inertia = np.where(np.abs(inertia) < 1e-9 * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
-        if not given:
-            link.com = X_LB.p.copy()
+    def colliders(self, body: Body) -> list[Any]:
+        """The colliders of a rigid body."""
+        below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
+        return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

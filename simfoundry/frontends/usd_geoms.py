@@ -49,8 +49,8 @@ class Geoms:
         made = self.geometry(prim, X_LG)
         if made is None:
             return None
-        geometry, X = made
-        part = PartDraft(prim.GetName(), geometry, self.use(prim), X)
+        geometry, X_LP = made
+        part = PartDraft(prim.GetName(), geometry, self.use(prim), X_LP)
         surface = self.surface(prim)
         part.friction, part.restitution = surface.friction, surface.restitution
         if not isinstance(geometry, MeshDraft) and part.use != "collision":
@@ -66,19 +66,20 @@ class Geoms:
             return "both" if seen else "collision"
         return "visual" if seen else "none"
 
-    def geometry(self, prim: Any, X: Array) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
+    def geometry(self, prim: Any, X_LG: Array) -> tuple[PrimitiveShape | MeshDraft, Pose] | None:
+        """The geometry of a gprim and its pose; a scale that no primitive can have makes a mesh of it."""
         usd, kind = self.pxr.UsdGeom, prim.GetTypeName()
-        scales = np.linalg.norm(X[:3, :3], axis=0)
-        if not np.isfinite(X).all() or scales.min() <= 0:
+        scales = np.linalg.norm(X_LG[:3, :3], axis=0)
+        if not np.isfinite(X_LG).all() or scales.min() <= 0:
             self.draft.dropped(f"{kind} `{prim.GetPath()}`", "it is scaled to nothing")
             return None
-        R = X[:3, :3] / scales
-        straight = bool(np.abs(R.T @ R - np.eye(3)).max() < 1e-5)
-        proper = straight and float(np.linalg.det(R)) > 0
+        R_LG = X_LG[:3, :3] / scales
+        straight = bool(np.abs(R_LG.T @ R_LG - np.eye(3)).max() < 1e-5)
+        proper = straight and float(np.linalg.det(R_LG)) > 0
         if straight and not proper:  # every primitive is its own mirror image
-            R = R @ np.diag([1.0, 1.0, -1.0])
+            R_LG = R_LG @ np.diag([1.0, 1.0, -1.0])
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = R, X[:3, 3]
+        pose[:3, :3], pose[:3, 3] = R_LG, X_LG[:3, 3]
 
         def value(schema: Any, name: str) -> float:
             return float(getattr(schema, f"Get{name}Attr")().Get())
@@ -95,32 +96,36 @@ class Geoms:
             across = [float(s) for k, s in enumerate(scales) if k != along]
             even = _same(*across) and (kind == "Cylinder" or _same(*scales))
             if even:
-                pose[:3, :3] = R @ TURNED[axis]
+                pose[:3, :3] = R_LG @ TURNED[axis]
                 radius, height = value(schema, "Radius") * across[0], value(schema, "Height") * float(scales[along])
                 size_ = Round(radius=radius, height=height)
                 shape = CylinderShape(cylinder=size_) if kind == "Cylinder" else CapsuleShape(capsule=size_)
                 return shape, Pose.from_matrix(pose)
         if kind == "Plane" and straight:
             axis = usd.Plane(prim).GetAxisAttr().Get()
-            pose[:3, :3] = R @ TURNED[axis]
+            pose[:3, :3] = R_LG @ TURNED[axis]
             self.draft.changed(f"plane `{prim.GetPath()}`", f"a box of {GROUND[0]:g} x {GROUND[1]:g} m stands for it")
             return BoxShape(box=GROUND), Pose.from_matrix(pose) @ Pose.of([0, 0, -GROUND[2] / 2])
         mesh = self.mesh(prim) if kind == "Mesh" else self.tessellated(prim, kind)
         if mesh is None:
             return None
-        return self.placed(prim, mesh, X, R if straight else None, scales)
+        return self.placed(prim, mesh, X_LG, R_LG if straight else None, scales)
 
-    def placed(self, prim: Any, mesh: MeshPart, X: Array, R: Array | None, scales: Array) -> tuple[MeshDraft, Pose]:
+    def placed(
+        self, prim: Any, mesh: MeshPart, X_LG: Array, R_LG: Array | None, scales: Array
+    ) -> tuple[MeshDraft, Pose]:
         """A mesh with its scale baked in, posed by what remains."""
         pose = np.eye(4)
-        if R is not None:
-            pose[:3, :3], pose[:3, 3] = R, X[:3, 3]
-        bake = np.linalg.inv(pose) @ X
+        if R_LG is not None:
+            pose[:3, :3], pose[:3, 3] = R_LG, X_LG[:3, 3]
+        bake = np.linalg.inv(pose) @ X_LG
         vertices = mesh.vertices @ bake[:3, :3].T + bake[:3, 3]
         faces = mesh.faces if np.linalg.det(bake[:3, :3]) > 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
         rgba, texture = self.look(prim)
         uv = mesh.uv if texture is not None else None
-        part = MeshPart(np.round(vertices, 9), faces, uv, texture if uv is not None else None, rgba if uv is None else None)
+        part = MeshPart(
+            np.round(vertices, 9), faces, uv, texture if uv is not None else None, rgba if uv is None else None
+        )
         return mesh_of_parts([part], plain_name(prim.GetName(), "mesh")), Pose.from_matrix(pose)
 
     def mesh(self, prim: Any) -> MeshPart | None:
@@ -145,7 +150,9 @@ class Geoms:
     def coordinates(self, prim: Any, corners: Any, faces: Any, points: int) -> Array | None:
         """Texture coordinates of each corner, shape (3 m, 2), v up."""
         api = self.pxr.UsdGeom.PrimvarsAPI(prim)
-        primvar = next((v for n in ("st", "UVMap", "st0", "uv") if (v := api.FindPrimvarWithInheritance(n)) and v.HasValue()), None)
+        primvar = next(
+            (v for n in ("st", "UVMap", "st0", "uv") if (v := api.FindPrimvarWithInheritance(n)) and v.HasValue()), None
+        )
         if primvar is None:
             return None
         values = np.array(primvar.ComputeFlattened(), dtype=np.float64).reshape(-1, 2)
@@ -164,7 +171,11 @@ class Geoms:
             case "Cylinder" | "Capsule" | "Cone":
                 schema = getattr(usd, kind)(prim)
                 radius, height = float(schema.GetRadiusAttr().Get()), float(schema.GetHeightAttr().Get())
-                make = {"Cylinder": trimesh.creation.cylinder, "Capsule": trimesh.creation.capsule, "Cone": trimesh.creation.cone}
+                make = {
+                    "Cylinder": trimesh.creation.cylinder,
+                    "Capsule": trimesh.creation.capsule,
+                    "Cone": trimesh.creation.cone,
+                }
                 made = make[kind](radius=radius, height=height)
                 if kind == "Cone":
                     made.apply_translation([0, 0, -height / 2])
@@ -216,6 +227,7 @@ class Geoms:
         return _srgb([float(v) for v in colors[0]], float(opacity[0]) if opacity else 1.0), None
 
     def preview(self, shader: Any) -> tuple[Rgba | None, bytes | None]:
+        """Colour and texture of a UsdPreviewSurface."""
         diffuse, opacity = shader.GetInput("diffuseColor"), shader.GetInput("opacity")
         alpha = float(opacity.Get()) if opacity and isinstance(opacity.Get(), float) else 1.0
         if not diffuse:

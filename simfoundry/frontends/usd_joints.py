@@ -85,7 +85,10 @@ def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float,
             _dynamics(draft, pxr, prim, made, "angular" if turns else "linear", units)
         case "PhysicsSphericalJoint":
             made.type = "ball"
-            cones = (physics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get(), physics.SphericalJoint(prim).GetConeAngle1LimitAttr().Get())
+            cones = (
+                physics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get(),
+                physics.SphericalJoint(prim).GetConeAngle1LimitAttr().Get(),
+            )
             if any(c is not None and 0 <= c < 180 for c in cones):
                 draft.dropped(f"cone limit of {what}", "the language has no word for it")
         case "PhysicsJoint":
@@ -94,9 +97,7 @@ def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float,
             draft.dropped(f"motion of {what}", f"the language has no {kind}; it is fixed")
 
 
-def _limited(
-    draft: Draft, made: UsdJoint, what: str, turns: bool, bounds: tuple[Any, Any], to_m: float
-) -> None:
+def _limited(draft: Draft, made: UsdJoint, what: str, turns: bool, bounds: tuple[Any, Any], to_m: float) -> None:
     """The type and limits of a joint with one axis."""
     factor = math.radians(1.0) if turns else to_m
     low, high = (None if b is None or not math.isfinite(b) or abs(b) > 1e30 else float(b) * factor for b in bounds)
@@ -149,9 +150,7 @@ def _first(prim: Any, names: tuple[str, ...]) -> float:
     return 0.0
 
 
-def _six_axes(
-    draft: Draft, pxr: Any, prim: Any, made: UsdJoint, what: str, units: tuple[float, float]
-) -> None:
+def _six_axes(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, what: str, units: tuple[float, float]) -> None:
     """A joint whose axes are locked one by one: fixed, of one axis, a ball or free; any other is noted."""
     free = []
     for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
@@ -160,9 +159,8 @@ def _six_axes(
             continue
         limit = pxr.UsdPhysics.LimitAPI(prim, token)
         low, high = limit.GetLowAttr().Get(), limit.GetHighAttr().Get()
-        if low is None or high is None or low <= high:
-            if low is None or high is None or low < high:
-                free.append(token)
+        if low is None or high is None or low < high:
+            free.append(token)
     if not free:
         return
     if len(free) == 6:

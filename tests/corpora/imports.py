@@ -107,7 +107,7 @@ def run(job: tuple[str, Path]) -> Outcome:
                     _compare_urdf(outcome, report, original, ours)
                 elif path.suffix == ".xml":
                     build(scene, ["mjcf"], Path(folder))
-                    _compare_mjcf(outcome, report, path, Path(folder) / "mjcf/scene.xml", scene)
+                    _compare_mjcf(outcome, path, Path(folder) / "mjcf/scene.xml")
                 elif path.suffix in (".usda", ".usd"):
                     _compare_usd(outcome, path, scene)
         except SimfoundryError as error:
@@ -225,7 +225,7 @@ def _compare_urdf(outcome: Outcome, report: Report, theirs: Side, ours: Side | N
             outcome.differing.append(f"the joint of {name} is of another kind")
 
 
-def _compare_mjcf(outcome: Outcome, report: Report, original: Path, compiled: Path, scene: Scene) -> None:
+def _compare_mjcf(outcome: Outcome, original: Path, compiled: Path) -> None:
     """Masses, limits and world poses of every body of the same name, at the state of the scene."""
     import mujoco
 
@@ -249,7 +249,7 @@ def _compare_mjcf(outcome: Outcome, report: Report, original: Path, compiled: Pa
     ends = {name.rpartition(".")[2]: i for i, name in ours.items()}
     for k in moving:
         name = plain_name(mujoco.mj_id2name(a, mujoco.mjtObj.mjOBJ_BODY, k) or f"body_{k}", "link")
-        if name not in ends or list(n.rpartition(".")[2] for n in ours.values()).count(name) > 1:
+        if name not in ends or [n.rpartition(".")[2] for n in ours.values()].count(name) > 1:
             continue
         i = ends[name]
         if a.body_mass[k]:
@@ -314,8 +314,12 @@ def _compare_usd(outcome: Outcome, path: Path, scene: Scene) -> None:
     if corners and np.isfinite(low).all():
         points = np.concatenate(corners)
         for k, axis in enumerate("xyz"):
-            outcome.compare("position", float(points[:, k].min()), float(low[k]), 1e-4, f"the lowest {axis} of all meshes")
-            outcome.compare("position", float(points[:, k].max()), float(high[k]), 1e-4, f"the highest {axis} of all meshes")
+            outcome.compare(
+                "position", float(points[:, k].min()), float(low[k]), 1e-4, f"the lowest {axis} of all meshes"
+            )
+            outcome.compare(
+                "position", float(points[:, k].max()), float(high[k]), 1e-4, f"the highest {axis} of all meshes"
+            )
 
 
 def main(arguments: list[str]) -> int:

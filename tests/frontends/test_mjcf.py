@@ -15,12 +15,14 @@ from simfoundry.scene.model import Box, JointType
 from tests.frontends.conftest import Importing
 
 MODEL = """<mujoco model="arm">
-  <default><default class="heavy"><geom density="3000"/><default class="rough"><geom friction="1.3"/></default></default></default>
+  <default><default class="heavy"><geom density="3000"/>
+    <default class="rough"><geom friction="1.3"/></default></default></default>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1"/>
     <camera name="eye" pos="1 0 1" xyaxes="0 1 0 -0.7071 0 0.7071" fovy="50" resolution="320 240"/>
     <body name="upper" pos="0.1 0.2 0.3" euler="10 20 30">
-      <joint name="shoulder" type="hinge" axis="1 2 2" pos="0.05 0 -0.1" range="-40 60" ref="15" damping="0.3" armature="0.02"/>
+      <joint name="shoulder" type="hinge" axis="1 2 2" pos="0.05 0 -0.1" range="-40 60" ref="15" damping="0.3"
+        armature="0.02"/>
       <geom class="rough" type="box" size="0.1 0.05 0.2" euler="5 0 40"/>
       <body name="Lower Arm" pos="0 0 0.3" euler="0 45 0">
         <joint name="slide" type="slide" axis="0 0 1" range="-0.1 0.2" frictionloss="0.4"/>
@@ -91,7 +93,8 @@ def test_planes_cameras_and_what_is_left_out(importing: Importing) -> None:
 
 def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
     text = """<mujoco><worldbody><body name="b"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
-      <joint name="h" axis="0 1 0" pos="0 0 0.2" range="-90 90"/><geom type="box" size="0.1 0.2 0.3" pos="0 0 0.5"/></body></worldbody>
+      <joint name="h" axis="0 1 0" pos="0 0 0.2" range="-90 90"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0 0 0.5"/></body></worldbody>
       <keyframe><key qpos="0.3 0.7"/></keyframe></mujoco>"""
     _, scene = importing("b.xml", text)
     model = mujoco.MjModel.from_xml_string(text)

@@ -45,7 +45,8 @@ def test_inertia_is_turned_into_the_axes_of_the_link(importing: Importing) -> No
 
 
 def test_a_joint_keeps_pose_axis_limits_and_dynamics(importing: Importing) -> None:
-    inside = """<origin xyz="0.3 0.1 -0.2" rpy="0.7 0.2 -1.1"/><axis xyz="1 2 -2"/><dynamics damping="0.4" friction="0.2"/>
+    inside = """<origin xyz="0.3 0.1 -0.2" rpy="0.7 0.2 -1.1"/><axis xyz="1 2 -2"/>
+        <dynamics damping="0.4" friction="0.2"/>
         <limit lower="-0.5" upper="1.25" effort="3" velocity="1"/>"""
     report, scene = importing("a.urdf", _robot(_link("a"), _link("b"), _joint("revolute", inside)))
     (joint,) = scene.objects[0].joints
@@ -77,7 +78,9 @@ def test_what_is_seen_and_touches_alike_is_one_part(importing: Importing, tmp_pa
 
 
 @pytest.mark.parametrize(("scale", "size"), [("0.1 0.1 0.1", (0.1, 0.2, 0.3)), ("0.1 -0.2 0.05", (0.1, 0.4, 0.15))])
-def test_meshes_are_scaled_and_mirrored(importing: Importing, tmp_path: Path, scale: str, size: tuple[float, ...]) -> None:
+def test_meshes_are_scaled_and_mirrored(
+    importing: Importing, tmp_path: Path, scale: str, size: tuple[float, ...]
+) -> None:
     (tmp_path / "source").mkdir()
     (tmp_path / "source" / "t.obj").write_text(TETRAHEDRON)
     mesh = f'<collision><geometry><mesh filename="t.obj" scale="{scale}"/></geometry></collision>'
@@ -128,9 +131,9 @@ def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
     source.parent.mkdir(parents=True)
     source.write_text(_robot(_link("a", INERTIAL + mesh)))
     out = tmp_path / "out/a.asset.yaml"
-    with pytest.raises(ImportRefusedError, match="a.urdf:1: .*--package bot=PATH"):
+    with pytest.raises(ImportRefusedError, match=r"a\.urdf:1: .*--package bot=PATH"):
         import_file(source, out)
-    assert not out.exists() and not out.parent.exists() or not list(out.parent.iterdir())
+    assert (not out.exists() and not out.parent.exists()) or not list(out.parent.iterdir())
     for place in ("bot/m", "elsewhere/m"):
         (tmp_path / place).mkdir(parents=True)
     (tmp_path / "elsewhere/m/t.obj").write_text(TETRAHEDRON)
@@ -149,7 +152,10 @@ def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
         (_robot(_link("a"), _link("a")), "a second link is called `a`"),
         (_robot(_link("a"), _link("b")), "it has 2 roots: `a`, `b`"),
         (_robot(_link("a"), _joint("fixed", "")), "names the link `b`, which does not exist"),
-        (_robot(_link("a"), _link("b"), _joint("fixed", "", "i"), _joint("fixed", "", "k", "b", "a")), "no link is the root"),
+        (
+            _robot(_link("a"), _link("b"), _joint("fixed", "", "i"), _joint("fixed", "", "k", "b", "a")),
+            "no link is the root",
+        ),
         (_robot(_link("a", INERTIAL.replace('"2"', '"nan"'))), "`value` of `<mass>` is `nan`, not a number"),
         (_robot(_link("a", INERTIAL.replace('"2"', '"-2"'))), "link `a` has the mass -2 kg"),
         (_robot(_link("a", BOX.replace("0.1 0.2", "0.1 -0.2"))), "has a negative size"),
@@ -157,10 +163,15 @@ def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
         (_robot(_link("a"), _link("b"), _joint("bendy", "")), "`bendy`, which URDF does not know"),
         (_robot(_link("a"), '<link name="b"/>', _joint("continuous", "")), "moves and has neither a mass nor a shape"),
         (
-            _robot(_link("a", '<visual><geometry><mesh filename="package://../../../../etc/passwd"/></geometry></visual>')),
+            _robot(
+                _link("a", '<visual><geometry><mesh filename="package://../../../../etc/passwd"/></geometry></visual>')
+            ),
             "is not found",
         ),
-        (_robot(_link("a", '<visual><geometry><mesh filename="../../secret.obj"/></geometry></visual>')), "lies outside"),
+        (
+            _robot(_link("a", '<visual><geometry><mesh filename="../../secret.obj"/></geometry></visual>')),
+            "lies outside",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:

@@ -72,12 +72,16 @@ def Xform "Door" ( prepend apiSchemas = ["PhysicsArticulationRootAPI"] ) {{
   def Xform "Frame" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] ) {{
     double3 xformOp:translate = (0, 0, 1)
     uniform token[] xformOpOrder = ["xformOp:translate"]
-    def Cube "A" ( prepend apiSchemas = ["PhysicsCollisionAPI"] ) {{ double size = 0.1 }}
+    def Cube "A" ( prepend apiSchemas = ["PhysicsCollisionAPI"] ) {{
+      double size = 0.1
+    }}
   }}
   def Xform "Leaf" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] ) {{
     double3 xformOp:translate = (0.3, 0, 1)
     uniform token[] xformOpOrder = ["xformOp:translate"]
-    def Cube "B" ( prepend apiSchemas = ["PhysicsCollisionAPI"] ) {{ double size = 0.2 }}
+    def Cube "B" ( prepend apiSchemas = ["PhysicsCollisionAPI"] ) {{
+      double size = 0.2
+    }}
   }}
   def PhysicsFixedJoint "Ground" {{
     rel physics:body1 = </Door/Frame>
