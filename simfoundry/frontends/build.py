@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.frontends.pieces import Built, Shelf, color_data, pose_data, rounded, text_of
-from simfoundry.spec.asset import AssetSpec, JointKind, JointSpec
+from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_data
 
@@ -225,7 +225,6 @@ def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
 
 def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft that is one body, as NAME.asset.yaml in the folder ``base``."""
-    _fit(draft)
     built = Built()
     shelf = Shelf(base, f"{name}_files", root, built.files)
     spec = asset_spec(draft.bodies[0], plain_name(name, "thing"), shelf, built)
@@ -235,7 +234,6 @@ def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built
 
 def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft, as NAME.scene.yaml in the folder ``base``."""
-    _fit(draft)
     built = Built()
     folder = f"{name}_files"
     shelf = Shelf(base / folder, ".", root)
@@ -273,26 +271,6 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     built.documents |= {f"{folder}/{called}.asset.yaml": text_of(asset) for called, asset in assets.items()}
     built.files = {f"{folder}/{path.removeprefix('./')}": data for path, data in shelf.files.items()}
     return built
-
-
-def _fit(draft: Draft) -> None:
-    """Leave out, with a note, what the language has no words for yet."""
-    for body in draft.bodies:
-        for joint in body.joints:
-            if joint.type not in get_args(JointKind):
-                draft.dropped(
-                    f"motion of {joint.type} joint `{joint.name}`", "the language has no word for it; it is fixed"
-                )
-                joint.type = "fixed"
-            for word in ("mimic", "drive"):
-                if getattr(joint, word) is not None and word not in JointSpec.model_fields:
-                    setattr(joint, word, None)
-                    draft.dropped(f"{word} of joint `{joint.name}`", "the language has no word for it")
-        if body.no_contact and "no_contact" not in AssetSpec.model_fields:
-            draft.dropped(
-                f"contact exclusions of `{body.name}`", "the language has no word for it", f"{len(body.no_contact)}"
-            )
-            body.no_contact = []
 
 
 def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:

@@ -11,6 +11,9 @@ from simfoundry.lint.frames import Frame, Vec, cross, dot, minus, unit
 CLOSE = 5e-5
 """Depths and heights are found to within this [m]: far below every threshold that they are held against."""
 
+STEEP = 1e-9
+"""A triangle whose normal rises by less than this is seen edge on from above, and says nothing of a height."""
+
 ROUNDS = 80
 """Support points that are looked at for one pair; round shapes need about twenty."""
 
@@ -121,7 +124,7 @@ def penetration(a: Piece, b: Piece, ignored: float = 0.0) -> float:
         least = min(least, reached)
         if least <= ignored or reached - distance < CLOSE:
             return least
-        faces = _grown(corners, faces, w)
+        faces = _grown(corners, faces, nearest, w)
     return least
 
 
@@ -137,12 +140,13 @@ def _difference(a: Piece, b: Piece, n: Vec) -> Vec:
     return (p[0] - q[0], p[1] - q[1], p[2] - q[2])
 
 
-def _face(corners: list[Vec], i: int, j: int, k: int) -> _Face | None:
+def _face(corners: list[Vec], i: int, j: int, k: int) -> _Face:
+    """A face with its outward normal and its distance from the origin; one without an area is infinitely far."""
     a = corners[i]
     n = cross(minus(corners[j], a), minus(corners[k], a))
     length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     if length < 1e-18:
-        return None
+        return (i, j, k, (0.0, 0.0, 0.0), math.inf)
     n = (n[0] / length, n[1] / length, n[2] / length)
     return (i, j, k, n, dot(n, a))
 
@@ -162,30 +166,37 @@ def _tetrahedron(a: Piece, b: Piece) -> tuple[list[Vec], list[_Face]]:
         return corners, []
     if height > 0:
         corners[0], corners[1] = corners[1], corners[0]
-    faces = [_face(corners, *ijk) for ijk in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]
-    return corners, [f for f in faces if f is not None]
+    return corners, [_face(corners, *ijk) for ijk in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]
 
 
-def _grown(corners: list[Vec], faces: list[_Face], w: Vec) -> list[_Face]:
-    """The faces of the hull with one more corner, which is added to ``corners``."""
+def _grown(corners: list[Vec], faces: list[_Face], nearest: _Face, w: Vec) -> list[_Face]:
+    """The faces of the hull with one more corner, beyond the ``nearest`` of them; it is added to ``corners``.
+
+    What ``w`` sees is followed from face to neighbour: judged each for itself, faces in one plane could leave a hole.
+    """
     corners.append(w)
     last = len(corners) - 1
     wx, wy, wz = w
-    kept: list[_Face] = []
-    rim: dict[tuple[int, int], None] = {}
+    beside = {}
     for face in faces:
-        n = face[3]
-        if n[0] * wx + n[1] * wy + n[2] * wz - face[4] <= 1e-10:
-            kept.append(face)
-            continue
         i, j, k = face[:3]
+        beside[i, j] = beside[j, k] = beside[k, i] = face
+    seen, todo = {nearest[:3]}, [nearest]
+    rim: list[tuple[int, int]] = []
+    while todo:
+        i, j, k = todo.pop()[:3]
         for edge in ((i, j), (j, k), (k, i)):
-            if edge[::-1] in rim:
-                del rim[edge[::-1]]
+            other = beside[edge[::-1]]
+            if other[:3] in seen:
+                continue
+            n = other[3]
+            if n[0] * wx + n[1] * wy + n[2] * wz - other[4] > 1e-10:
+                seen.add(other[:3])
+                todo.append(other)
             else:
-                rim[edge] = None
-    kept += [f for f in (_face(corners, i, j, last) for i, j in rim) if f is not None]
-    return kept
+                rim.append(edge)
+    kept = [face for face in faces if face[:3] not in seen]
+    return kept + [_face(corners, i, j, last) for i, j in rim]
 
 
 def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:
@@ -205,12 +216,11 @@ def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:
     p, q, r = triangle
     height = -math.inf
     for _ in range(ROUNDS):
-        n = cross(minus(q, p), minus(r, p))
+        n = unit(cross(minus(q, p), minus(r, p)))
+        if abs(n[2]) < STEEP:
+            break
         if n[2] * sign < 0:
             n = (-n[0], -n[1], -n[2])
-        if abs(n[2]) < 1e-16:
-            break
-        n = unit(n)
         height = dot(n, p) / n[2]
         w = _difference(a, b, n)
         if dot(n, minus(w, p)) < CLOSE * abs(n[2]):
@@ -222,7 +232,8 @@ def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:
 def _around_the_line(a: Piece, b: Piece) -> tuple[Vec, Vec, Vec] | None:
     """Three points of the difference around the vertical line through the origin; None where it does not meet it."""
     middle = [(b.low[k] + b.high[k] - a.low[k] - a.high[k]) / 2 for k in range(2)]
-    n: Vec = (-middle[0], -middle[1], 0.0) if math.hypot(*middle) > 1e-12 else (1.0, 0.0, 0.0)
+    x, y = middle if math.hypot(*middle) > 1e-12 else (1.0, 0.0)
+    n: Vec = (0.6 * y - 0.8 * x, -0.6 * x - 0.8 * y, 0.0)  # askew, or else the origin lies on a side of the triangle
     p = _difference(a, b, n)
     if p[0] * n[0] + p[1] * n[1] < 0:
         return None
@@ -256,12 +267,22 @@ def _beyond(p: Vec, q: Vec, inside: Vec) -> bool:
 
 def _higher(p: Vec, q: Vec, r: Vec, w: Vec, sign: float) -> tuple[Vec, Vec, Vec]:
     """Of the triangles that ``w`` makes with two of the corners, the highest over the origin of those around it."""
-    best, highest = (p, q, w), -math.inf
-    for s, t in ((p, q), (q, r), (r, p)):
-        n = cross(minus(s, w), minus(t, w))
-        if abs(n[2]) < 1e-18 or _beyond(s, t, w) or _beyond(t, w, s) or _beyond(w, s, t):
-            continue
-        height = sign * dot(n, w) / n[2]
-        if height > highest:
-            best, highest = (s, t, w), height
-    return best
+    found = [(_share(s, t, w), s, t) for s, t in ((p, q), (q, r), (r, p))]
+    around = [item for item in found if item[0] > -1e-9] or [max(found)]
+    _, s, t = max(around, key=lambda item: sign * _height(item[1], item[2], w))
+    return s, t, w
+
+
+def _height(p: Vec, q: Vec, r: Vec) -> float:
+    """Where the plane through three points meets the vertical line through the origin."""
+    n = unit(cross(minus(q, p), minus(r, p)))
+    return dot(n, p) / n[2] if abs(n[2]) > STEEP else 0.0
+
+
+def _share(p: Vec, q: Vec, r: Vec) -> float:
+    """The least barycentric coordinate of the origin in a triangle seen from above: negative outside."""
+    area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+    if abs(area) < 1e-15:
+        return -math.inf
+    shares = (q[0] * r[1] - q[1] * r[0], r[0] * p[1] - r[1] * p[0], p[0] * q[1] - p[1] * q[0])
+    return min(share / area for share in shares)

@@ -60,7 +60,7 @@ def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
     """Author a relationship of ``prim`` to the prims at the paths ``targets``."""
     from pxr import Sdf
 
-    Sdf.RelationshipSpec(prim, name, custom=False).targetPathList.explicitItems = list(targets)
+    Sdf.RelationshipSpec(prim, name, custom=name.startswith("simfoundry:")).targetPathList.explicitItems = list(targets)
 
 
 def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) -> None:
