@@ -45,9 +45,12 @@ class MeshFacts:
     hull: tuple[Vec, ...]
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
-        """What lowering will find wrong with the file ``name``, read with ``scale``, as a body of these fields."""
+        """What lowering will find wrong with the file ``name``, read with ``scale``, as a body of these fields.
+
+        Where the inertia of the body is given, ``solid`` is `given`: the mesh need not be closed.
+        """
         wrong = implausible_size(name, self.size * scale, scale)
-        if wrong is None and solid != "hull":
+        if wrong is None and solid == "exact":
             if self.gaps:
                 wrong = not_closed(name, self.gaps)
             elif self.volume * scale**3 < LEAST_VOLUME:

@@ -47,8 +47,11 @@ def extent(parts: tuple[MeshPart, ...]) -> float:
     return float(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0).max())
 
 
-def read_parts(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
-    """The same as :func:`read_mesh`, of any size."""
+def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
+    """The same as :func:`read_mesh`, of any size.
+
+    ``scale`` may differ along the axes of the file, and mirror: the faces then are turned outward again.
+    """
     import trimesh
 
     size = path.stat().st_size
@@ -71,9 +74,11 @@ def read_parts(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     return parts
 
 
-def _part(mesh: Any, scale: float, y_up: bool) -> MeshPart:
+def _part(mesh: Any, scale: float | tuple[float, float, float], y_up: bool) -> MeshPart:
     used, faces = np.unique(mesh.faces, return_inverse=True)  # stray points are no part of the surface
-    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * scale
+    if np.prod(np.broadcast_to(scale, 3)) < 0:
+        faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
+    vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(mesh)

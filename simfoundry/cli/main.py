@@ -60,6 +60,7 @@ COMMANDS = {
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "git": "Let git show and merge documents by meaning.",
+    "import": "Turn URDF, MJCF, USD or a scene of the authors' release into documents.",
     "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "new": "Start a document of any kind, with comments that teach.",
@@ -71,6 +72,9 @@ COMMANDS = {
     "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
+MODULES = {"import": "import_"}
+"""Modules of commands whose names Python keeps for itself."""
+
 
 class _Lazy(click.Group):
     """A group whose commands are modules ``simfoundry.cli.<name>`` with a ``command``."""
@@ -81,7 +85,7 @@ class _Lazy(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"simfoundry.cli.{cmd_name}")
+        module = importlib.import_module(f"simfoundry.cli.{MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = module.command
         return command
 

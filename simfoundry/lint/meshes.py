@@ -15,7 +15,7 @@ from simfoundry.assets.faults import (
     profile_off_axis,
     shape_crosses_itself,
 )
-from simfoundry.spec.base import Body, LatheShape, PrismShape, Shape
+from simfoundry.spec.base import LatheShape, PrismShape, Shape
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
@@ -48,7 +48,7 @@ def _of_scene(loaded: Loaded, spec: SceneSpec) -> Iterator[Fault]:
             if wrong is not None:
                 yield (*path, "shape"), wrong
         elif item.asset is not None and not is_document(item.asset):
-            wrong = _mesh_fault(loaded.file(item.asset), item.scale, item)
+            wrong = _mesh_fault(loaded.file(item.asset), item.scale, item.solid, item.collision)
             if wrong is not None:
                 yield (*path, "asset"), wrong
         if item.visual is not None:
@@ -62,17 +62,20 @@ def _of_asset(loaded: Loaded, spec: AssetSpec) -> Iterator[Fault]:
         for name, part in link.parts.items():
             if part.shape is not None:
                 wrong = shape_fault(part.shape)
+            elif part.use == "visual":
+                wrong = _visual_fault(loaded.file(part.mesh or ""), part.scale)
             else:
-                wrong = _mesh_fault(loaded.file(part.mesh or ""), part.scale, link)
+                solid = "given" if link.weighed else link.solid
+                wrong = _mesh_fault(loaded.file(part.mesh or ""), part.scale, solid, link.collision)
             if wrong is not None:
                 yield ("links", link_name, "parts", name), wrong
 
 
-def _mesh_fault(file: Path, scale: float, body: Body) -> MeshError | None:
+def _mesh_fault(file: Path, scale: float, solid: str, collision: str) -> MeshError | None:
     from simfoundry.assets.facts import mesh_facts
 
     try:
-        return mesh_facts(file).fault(file.name, scale, body.solid, body.collision)
+        return mesh_facts(file).fault(file.name, scale, solid, collision)
     except MeshError as error:
         return error
 

@@ -173,6 +173,8 @@ def _links(asset: Loaded, spec: AssetSpec, joints: Mapping[str, Turn]) -> Iterat
         link = spec.links[name]
         solids: list[tuple[Solid, Frame]] = []
         for part in link.parts.values():
+            if part.use == "visual":
+                continue
             X_LP = frame_of(part.pose)
             if part.shape is not None:
                 solids.append((solid_of(part.shape), X_LP))

@@ -40,12 +40,16 @@ ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape |
 
 @dataclass
 class BodyBuilder:
-    """Collects the parts of one link, then computes the link. Raises :class:`MeshError` for meshes it cannot use."""
+    """Collects the parts of one link, then computes the link. Raises :class:`MeshError` for meshes it cannot use.
+
+    Where it is ``weighed`` already, no part needs a volume.
+    """
 
     name: str
     body: Body
     materials: dict[str, Material]
     cache: Cache | None
+    weighed: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
     solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
@@ -53,8 +57,10 @@ class BodyBuilder:
     def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
         geometry, solid, touching = _primitive(shape)
-        if show:
+        if show and _use(part) != "collision":
             self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
+        if _use(part) == "visual":
+            return
         if self.body.collision != "none":
             for k, piece in enumerate(touching):
                 self._collide(name if len(touching) == 1 else f"{name}_{k}", piece, X_LG, part)
@@ -63,38 +69,41 @@ class BodyBuilder:
     def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
         pieces = read_mesh(path, scale)
-        for k, piece in enumerate(pieces):
-            mesh = Mesh(
-                frozen(piece.vertices),
-                _faces(piece.faces),
-                None if piece.uv is None else frozen(piece.uv),
-                piece.texture,
-            )
-            label = name if len(pieces) == 1 else f"{name}_{k}"
-            if show:
-                self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
+        if show and _use(part) != "collision":
+            self._show(name, pieces, X_LG, part)
+        if _use(part) == "visual":
+            return
         offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
         vertices = np.concatenate([p.vertices for p in pieces])
         faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
         vertices, faces = weld(vertices, faces)
-        solid, faces = self._solid(path.name, vertices, faces)
+        if not self.weighed:
+            solid, faces = self._solid(path.name, vertices, faces)
+            self._weigh(name, solid, X_LG, part)
+        elif mass.mesh(vertices, faces).volume < 0:
+            faces = np.ascontiguousarray(faces[:, ::-1])
         parts = convex_parts(vertices, faces, self.body.collision, self.cache)
         for k, (corners, sides) in enumerate(parts):
             label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
-        self._weigh(name, solid, X_LG, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
         """Add a mesh file that is only looked at."""
-        for k, piece in enumerate(read_mesh(path, scale)):
+        self._show(name, read_mesh(path, scale), IDENTITY, None)
+
+    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
+        for k, piece in enumerate(pieces):
             uv = None if piece.uv is None else frozen(piece.uv)
             mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
-            color = self._rgba(None, _own_color(piece))
-            self.visuals.append(Visual(name if k == 0 else f"{name}_{k}", mesh, color, IDENTITY))
+            label = name if len(pieces) == 1 else f"{name}_{k}"
+            self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
 
     def link(self, fixed: bool, inertial: Inertial | None) -> Link:
         """The finished link; raises :class:`MeshError` where it has no mass."""
         total = quantity_value(self.body.mass)
+        if self.weighed:
+            assert total is not None and inertial is not None and inertial.inertia is not None
+            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia))
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
         if total is not None or fixed:  # of a given mass only the shares matter; what is fixed does not move
@@ -110,11 +119,13 @@ class BodyBuilder:
         if total is not None:
             inertia = inertia * (total / computed)
         if inertial is not None:
-            com, inertia = np.array(inertial.com), _tensor(inertial.inertia)
-        value = total if total is not None else computed
+            com = np.array(inertial.com)
+        return self._finished(total if total is not None else computed, com, inertia)
+
+    def _finished(self, mass_kg: float, com: Array, inertia: Array) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
         _check_inertia(self.name, inertia)
-        return Link(self.name, value, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
+        return Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
 
     def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
         """The solid that carries the mass, and the faces turned outward."""
@@ -154,6 +165,11 @@ class BodyBuilder:
         return frozen(GREY)
 
 
+def _use(part: Part | None) -> str:
+    """What a part is for; whatever is no part is for both."""
+    return "both" if part is None else part.use
+
+
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
     """The colour that a mesh brings along; a texture shows as it is."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
@@ -182,6 +198,11 @@ def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
             profile = checked_profile(np.array(shape.lathe.profile))
             return _meshes(lathe_mesh(profile), [hull(points) for points in lathe_parts(profile)])
     return geometry, solid, [geometry]
+
+
+def shape_solid(shape: ShapeSpec) -> mass.Solid:
+    """What a shape weighs at density 1, in its own frame."""
+    return _primitive(shape)[1]
 
 
 def _meshes(

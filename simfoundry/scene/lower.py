@@ -209,7 +209,7 @@ class _Lowering:
         for name in _topological(spec):
             before = len(self.findings)
             link = spec.links[name]
-            builder = BodyBuilder(name, link, spec.materials, self.cache)
+            builder = BodyBuilder(name, link, spec.materials, self.cache, link.weighed)
             for part_name, part in link.parts.items():
                 with _At(self, asset, ("links", name, "parts", part_name)):
                     if part.shape is not None:

@@ -33,6 +33,11 @@ class Part(Model):
     pose: Pose = Field(Pose(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
     color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
+    use: Literal["both", "visual", "collision"] = Field(
+        "both",
+        description="`visual` is only seen: nothing touches it and it weighs nothing; `collision` touches and weighs, "
+        "and is not seen.",
+    )
 
     @model_validator(mode="after")
     def _one_geometry(self) -> Self:
@@ -46,15 +51,17 @@ class Inertial(Model):
     """A measured inertia, which replaces the one computed from the parts."""
 
     com: Vec3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
-    inertia: tuple[Number, Number, Number, Number, Number, Number] = Field(
-        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]."
+    inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
+        None,
+        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
+        "the parts about their own.",
     )
 
 
 class LinkSpec(Body):
-    """A rigid body of the asset, made of parts."""
+    """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
 
-    parts: dict[Name, Part] = Field(min_length=1, description="The pieces it is made of, by name.")
+    parts: dict[Name, Part] = Field({}, description="The pieces it is made of, by name.")
     inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
 
     @model_validator(mode="after")
@@ -62,7 +69,14 @@ class LinkSpec(Body):
         exclusive(self, "mass", "density")
         if self.inertial is not None and self.mass is None:
             raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it", {"at": "inertial"})
+        if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
+            raise PydanticCustomError("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`", {})
         return self
+
+    @property
+    def weighed(self) -> bool:
+        """Whether its mass, centre of mass and inertia are given, so that its parts need not weigh anything."""
+        return self.inertial is not None and self.inertial.inertia is not None
 
 
 JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "free"]

@@ -24,6 +24,11 @@ CHOICES = {
         "A bulb at `xyz`.",
         "Light from everywhere, as from a cloudy sky.",
     ),
+    ("both", "visual", "collision"): (
+        "It is seen, touches and weighs (the default).",
+        "It is only seen.",
+        "It touches and weighs, and is not seen.",
+    ),
     ("fixed", "revolute", "prismatic", "continuous", "ball", "free"): (
         "It does not move.",
         "It turns about `axis` within `limits_deg`, as a door.",

@@ -17,8 +17,9 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     for name, link in spec.links.items():
         path = ("links", name)
         c.material(link, path)
-        c.mass(link, [part.material or link.material for part in link.parts.values()], spec.materials, path)
-        shapes = [part.shape for part in link.parts.values()]
+        solid_parts = [part for part in link.parts.values() if part.use != "visual"]
+        c.mass(link, [part.material or link.material for part in solid_parts], spec.materials, path)
+        shapes = [part.shape for part in solid_parts]
         solid = sum(volume(shape) for shape in shapes if shape is not None)
         c.density(link, path, None if None in shapes else solid)
         for part_name, part in link.parts.items():

@@ -1,0 +1,192 @@
+"""``simfoundry import``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.frontends.convert import Options, Report
+
+SUFFIXES = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
+HEADINGS = {
+    "dropped": ("thing was left out", "things were left out"),
+    "changed": ("thing is said in another way", "things are said in another way"),
+    "assumed": ("thing was assumed", "things were assumed"),
+}
+
+
+def _packages(_context: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> dict[str, Path]:
+    out = {}
+    for value in values:
+        name, equals, path = value.partition("=")
+        if not equals or not name or not Path(path).is_dir():
+            raise click.BadParameter(f"`{value}` is not NAME=PATH with the path of a folder")
+        out[name] = Path(path)
+    return out
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(path_type=Path),
+    help="NAME.scene.yaml or NAME.asset.yaml; a folder for several files. Default: named after the file, here.",
+)
+@click.option(
+    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=_packages,
+    help="The folder of a package that `package://NAME/…` means; may be given more than once.",
+)  # fmt: skip
+@click.option(
+    "--scene", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="The scene document that a task of the authors' release is for.",
+)  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
+@click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
+@json_option
+@reporting
+def command(
+    files: tuple[Path, ...],
+    out: Path | None,
+    packages: dict[str, Path],
+    scene: Path | None,
+    force: bool,
+    strict: bool,
+    as_json: bool,
+) -> int:
+    """Import URDF, MJCF, USD, or a scene or task of the authors' release, as a scene, an asset or a task.
+
+    Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
+    Nothing is written for a file that is refused. Exit code 2 where one was refused.
+    """
+    from simfoundry.frontends.convert import Options, import_file
+
+    options = Options(packages, force, scene)
+    if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
+        with progress_bar(as_json) as progress:
+            progress(files[0].name, 0.0)
+            report = import_file(files[0], out or Path(_default_name(files[0])), options)
+        if as_json:
+            print_json(report.to_json())
+        else:
+            click.echo(_described(report))
+        return FINDINGS if strict and report.notes else DONE
+    if out is None or out.name.endswith(".yaml"):
+        raise CannotError("several files need a folder to go to: `-o FOLDER`")
+    return _import_all(files, out, options, strict, as_json)
+
+
+def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bool, as_json: bool) -> int:
+    jobs = list(_jobs(files, out))
+    if not jobs:
+        raise CannotError(
+            f"there is no file to import below {', '.join(map(str, files))}; {', '.join(SUFFIXES)} are read"
+        )
+    reports = []
+    with progress_bar(as_json) as progress:
+        for done, (source, target) in enumerate(jobs):
+            progress(source.name, done / len(jobs))
+            reports.append(_guarded(source, target, options))
+    refused = [report for report in reports if report.error]
+    if as_json:
+        print_json({"files": [report.to_json() for report in reports]})
+    else:
+        click.echo(_table(reports))
+    if refused:
+        return CANNOT
+    return FINDINGS if strict and any(report.notes for report in reports) else DONE
+
+
+def _guarded(source: Path, target: Path, options: Options) -> Report:
+    """The report on one file of many: what goes wrong with it stops no other."""
+    from simfoundry.errors import SimfoundryError
+    from simfoundry.frontends.convert import Report, import_file
+
+    try:
+        return import_file(source, target, options)
+    except SimfoundryError as error:
+        return Report(str(source), None, error=str(error))
+    except Exception as error:  # a fault of ours, or of a library: it is reported, and the rest goes on
+        return Report(str(source), None, error=f"{source}: it broke the importer: {type(error).__name__}: {error}")
+
+
+def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
+    """Each file with the document that it becomes; folders keep their shape."""
+    for path in files:
+        if path.is_file():
+            yield path, out / _default_name(path)
+            continue
+        for source in sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file()):
+            if _is_model(source):
+                yield source, out / source.relative_to(path).parent / _default_name(source)
+
+
+def _is_model(path: Path) -> bool:
+    """Whether a file of a folder is meant to be imported: not a package manifest, not a piece that others include."""
+    if path.suffix.lower() not in (".xml", ".json"):
+        return True
+    with path.open("rb") as stream:
+        head = stream.read(20_000)
+    if path.suffix.lower() == ".json":
+        return b"objects_info" in head
+    return b"<mujoco" in head.replace(b"<mujocoinclude", b"") or b"<robot" in head
+
+
+def _default_name(path: Path) -> str:
+    from simfoundry.frontends.convert import ASSET, SCENE, TASK, TASKS
+
+    if path.suffix.lower() in TASKS:
+        return f"{path.stem}{TASK}"
+    return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
+
+
+def _described(report: Report) -> str:
+    """What was imported, and every way in which it is not what the file says."""
+    lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
+    lines += [f"{document}" for document in report.more]
+    for kind, heading in HEADINGS.items():
+        notes = [note for note in report.notes if note.kind == kind]
+        if not notes:
+            continue
+        lines.append(f"{len(notes)} {heading[len(notes) > 1]}:")
+        reasons: dict[str, list[str]] = {}
+        for note in notes:
+            reasons.setdefault(note.why, []).append(f"{note.what} ({note.detail})" if note.detail else note.what)
+        lines += [f"  {_listed(things)}: {why}" for why, things in reasons.items()]
+    if report.names:
+        shown = [f"{old} -> {new}" for old, new in report.names]
+        lines.append(f"{len(shown)} name{'s' if len(shown) > 1 else ''} changed: {_listed(shown)}")
+    return "\n".join(lines)
+
+
+def _listed(things: list[str], most: int = 4) -> str:
+    more = f" and {len(things) - most} more" if len(things) > most else ""
+    return ", ".join(things[:most]) + more
+
+
+def _counts(report: Report) -> str:
+    words = (("bodies", "body"), ("links", "link"), ("joints", "joint"), ("cameras", "camera"), ("lights", "light"),
+             ("meshes", "mesh"))  # fmt: skip
+    found = [(getattr(report, plural), plural, single) for plural, single in words]
+    return ", ".join(f"{n} {single if n == 1 else plural}" for n, plural, single in found if n)
+
+
+def _table(reports: list[Report]) -> str:
+    """One line a file, and a total."""
+    width = max(len(report.source) for report in reports)
+    lines = []
+    for report in reports:
+        if report.error:
+            lines.append(f"{report.source:<{width}}  refused: {report.error.removeprefix(report.source).lstrip(': ')}")
+        else:
+            notes = f"; {len(report.notes)} not as in the file" if report.notes else ""
+            lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
+    refused = sum(bool(report.error) for report in reports)
+    lines.append(f"{len(reports) - refused} of {len(reports)} imported")
+    return "\n".join(lines)

@@ -1,0 +1,299 @@
+"""Drafts to documents: an asset for each body, or a scene that uses them, with the mesh files beside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.names import Names, plain_name
+from simfoundry.frontends.pieces import Built, Shelf, color_data, pose_data, rounded, text_of
+from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.write import to_data
+
+
+def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetSpec:
+    """The asset document of a body."""
+    links, joints = Names("link"), Names("joint")
+    order = [body.root, *(n for n in body.links if n != body.root)]
+    link_names = {n: links.name(n) for n in order}
+    joint_names = {j.name: joints.name(j.name) for j in body.joints}
+    for renamed in (links.renamed, joints.renamed):
+        built.names |= {f"{body.name}/{old}": new for old, new in renamed.items()}
+    materials: dict[str, Any] = {}
+    data: dict[str, Any] = {"simfoundry": "asset/1", "name": name, "materials": materials}
+    if body.category is not None:
+        data["category"] = plain_name(body.category)
+    for link in body.links.values():
+        for called, part in zip(part_names(link), link.parts, strict=True):
+            built.parts[name, link_names[link.name], called] = (link, part)
+    data["links"] = {link_names[n]: _link(body.links[n], shelf, materials) for n in order}
+    data["joints"] = {joint_names[j.name]: _joint(j, link_names, joint_names) for j in body.joints}
+    if body.no_contact:
+        data["no_contact"] = tuple((link_names[a], link_names[b]) for a, b in body.no_contact)
+    return AssetSpec.model_validate(_without_empty(rounded(data)))
+
+
+def _without_empty(data: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in data.items() if value not in ({}, ())}
+
+
+def _link(link: LinkDraft, shelf: Shelf, materials: dict[str, Any]) -> dict[str, Any]:
+    out = _surface(link)
+    names = part_names(link)
+    uniform = _uniform(link)
+    parts = {}
+    for name, part in zip(names, link.parts, strict=True):
+        parts[name] = _part(part, shelf)
+        if uniform is None and part.use != "visual":
+            parts[name]["material"] = _material(part, link, materials)
+    if uniform is not None:
+        out |= {
+            key: value for key, value in zip(("friction", "restitution"), uniform, strict=True) if value is not None
+        }
+    if any(isinstance(part.geometry, MeshDraft) and part.use != "visual" for part in link.parts):
+        out["collision"] = link.collision
+        if link.inertia is None:
+            out["solid"] = "hull"
+    return _without_empty({**out, "parts": parts}) if parts else out
+
+
+def _surface(link: LinkDraft) -> dict[str, Any]:
+    """Mass and inertia of a link."""
+    out: dict[str, Any] = {}
+
+    def quantity(value: float) -> Any:
+        return {"value": value, "by": link.assumed} if link.assumed else value
+
+    if link.mass:
+        out["mass"] = quantity(float(link.mass))
+        com = None if link.com is None else tuple(float(v) for v in link.com)
+        if link.inertia is not None:
+            i = link.inertia
+            tensor = tuple(float(v) for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
+            out["inertial"] = {"com": com or (0.0, 0.0, 0.0), "inertia": tensor}
+        elif com is not None:
+            out["inertial"] = {"com": com}
+    elif link.density is not None:
+        out["density"] = quantity(float(link.density))
+    return out
+
+
+def _uniform(link: LinkDraft) -> tuple[float | None, float | None] | None:
+    """Friction and restitution that all parts of a link have; None where they differ."""
+    touching = [p for p in link.parts if p.use != "visual"]
+    surfaces = {_contact(part, link) for part in touching} or {(link.friction, link.restitution)}
+    return surfaces.pop() if len(surfaces) == 1 else None
+
+
+def _contact(part: PartDraft, link: LinkDraft) -> tuple[float | None, float | None]:
+    friction = link.friction if part.friction is None else part.friction
+    restitution = link.restitution if part.restitution is None else part.restitution
+    return friction, restitution
+
+
+def _material(part: PartDraft, link: LinkDraft, materials: dict[str, Any]) -> str:
+    """The name of a material with the friction and restitution of a part."""
+    friction, restitution = _contact(part, link)
+    data = {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
+    name = next((n for n, known in materials.items() if known == data), None)
+    if name is None:
+        name = f"surface_{len(materials) + 1}"
+        materials[name] = data
+    return name
+
+
+def part_names(link: LinkDraft) -> Iterator[str]:
+    """A name for each part; none starts like another, because pieces of meshes are numbered after it."""
+    taken: list[str] = []
+    for part in link.parts:
+        plain = plain_name(part.name, "part")[:50]
+        numbered = (n for k in range(2, 100_000) for n in (f"{plain}{k}", f"part{k}_{plain}"))
+        candidates = chain([plain], numbered)
+        name = next(
+            n for n in candidates if not any(f"{n}_".startswith(f"{t}_") or f"{t}_".startswith(f"{n}_") for t in taken)
+        )
+        taken.append(name)
+        yield name
+
+
+def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    if isinstance(part.geometry, MeshDraft):
+        out["mesh"] = shelf.place(part.geometry)
+        out["scale"] = float(part.geometry.scale)
+    else:
+        out["shape"] = to_data(part.geometry)
+    pose = pose_data(part.X_LG)
+    if pose:
+        out["pose"] = pose
+    if part.color is not None and part.use != "collision":
+        out["color"] = color_data(part.color)
+    if part.use != "both":
+        out["use"] = part.use
+    return out
+
+
+def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> dict[str, Any]:
+    out: dict[str, Any] = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
+    pose = pose_data(joint.X_PC)
+    if pose:
+        out["pose"] = pose
+    if joint.type in ("fixed", "free"):
+        return out
+    if joint.type != "ball":
+        out["axis"] = tuple(float(v) for v in joint.axis)
+    if joint.limits is not None and joint.type == "prismatic":
+        out["limits"] = tuple(float(v) for v in joint.limits)
+    elif joint.limits is not None and joint.type == "revolute":
+        out["limits_deg"] = tuple(math.degrees(v) for v in joint.limits)
+    out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
+    if joint.mimic is not None:
+        out["mimic"] = {
+            "joint": joints[joint.mimic.joint],
+            "multiplier": joint.mimic.multiplier,
+            "offset": joint.mimic.offset,
+        }
+    if joint.drive is not None:
+        given = {k: getattr(joint.drive, k) for k in ("stiffness", "damping", "target", "force_limit")}
+        out["drive"] = {k: float(v) for k, v in given.items() if v is not None}
+    return out
+
+
+def object_data(body: BodyDraft, asset: str) -> dict[str, Any]:
+    """An object of a scene that is a body, described in an asset document."""
+    out: dict[str, Any] = {"asset": asset}
+    return out | _placed(body)
+
+
+def _placed(body: BodyDraft) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    if body.fixed:
+        out["fixed"] = True
+    pose = pose_data(body.X_WO)
+    if pose:
+        out["pose"] = pose
+    if body.note:
+        out["origin"] = {"note": body.note}
+    return out
+
+
+def inline_data(body: BodyDraft) -> dict[str, Any] | None:
+    """A body of one shape as an object that says so itself; None for any other."""
+    if body.joints or len(body.links) != 1:
+        return None
+    (link,) = body.links.values()
+    if len(link.parts) != 1 or link.parts[0].use != "both":
+        return None
+    part = link.parts[0]
+    if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or not _is_plain(link, part):
+        return None
+    out = {"shape": to_data(part.geometry)} | _surface(link)
+    out.pop("inertial", None)
+    if body.fixed and link.assumed:
+        out.pop("density", None)
+    friction, restitution = _contact(part, link)
+    out |= {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
+    if part.color is not None:
+        out["color"] = color_data(part.color)
+    if body.category is not None:
+        out["category"] = plain_name(body.category)
+    return out | _placed(body)
+
+
+def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
+    """Whether the inertia of a link is that of its one shape at uniform density."""
+    from simfoundry.scene.bodies import shape_solid
+
+    assert not isinstance(part.geometry, MeshDraft)
+    if not link.mass:
+        return True
+    if link.com is not None and np.abs(link.com).max() > 1e-9:
+        return False
+    solid = shape_solid(part.geometry)
+    inertia = solid.inertia * (link.mass / solid.volume)
+    return link.inertia is None or bool(
+        np.allclose(link.inertia, inertia, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())
+    )
+
+
+def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
+    """The documents and files of a draft that is one body, as NAME.asset.yaml in the folder ``base``."""
+    built = Built()
+    shelf = Shelf(base, f"{name}_files", root, built.files)
+    spec = asset_spec(draft.bodies[0], plain_name(name, "thing"), shelf, built)
+    built.documents[f"{name}.asset.yaml"] = text_of(spec, _head(draft))
+    return built
+
+
+def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
+    """The documents and files of a draft, as NAME.scene.yaml in the folder ``base``."""
+    built = Built()
+    folder = f"{name}_files"
+    shelf = Shelf(base / folder, ".", root)
+    names, objects, assets = Names("thing"), {}, {}
+    bodies: dict[str, str] = {}
+    for body in draft.bodies:
+        bodies[body.name] = called = names.name(body.name)
+        inline = inline_data(body)
+        if inline is None:
+            assets[called] = asset_spec(body, called, shelf, built)
+            inline = object_data(body, f"{folder}/{called}.asset.yaml")
+            joints = dict(zip((j.name for j in body.joints), assets[called].joints, strict=True))
+            state = {joints[j.name]: float(j.position) for j in body.joints if j.position}
+            if state:
+                inline["joints"] = state
+        objects[called] = inline
+    built.names |= names.renamed
+    data: dict[str, Any] = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": objects}
+    if draft.gravity is not None:
+        data["gravity"] = draft.gravity
+    robots = Names("robot")
+    data["robots"] = {robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB)} for r in draft.robots}
+    data["cameras"] = _cameras(draft, bodies, assets)
+    lights = Names("light")
+    data["lights"] = {
+        lights.name(light.name): {
+            "type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1.0)),
+            **({"direction": light.direction} if light.type == "distant" else {}),
+            **({"xyz": light.xyz} if light.type == "point" else {}),
+        }
+        for light in draft.lights
+    }  # fmt: skip
+    spec = SceneSpec.model_validate(_without_empty(rounded(data)))
+    built.documents[f"{name}.scene.yaml"] = text_of(spec, _head(draft))
+    built.documents |= {f"{folder}/{called}.asset.yaml": text_of(asset) for called, asset in assets.items()}
+    built.files = {f"{folder}/{path.removeprefix('./')}": data for path, data in shelf.files.items()}
+    return built
+
+
+def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:
+    names, out = Names("camera"), {}
+    originals = {body.name: body for body in draft.bodies}
+    for camera in draft.cameras:
+        data: dict[str, Any] = {"size": camera.size, "fx": camera.fx, "fy": camera.fy}
+        data |= {k: v for k, v in (("cx", camera.cx), ("cy", camera.cy)) if v is not None}
+        data["pose"] = {
+            "xyz": tuple(float(v) for v in camera.X_WC.p),
+            "quat_wxyz": tuple(float(v) for v in camera.X_WC.q),
+        }
+        if camera.mount is not None:
+            body, link = camera.mount
+            order = [originals[body].root, *(n for n in originals[body].links if n != originals[body].root)]
+            asset = assets.get(bodies[body])
+            called = (
+                list(asset.links)[order.index(link)] if asset is not None and link != originals[body].root else None
+            )
+            data["mount"] = bodies[body] if called is None else f"{bodies[body]}.{called}"
+        out[names.name(camera.name)] = data
+    return out
+
+
+def _head(draft: Draft) -> str:
+    return draft.description

@@ -1,0 +1,175 @@
+"""Bodies made sound: frames that weigh nothing melt into what carries them, and every link gets a mass it can have."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.scene.frames import Array, Pose
+
+USUAL_DENSITY = 1000.0
+"""Density [kg/m^3] of what states no mass, as MuJoCo takes it."""
+
+WIDEST_GYRATION = 2.0
+"""Radius of gyration [m] above which an inertia was never meant: nothing on or around a table is so large."""
+
+ROUNDING = 0.01
+"""Share by which moments may miss the triangle inequality through rounding."""
+
+WORLD = ("world", "map", "universe")
+"""Names of a root link that stand for the world."""
+
+
+def make_sound(draft: Draft, file: str) -> None:
+    """Give every link of every body a mass and an inertia that simulators accept; what is changed is noted.
+
+    Joints that start beyond a limit start at it.
+    """
+    for body in draft.bodies:
+        for joint in body.joints:
+            _start_inside(draft, joint)
+        _melt(draft, body)
+        for link in list(body.links.values()):
+            if not link.mass and (link.density is None or not any(part.use != "visual" for part in link.parts)):
+                _weigh(draft, body, link, file)
+            elif link.mass:
+                _mend_inertia(draft, link)
+
+
+def _start_inside(draft: Draft, joint: JointDraft) -> None:
+    if joint.limits is None or joint.limits[0] <= joint.position <= joint.limits[1]:
+        return
+    margin = 1e-6 * (joint.limits[1] - joint.limits[0])  # a number on the limit may be rounded past it
+    inside = min(max(joint.position, joint.limits[0] + margin), joint.limits[1] - margin)
+    why = "it starts beyond its limits; here it starts at the nearer one"
+    draft.changed(f"position of joint `{joint.name}`", why, f"{joint.position:.4g} to {inside:.4g}")
+    joint.position = inside
+
+
+def _melt(draft: Draft, body: BodyDraft) -> None:
+    """Join links without a mass to their neighbours at fixed joints."""
+    for link in list(body.links.values()):
+        if link.mass or link.density is not None:
+            continue
+        carrier = body.carrier(link.name)
+        if carrier is not None and carrier.type == "fixed":
+            _join(body, body.links[carrier.parent], link, carrier)
+            what = "its shapes are" if link.parts else "its frame is"
+            why = f"it weighs nothing and is fixed: {what} part of the link that carries it"
+            draft.changed(f"link `{link.name}`", why, f"`{carrier.parent}` {_at(carrier.X_PC)}")
+            continue
+        below = [j for j in body.joints if j.parent == link.name and j.type == "fixed" and body.links[j.child].mass]
+        if below and not link.parts:
+            _absorb(draft, body, link, below[0])
+
+
+def _join(body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraft) -> None:
+    """Make a child without a mass a part of its parent."""
+    for part in child.parts:
+        part.X_LG = joint.X_PC @ part.X_LG
+        part.name = child.name if len(child.parts) == 1 else f"{child.name}_{part.name}"
+        part.friction = child.friction if part.friction is None else part.friction
+        part.restitution = child.restitution if part.restitution is None else part.restitution
+    parent.parts += child.parts
+    body.joints.remove(joint)
+    del body.links[child.name]
+    _reparent(body, child.name, parent.name, joint.X_PC)
+
+
+def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
+    """Give a frame without a mass or shape what is fixed to it, so that the frame stays where it is."""
+    child, X_PC = body.links[joint.child], joint.X_PC
+    frame.parts = child.parts
+    for part in frame.parts:
+        part.X_LG = X_PC @ part.X_LG
+    frame.mass, frame.friction, frame.restitution = child.mass, child.friction, child.restitution
+    frame.com = None if child.com is None else X_PC.apply(child.com)
+    frame.inertia = None if child.inertia is None else X_PC.rotation @ child.inertia @ X_PC.rotation.T
+    body.joints.remove(joint)
+    rename = {child.name: frame.name}
+    body.no_contact = [(rename.get(a, a), rename.get(b, b)) for a, b in body.no_contact]
+    del body.links[child.name]
+    _reparent(body, child.name, frame.name, X_PC)
+    why = "it is one with the link that carries it, which weighs nothing by itself"
+    draft.changed(f"link `{child.name}`", why, f"`{frame.name}`")
+    if frame.name.lower() in WORLD:
+        body.fixed = True
+
+
+def _reparent(body: BodyDraft, old: str, new: str, X_NO: Pose) -> None:
+    for joint in body.joints:
+        if joint.parent == old:
+            joint.parent, joint.X_PC = new, X_NO @ joint.X_PC
+
+
+def _at(X_PC: Pose) -> str:
+    x, y, z = (f"{v:.4g}" for v in X_PC.p + 0.0)
+    return f"at ({x}, {y}, {z})"
+
+
+def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
+    """A mass for a link that states none."""
+    root = link.name == body.root
+    if root and (link.mass == 0 or link.name.lower() in WORLD):
+        body.fixed = True
+    link.mass, link.com, link.inertia = None, None, None
+    if any(part.use != "visual" for part in link.parts):
+        link.density, link.assumed = USUAL_DENSITY, "import"
+        if root and body.fixed:
+            return
+        why = f"none is given; {USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it"
+        draft.assumed(f"mass of `{link.name}`", why)
+    elif root:
+        link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
+        if not body.fixed:
+            draft.assumed(
+                f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it"
+            )
+    else:
+        message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
+        raise ImportRefusedError(file, message, hint="give it an inertial")
+
+
+def _mend_inertia(draft: Draft, link: LinkDraft) -> None:
+    """An inertia that no body has is replaced by that of the shapes; one that misses by rounding is rounded up."""
+    if link.inertia is None or link.mass is None:
+        if not any(part.use != "visual" for part in link.parts):
+            _as_ball(draft, link, "none is given")
+        return
+    link.inertia = (link.inertia + link.inertia.T) / 2
+    moments = np.linalg.eigvalsh(link.inertia)
+    missing = float(moments[2] - moments[0] - moments[1])
+    shown = ", ".join(f"{m:.3g}" for m in moments)
+    if moments[0] > 0 and missing <= moments[2] * 1e-9:
+        gyration = math.sqrt(float(moments[2]) / link.mass)
+        if gyration <= WIDEST_GYRATION:
+            return
+        reason, detail = "only something many metres wide has it", f"{shown} kg m^2 for {link.mass:.3g} kg"
+    elif moments[0] > 0 and missing <= moments[2] * ROUNDING:
+        link.inertia = link.inertia + missing * (1 + 1e-6) * np.eye(3)
+        why = "rounding took it out of what a body can have; rounded back"
+        draft.changed(f"inertia of `{link.name}`", why, f"moments {shown} kg m^2, by {missing / moments[2]:.1g}")
+        return
+    else:
+        reason, detail = "no body has such moments", f"{shown} kg m^2"
+    if any(part.use != "visual" for part in link.parts):
+        link.inertia = None
+        draft.changed(f"inertia of `{link.name}`", f"{reason}; computed from its shapes", detail)
+    else:
+        _as_ball(draft, link, reason, detail)
+
+
+def _as_ball(draft: Draft, link: LinkDraft, reason: str, detail: str = "") -> None:
+    assert link.mass is not None
+    link.com = np.zeros(3) if link.com is None else link.com
+    link.inertia = ball(link.mass)
+    draft.assumed(f"inertia of `{link.name}`", f"{reason}; that of a ball of water stands for it", detail)
+
+
+def ball(mass: float) -> Array:
+    """Inertia [kg m^2] of a ball of water of a mass [kg]."""
+    radius = (3 * mass / (4 * math.pi * 1000.0)) ** (1 / 3)
+    return np.diag([0.4 * mass * radius**2] * 3)

@@ -1,0 +1,39 @@
+"""Names of other formats as names of the language: lower-case letters, digits and `_`, each once."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+LONGEST = 64
+
+
+def plain_name(text: str, otherwise: str = "thing") -> str:
+    """A name of the language that is as close as can be to a text."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
+    ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
+    name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
+    if not name:
+        return otherwise
+    return (name if name[0].isalpha() else f"{otherwise}_{name}")[:LONGEST].rstrip("_")
+
+
+class Names:
+    """Gives each thing of one kind a name of its own; ``renamed`` says which names had to change."""
+
+    def __init__(self, otherwise: str = "thing") -> None:
+        self.otherwise = otherwise
+        self.taken: set[str] = set()
+        self.renamed: dict[str, str] = {}
+
+    def name(self, text: str) -> str:
+        """A name for a thing called ``text``, unlike all that were given before."""
+        plain = plain_name(text, self.otherwise)
+        name, count = plain, 1
+        while name in self.taken:
+            count += 1
+            name = f"{plain[: LONGEST - 5]}_{count}"
+        self.taken.add(name)
+        if name != text:
+            self.renamed[text] = name
+        return name

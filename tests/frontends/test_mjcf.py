@@ -1,0 +1,131 @@
+"""MJCF in: what MuJoCo says of the original, it says of what we compile from the import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from simfoundry.frontends.convert import Options, import_file
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Box, JointType
+from tests.frontends.conftest import Importing
+
+MODEL = """<mujoco model="arm">
+  <default><default class="heavy"><geom density="3000"/>
+    <default class="rough"><geom friction="1.3"/></default></default></default>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <camera name="eye" pos="1 0 1" xyaxes="0 1 0 -0.7071 0 0.7071" fovy="50" resolution="320 240"/>
+    <body name="upper" pos="0.1 0.2 0.3" euler="10 20 30">
+      <joint name="shoulder" type="hinge" axis="1 2 2" pos="0.05 0 -0.1" range="-40 60" ref="15" damping="0.3"
+        armature="0.02"/>
+      <geom class="rough" type="box" size="0.1 0.05 0.2" euler="5 0 40"/>
+      <body name="Lower Arm" pos="0 0 0.3" euler="0 45 0">
+        <joint name="slide" type="slide" axis="0 0 1" range="-0.1 0.2" frictionloss="0.4"/>
+        <geom class="heavy" type="capsule" fromto="0 0 0 0.1 0.1 0.2" size="0.03"/>
+        <geom type="sphere" size="0.1" contype="0" conaffinity="0" mass="0"/>
+      </body>
+    </body>
+    <body name="ball" pos="1 1 1"><freejoint/><geom type="sphere" size="0.1" mass="0.7"/></body>
+  </worldbody>
+  <tendon><fixed name="rope"><joint joint="slide" coef="1"/></fixed></tendon>
+  <keyframe><key qpos="0.4 0.05 1 2 3 0.5 0.5 0.5 0.5"/></keyframe>
+</mujoco>"""
+
+
+def test_every_body_stands_and_weighs_as_in_mujoco(importing: Importing) -> None:
+    _, scene = importing("arm.xml", MODEL)
+    model = mujoco.MjModel.from_xml_string(MODEL)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    arm = scene.object("upper")
+    poses = link_poses(arm)
+    for body, name in (("upper", "upper"), ("Lower Arm", "lower_arm")):
+        link = next(k for k in arm.links if k.name == name)
+        X = arm.X_WO @ poses[name]
+        number = model.body(body).id
+        assert link.mass == pytest.approx(model.body_mass[number], rel=1e-8)
+        assert X.apply(link.com) == pytest.approx(data.xipos[number], abs=1e-8)
+        R = data.ximat[number].reshape(3, 3)
+        inertia = R @ np.diag(model.body_inertia[number]) @ R.T
+        assert X.rotation @ link.inertia @ X.rotation.T == pytest.approx(inertia, rel=1e-6, abs=1e-9)
+    assert scene.object("ball").X_WO.p == pytest.approx([1, 2, 3])
+    assert arm.fixed and not scene.object("ball").fixed
+
+
+def test_joints_keep_their_coordinates(importing: Importing) -> None:
+    _, scene = importing("arm.xml", MODEL)
+    shoulder, slide = scene.object("upper").joints
+    assert (shoulder.type, slide.type) == (JointType.REVOLUTE, JointType.PRISMATIC)
+    assert shoulder.limits == pytest.approx(np.radians([-40, 60]))
+    assert slide.limits == pytest.approx((-0.1, 0.2))
+    assert (shoulder.position, slide.position) == pytest.approx((0.4, 0.05))
+    assert (shoulder.damping, shoulder.armature, slide.friction) == pytest.approx((0.3, 0.02, 0.4))
+
+
+def test_defaults_of_nested_classes_are_mujocos(importing: Importing) -> None:
+    _, scene = importing("arm.xml", MODEL)
+    upper = scene.object("upper").links[1]
+    assert upper.mass == pytest.approx(3000 * 0.2 * 0.1 * 0.4)
+    assert upper.colliders[0].friction == 1.3
+    lower = scene.object("upper").links[2]
+    assert len(lower.colliders) == 1 and len(lower.visuals) == 2
+
+
+def test_planes_cameras_and_what_is_left_out(importing: Importing) -> None:
+    report, scene = importing("arm.xml", MODEL)
+    floor = scene.object("floor")
+    geometry = floor.links[0].colliders[0].geometry
+    assert floor.fixed and isinstance(geometry, Box)
+    assert floor.X_WO.p[2] + geometry.size[2] / 2 == pytest.approx(0)
+    (camera,) = scene.cameras
+    assert (camera.width, camera.height) == (320, 240)
+    assert camera.fy == pytest.approx(120 / np.tan(np.radians(25)))
+    assert camera.X_WC.rotation @ [0, 0, 1] == pytest.approx([-0.7071, 0, -0.7071], abs=1e-4)
+    assert camera.X_WC.rotation @ [1, 0, 0] == pytest.approx([0, 1, 0], abs=1e-4)
+    assert ("dropped", "tendon `rope`") in {(str(n.kind), n.what) for n in report.notes}
+
+
+def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="b"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+      <joint name="h" axis="0 1 0" pos="0 0 0.2" range="-90 90"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0 0 0.5"/></body></worldbody>
+      <keyframe><key qpos="0.3 0.7"/></keyframe></mujoco>"""
+    _, scene = importing("b.xml", text)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    (thing,) = scene.objects
+    link = thing.links[-1]
+    X = thing.X_WO @ link_poses(thing)[link.name]
+    assert X.apply(link.com) == pytest.approx(data.xipos[1], abs=1e-8)
+    assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "MuJoCo refuses it: .*mass and inertia"),
+        ('<mujoco><include file="../../../etc/hostname"/></mujoco>', "a.xml:1: `../../../etc/hostname`"),
+        ('<mujoco><asset><mesh name="m" file="../../secret.stl"/></asset></mujoco>', "lies outside"),
+        ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "`none.stl` does not exist"),
+        ('<mujoco><extension><plugin plugin="x"/></extension></mujoco>', "asks for a plugin"),
+        ('<!DOCTYPE r [<!ENTITY a "aa">]><mujoco/>', "defines the entity"),
+        ("<mujoco/>", "it has no body and no geom"),
+        ("<other/>", "its root is `<other>`"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:
+    source = tmp_path / "one/two/a.xml"
+    source.parent.mkdir(parents=True)
+    (tmp_path / "secret.stl").write_text("solid a\nendsolid a\n")
+    source.write_text(text)
+    with pytest.raises(ImportRefusedError, match=reason):
+        import_file(source, tmp_path / "one/two/a.scene.yaml", Options())
+    assert [p.name for p in source.parent.iterdir()] == ["a.xml"]

@@ -1,0 +1,192 @@
+"""URDF in: frames, masses, limits, shapes; and what a file may not do."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simfoundry.frontends.convert import Options, import_file
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Box, Cylinder, JointType, Mesh
+from tests.frontends.conftest import Importing
+
+INERTIAL = '<inertial><mass value="2"/><inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial>'
+BOX = '<collision><geometry><box size="0.1 0.2 0.3"/></geometry></collision>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
+def _robot(*parts: str) -> str:
+    return f'<robot name="Thing">{"".join(parts)}</robot>'
+
+
+def _link(name: str, inside: str = INERTIAL + BOX) -> str:
+    return f'<link name="{name}">{inside}</link>'
+
+
+def _joint(kind: str, inside: str, name: str = "j", parent: str = "a", child: str = "b") -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inside}</joint>'
+
+
+def test_inertia_is_turned_into_the_axes_of_the_link(importing: Importing) -> None:
+    inertial = """<inertial><origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 0.6"/><mass value="1.5"/>
+        <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="-0.002" iyz="0.003"/></inertial>"""
+    _, scene = importing("a.urdf", _robot(_link("a", inertial + BOX)))
+    (link,) = scene.objects[0].links
+    tensor = np.array([[0.02, 0.001, -0.002], [0.001, 0.03, 0.003], [-0.002, 0.003, 0.04]])
+    R = Pose.of(q=quat_from_rpy(0.4, -0.5, 0.6)).rotation
+    assert link.mass == 1.5
+    assert link.com == pytest.approx([0.1, -0.2, 0.3])
+    assert link.inertia == pytest.approx(R @ tensor @ R.T, rel=1e-8)
+
+
+def test_a_joint_keeps_pose_axis_limits_and_dynamics(importing: Importing) -> None:
+    inside = """<origin xyz="0.3 0.1 -0.2" rpy="0.7 0.2 -1.1"/><axis xyz="1 2 -2"/>
+        <dynamics damping="0.4" friction="0.2"/>
+        <limit lower="-0.5" upper="1.25" effort="3" velocity="1"/>"""
+    report, scene = importing("a.urdf", _robot(_link("a"), _link("b"), _joint("revolute", inside)))
+    (joint,) = scene.objects[0].joints
+    expected = Pose.of([0.3, 0.1, -0.2], quat_from_rpy(0.7, 0.2, -1.1))
+    assert joint.type is JointType.REVOLUTE
+    assert joint.X_PC.p == pytest.approx(expected.p)
+    assert joint.X_PC.angle_to(expected) < 1e-8
+    assert joint.axis == pytest.approx([1 / 3, 2 / 3, -2 / 3])
+    assert joint.limits == pytest.approx((-0.5, 1.25))
+    assert (joint.damping, joint.friction) == (0.4, 0.2)
+    assert {n.what for n in report.notes} == {"effort limit of a joint", "velocity limit of a joint"}
+
+
+def test_what_is_seen_and_what_touches_stay_apart(importing: Importing) -> None:
+    visual = '<visual><origin xyz="0 0 1"/><geometry><cylinder radius="0.2" length="0.5"/></geometry></visual>'
+    _, scene = importing("a.urdf", _robot(_link("a", INERTIAL + visual + BOX)))
+    (link,) = scene.objects[0].links
+    assert [v.geometry for v in link.visuals] == [Cylinder(0.2, 0.5)]
+    assert link.visuals[0].X_LG.p == pytest.approx([0, 0, 1])
+    (collider,) = link.colliders
+    assert isinstance(collider.geometry, Box) and collider.geometry.size == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_what_is_seen_and_touches_alike_is_one_part(importing: Importing, tmp_path: Path) -> None:
+    both = BOX + BOX.replace("collision", "visual")
+    importing("a.urdf", _robot(_link("a", INERTIAL + both)))
+    text = (tmp_path / "out/thing_files/thing.asset.yaml").read_text()
+    assert "use:" not in text and text.count("shape:") == 1
+
+
+@pytest.mark.parametrize(("scale", "size"), [("0.1 0.1 0.1", (0.1, 0.2, 0.3)), ("0.1 -0.2 0.05", (0.1, 0.4, 0.15))])
+def test_meshes_are_scaled_and_mirrored(
+    importing: Importing, tmp_path: Path, scale: str, size: tuple[float, ...]
+) -> None:
+    (tmp_path / "source").mkdir()
+    (tmp_path / "source" / "t.obj").write_text(TETRAHEDRON)
+    mesh = f'<collision><geometry><mesh filename="t.obj" scale="{scale}"/></geometry></collision>'
+    _, scene = importing("a.urdf", _robot(_link("a", INERTIAL + mesh)))
+    (collider,) = scene.objects[0].links[0].colliders
+    assert isinstance(collider.geometry, Mesh)
+    vertices, faces = collider.geometry.vertices, collider.geometry.faces
+    assert np.ptp(vertices, axis=0) == pytest.approx(size)
+    assert (vertices[:, 1].min() < -0.3) == ("-" in scale)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(np.prod(size) / 6)
+
+
+def test_a_frame_without_mass_becomes_part_of_what_carries_it(importing: Importing) -> None:
+    tip = _link("tip", BOX.replace("collision", "visual"))
+    text = _robot(
+        _link("a"), tip, _link("b"),
+        _joint("fixed", '<origin xyz="0 0 1" rpy="0 0 1.2"/>', "m", "a", "tip"),
+        _joint("continuous", '<origin xyz="0.5 0 0"/>', "j", "tip", "b"),
+    )  # fmt: skip
+    report, scene = importing("a.urdf", text)
+    (thing,) = scene.objects
+    assert [link.name for link in thing.links] == ["a", "b"]
+    assert link_poses(thing)["b"].p == pytest.approx([0.5 * math.cos(1.2), 0.5 * math.sin(1.2), 1])
+    assert len(thing.links[0].visuals) == 1
+    assert [n.what for n in report.notes] == ["link `tip`"]
+
+
+def test_the_world_link_fixes_the_thing(importing: Importing) -> None:
+    text = _robot('<link name="world"/>', _link("a"), _joint("fixed", '<origin xyz="0 0 0.5"/>', "m", "world", "a"))
+    _, scene = importing("a.urdf", text)
+    assert scene.objects[0].fixed
+    assert scene.objects[0].links[0].com == pytest.approx([0, 0, 0.5])
+
+
+def test_an_inertia_that_no_body_has_is_that_of_the_shapes(importing: Importing) -> None:
+    wrong = INERTIAL.replace('izz="0.04"', 'izz="0"').replace("<mass", '<origin xyz="0.01 0 0"/><mass')
+    report, scene = importing("a.urdf", _robot(_link("a", wrong + BOX)))
+    (link,) = scene.objects[0].links
+    assert link.com == pytest.approx([0.01, 0, 0])
+    assert np.diag(link.inertia) == pytest.approx(2 / 12 * np.array([0.13, 0.10, 0.05]))
+    assert [(str(n.kind), n.what) for n in report.notes] == [("changed", "inertia of `a`")]
+
+
+def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
+    mesh = '<collision><geometry><mesh filename="package://bot/m/t.obj"/></geometry></collision>'
+    source = tmp_path / "bot/urdf/a.urdf"
+    source.parent.mkdir(parents=True)
+    source.write_text(_robot(_link("a", INERTIAL + mesh)))
+    out = tmp_path / "out/a.asset.yaml"
+    with pytest.raises(ImportRefusedError, match=r"a\.urdf:1: .*--package bot=PATH"):
+        import_file(source, out)
+    assert (not out.exists() and not out.parent.exists()) or not list(out.parent.iterdir())
+    for place in ("bot/m", "elsewhere/m"):
+        (tmp_path / place).mkdir(parents=True)
+    (tmp_path / "elsewhere/m/t.obj").write_text(TETRAHEDRON)
+    assert import_file(source, out, Options({"bot": tmp_path / "elsewhere"})).meshes == 1
+    (tmp_path / "bot/m/t.obj").write_text(TETRAHEDRON)
+    assert import_file(source, out, Options(force=True)).meshes == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<robot name='a'>", r"a\.urdf:1: it is not XML"),
+        ("<sdf/>", r"a\.urdf:1: its root is `<sdf>`"),
+        ('<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "defines the entity `a`"),
+        (_robot(), "it has no link"),
+        (_robot(_link("a"), _link("a")), "a second link is called `a`"),
+        (_robot(_link("a"), _link("b")), "it has 2 roots: `a`, `b`"),
+        (_robot(_link("a"), _joint("fixed", "")), "names the link `b`, which does not exist"),
+        (
+            _robot(_link("a"), _link("b"), _joint("fixed", "", "i"), _joint("fixed", "", "k", "b", "a")),
+            "no link is the root",
+        ),
+        (_robot(_link("a", INERTIAL.replace('"2"', '"nan"'))), "`value` of `<mass>` is `nan`, not a number"),
+        (_robot(_link("a", INERTIAL.replace('"2"', '"-2"'))), "link `a` has the mass -2 kg"),
+        (_robot(_link("a", BOX.replace("0.1 0.2", "0.1 -0.2"))), "has a negative size"),
+        (_robot(_link("a", BOX.replace("0.1 0.2", "0.1"))), "`size` of `<box>` is `0.1 0.3`, not 3 numbers"),
+        (_robot(_link("a"), _link("b"), _joint("bendy", "")), "`bendy`, which URDF does not know"),
+        (_robot(_link("a"), '<link name="b"/>', _joint("continuous", "")), "moves and has neither a mass nor a shape"),
+        (
+            _robot(
+                _link("a", '<visual><geometry><mesh filename="package://../../../../etc/passwd"/></geometry></visual>')
+            ),
+            "is not found",
+        ),
+        (
+            _robot(_link("a", '<visual><geometry><mesh filename="../../secret.obj"/></geometry></visual>')),
+            "lies outside",
+        ),
+    ],
+)
+def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:
+    source = tmp_path / "one/two/a.urdf"
+    source.parent.mkdir(parents=True)
+    (tmp_path / "secret.obj").write_text(TETRAHEDRON)
+    source.write_text(text)
+    with pytest.raises(ImportRefusedError, match=reason):
+        import_file(source, tmp_path / "one/two/a.scene.yaml")
+    assert [p.name for p in source.parent.iterdir()] == ["a.urdf"]
+
+
+def test_the_same_file_gives_the_same_bytes(importing: Importing, tmp_path: Path) -> None:
+    text = _robot(_link("a"), _link("b"), _joint("continuous", '<origin rpy="0.1 0.2 0.3"/>'))
+    importing("a.urdf", text)
+    first = {p.name: p.read_bytes() for p in sorted((tmp_path / "out").rglob("*.yaml"))}
+    importing("a.urdf", text)
+    assert {p.name: p.read_bytes() for p in sorted((tmp_path / "out").rglob("*.yaml"))} == first
