@@ -21,7 +21,12 @@ def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
     carried_by |= {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
     objects = {o.name: _object(o, spec, carried_by.get(o.name)) for o in scene.objects}
     cameras = {c.name: {"size": [c.width, c.height]} for c in scene.cameras}
-    return {"name": scene.name, "objects": objects, "cameras": cameras, "relations": [str(r) for r in scene.relations]}
+    mounts = {m.camera.name: spec.cameras[m.camera.name].mount for m in scene.mounted}
+    cameras |= {m.camera.name: {"size": [m.camera.width, m.camera.height]} for m in scene.mounted}
+    robots = {r.name: {"kind": r.kind, "models": [form.value for form in r.models]} for r in scene.robots}
+    facts = {"name": scene.name, "objects": objects, "cameras": cameras, "mounts": mounts, "robots": robots}
+    left_out = {part.path: part.reason for part in scene.left_out}
+    return facts | {"left_out": left_out, "relations": [str(r) for r in scene.relations]}
 
 
 def tree(facts: dict[str, Any]) -> str:
@@ -50,8 +55,12 @@ def tree(facts: dict[str, Any]) -> str:
     roots = _roots(objects, children)
     for k, name in enumerate(roots):
         branch(name, "", k == len(roots) - 1)
+    for name, robot in facts["robots"].items():
+        lines.append(f"robot {name}  {robot['kind']}  {', '.join(robot['models'])}")
     for name, camera in facts["cameras"].items():
-        lines.append(f"camera {name}  {camera['size'][0]} x {camera['size'][1]}")
+        carried = f"  on {facts['mounts'][name]}" if name in facts["mounts"] else ""
+        lines.append(f"camera {name}  {camera['size'][0]} x {camera['size'][1]}{carried}")
+    lines.extend(f"without {path}: {reason}" for path, reason in facts["left_out"].items())
     return "\n".join(lines)
 
 

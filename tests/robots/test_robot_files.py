@@ -110,6 +110,21 @@ def test_a_scene_compiles_without_the_models_of_its_robots(path: Path) -> None:
         assert len(carried) == len(robots)
 
 
+def test_show_tells_robots_what_they_carry_and_what_is_left_out(
+    own_models: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    droid = str(REPOSITORY / "specs" / "scenes" / "droid.scene.yaml")
+    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    shown = run("show", droid).out.splitlines()
+    assert "robot arm  franka_robotiq  mjcf" in shown
+    assert "camera wrist  1280 x 720  on arm.hand" in shown
+    assert not any(line.startswith("without") for line in shown)
+    monkeypatch.delenv(OWN_MODELS)
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    shown = run("show", droid).out.splitlines()
+    assert "without robots.arm: no model found: install its models with `pip install robot_descriptions`" in shown
+
+
 @pytest.mark.usefixtures("without_models")
 def test_strict_compiles_want_the_models(tmp_path: Path) -> None:
     scene = str(WITH_ROBOTS[0])

@@ -41,8 +41,11 @@ def main() -> None:
     prims = list(stage.Traverse())
     bodies = sum(prim.HasAPI(UsdPhysics.RigidBodyAPI) for prim in prims)
     joints = sum(prim.IsA(UsdPhysics.Joint) for prim in prims)
-    objects = sum(str(prim.GetParent().GetPath()) == "/World/Objects" for prim in prims)
-    print(f"{SCENE.name}: {objects} objects, {bodies} rigid bodies, {joints} joints")
+    objects, robots = (
+        sum(str(prim.GetParent().GetPath()) == f"/World/{group}" for prim in prims) for group in ("Objects", "Robots")
+    )
+    counted = f"{objects} objects" + (f", {robots} robots" if robots else "")
+    print(f"{SCENE.name}: {counted}, {bodies} rigid bodies, {joints} joints")
 
 
 if __name__ == "__main__":
