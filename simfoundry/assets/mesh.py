@@ -39,10 +39,10 @@ class MeshPart:
     rgba: tuple[float, float, float, float] | None = None
 
 
-def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
+def read_mesh(path: Path, scale: float = 1.0, largest: float = LARGEST) -> tuple[MeshPart, ...]:
     """The geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
 
-    Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
+    Raises :class:`MeshError` for files that hold no usable triangles, or that are not plausibly large: up to ``largest`` [m].
     """
     import trimesh
 
@@ -59,7 +59,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles whose corners do not exist", "export it again")
     parts = tuple(_part(m, scale, path.suffix.lower() in (".glb", ".gltf")) for m in meshes)
-    _check_size(path.name, np.concatenate([p.vertices for p in parts]), scale)
+    _check_size(path.name, np.concatenate([p.vertices for p in parts]), scale, largest)
     return parts
 
 
@@ -110,16 +110,16 @@ def _png(image: Any) -> bytes:
     return stream.getvalue()
 
 
-def _check_size(name: str, vertices: Array, scale: float) -> None:
+def _check_size(name: str, vertices: Array, scale: float, largest: float) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
     size = float(np.ptp(vertices, axis=0).max())
     shown = f"{name} is {size:.4g} m across"
-    if size > LARGEST:
+    if size > largest:
         millimetres = SMALLEST < size / 1000 < LARGEST
         hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
-        raise MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
+        raise MeshError("SF303", f"{shown}, more than {largest:g} m", hint)
     if size < SMALLEST:
         raise MeshError("SF303", f"{shown}, less than a millimetre", "set `scale`, the metres of one unit of the mesh")
 

@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.splat import Gaussians
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 
 
@@ -156,6 +157,9 @@ class SceneObject:
 
     ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other
     has a free root. Links are in topological order: a parent comes before its children.
+
+    ``labels`` are what it is to a vision system; where there are none, its category. ``variant`` is which of its
+    variants it is, empty where it has none; ``variants`` are all the others, whole objects of the same name.
     """
 
     name: str
@@ -164,6 +168,14 @@ class SceneObject:
     X_WO: Pose
     links: tuple[Link, ...]
     joints: tuple[Joint, ...] = ()
+    labels: tuple[str, ...] = ()
+    variant: str = ""
+    variants: tuple[SceneObject, ...] = ()
+
+    @property
+    def semantics(self) -> tuple[str, ...]:
+        """Its labels, or its category where it has none."""
+        return self.labels or ((self.category,) if self.category else ())
 
     @property
     def root(self) -> Link:
@@ -211,6 +223,15 @@ class Light:
     X_WL: Pose
 
 
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What is seen around the scene and touches nothing, in a frame ``X_WB``: visuals posed in it, or a splat."""
+
+    X_WB: Pose
+    visuals: tuple[Visual, ...] = ()
+    splat: Gaussians | None = None
+
+
 @dataclass(frozen=True)
 class Relation:
     """A relation that the spec states, as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
@@ -244,6 +265,7 @@ class Scene:
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
     left_out: tuple[LeftOut, ...] = ()
+    background: Background | None = None
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""
