@@ -42,7 +42,7 @@ class MeshPart:
 def read_mesh(path: Path, scale: float = 1.0, largest: float = LARGEST) -> tuple[MeshPart, ...]:
     """The geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
 
-    Raises :class:`MeshError` for files that hold no usable triangles, or that are not plausibly large: up to ``largest`` [m].
+    Raises :class:`MeshError` for files that hold no usable triangles or are not plausibly large, up to ``largest`` [m].
     """
     import trimesh
 
