@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.mesh import MeshError, read_mesh
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
 from simfoundry.scene.bodies import GREY
 from simfoundry.scene.frames import Pose
@@ -16,9 +17,6 @@ from simfoundry.scene.model import Background, Mesh, Visual
 from simfoundry.spec import scene as spec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
-
-LARGEST = 1000.0
-"""The largest extent of a mesh around a scene [m]: a hall, or the street before the window."""
 
 
 def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:
@@ -35,7 +33,7 @@ def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Ba
 
 def _visuals(path: Path, scale: float) -> Iterator[Visual]:
     """The pieces of a mesh file as they are seen: a texture shows as it is, what has no colour is grey."""
-    pieces = read_mesh(path, scale, LARGEST)
+    pieces = read_parts(path, scale)
     for k, piece in enumerate(pieces):
         faces = np.array(piece.faces, dtype=np.int32)
         faces.setflags(write=False)

@@ -39,7 +39,7 @@ FileName = Annotated[str, Reference()]
 class Model(BaseModel):
     """A part of a document: immutable, strict, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
