@@ -15,14 +15,63 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
+from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
-from simfoundry.backends.urdf import Dialect, Parts, joint_losses, placement, urdf_files, whole
+from simfoundry.backends.surroundings import splat_losses, variant_losses
+from simfoundry.backends.urdf import (
+    Dialect,
+    Parts,
+    background_urdf,
+    joint_losses,
+    meaning,
+    placement,
+    urdf_files,
+    whole,
+)
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Camera, Collider, Geometry, JointType, Link, Mesh, Scene, SceneObject
+from simfoundry.scene.model import (
+    Camera,
+    Collider,
+    Geometry,
+    JointType,
+    Light,
+    LightType,
+    Link,
+    Mesh,
+    Scene,
+    SceneObject,
+)
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
+
+BACKGROUND = "_background.urdf"
+"""The file of what is seen around the scene; no object is called so."""
+
+_DOME = "PyBullet adds its mean, without its colour, to what everything reflects alike"
+_SUN = {
+    LightType.DISTANT: "PyBullet's surfaces answer to a light in its own way: brightness differs, shadows are soft",
+    LightType.POINT: "PyBullet shines parallel rays from where it is to the origin, and they do not spread",
+}
+
+FEATURES: dict[str, Cell] = {
+    **exact("gravity", "relations", "cameras", "background_mesh"),
+    "distant_lights": approximated("one light a picture: the first; its brightness differs"),
+    "point_lights": approximated("one light a picture: the first, as parallel rays"),
+    "dome_lights": approximated("their mean, without colour, lights everything alike"),
+    "background_splat": dropped("PyBullet shows surfaces only"),
+    **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
+    "variants": dropped("a world holds one of them"),
+    **exact("box", "sphere", "cylinder", "capsule"),
+    "convex_mesh": approximated("its skin rounds edges by 1 mm"),
+    "friction": approximated("up to 9 % less between its two axes"),
+    "restitution": approximated("a rebound differs by up to 0.15"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("joint_damping", "joint_friction"),
+    "armature": dropped("URDF has no rotor inertia"),
+}
+"""What PyBullet keeps of each feature."""
 
 NEAR, FAR = 0.01, 100.0
 """Clipping distances of the cameras [m]."""
@@ -42,7 +91,12 @@ def compile_pybullet(scene: Scene) -> Artifact:
         "timestep": TIMESTEP,
         "objects": {item.name: _object(item) for item in scene.objects},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
+        "lighting": _lighting(scene.lights),
+        "relations": [str(relation) for relation in scene.relations],
     }
+    if scene.background is not None and scene.background.visuals:
+        files |= background_urdf(scene.background, files)
+        world["background"] = BACKGROUND
     files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
     files["load.py"] = _LOADER.read_bytes()
     return Artifact("pybullet", "load.py", files, tuple(_losses(scene)))
@@ -90,7 +144,7 @@ def _object(item: SceneObject) -> dict[str, object]:
     friction = {joint.name: _number(joint.friction) for joint in item.joints if joint.type is not JointType.FIXED}
     damping = {joint.name: _number(joint.damping) for joint in item.joints if joint.type is not JointType.FIXED}
     rest = {"links": links, "joint_friction": friction, "joint_damping": damping}
-    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item) | rest
+    return {"urdf": f"{item.name}.urdf"} | meaning(item) | placement(item) | rest
 
 
 def _camera(camera: Camera) -> dict[str, object]:
@@ -103,6 +157,25 @@ def _camera(camera: Camera) -> dict[str, object]:
         "view": _numbers(view.T),
         "projection": _numbers(projection_matrix(camera).T),
     }
+
+
+def _lighting(lights: tuple[Light, ...]) -> dict[str, object]:
+    """Arguments of ``getCameraImage``: the first light with a place or direction, and the sum of the domes; or none."""
+    if not lights:
+        return {}
+    dome = sum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
+    lighting: dict[str, object] = {"lightAmbientCoeff": _number(dome), "lightSpecularCoeff": 0.0}
+    sun = _shining(lights)
+    if sun is None:
+        return lighting | {"lightDiffuseCoeff": 0.0}
+    towards = sun.X_WL.rotation[:, 2] if sun.type is LightType.DISTANT else sun.X_WL.p
+    color = {"lightDirection": _numbers(towards), "lightColor": _numbers(sun.rgb)}
+    return lighting | color | {"lightDiffuseCoeff": _number(sun.intensity)}
+
+
+def _shining(lights: tuple[Light, ...]) -> Light | None:
+    """The light of a picture: the first that is no dome."""
+    return next((light for light in lights if light.type is not LightType.DOME), None)
 
 
 def projection_matrix(camera: Camera) -> Array:
@@ -141,9 +214,16 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
+    sun = _shining(scene.lights)
     for light in scene.lights:
-        reason = "a PyBullet world holds no lights: each picture brings its own"
-        yield Loss(light.name, Fidelity.DROPPED, reason)
+        if light.type is LightType.DOME:
+            yield Loss(light.name, Fidelity.APPROXIMATED, _DOME)
+        elif light is sun:
+            yield Loss(light.name, Fidelity.APPROXIMATED, _SUN[light.type])
+        else:
+            yield Loss(light.name, Fidelity.DROPPED, "a picture of PyBullet has one light, and this is another")
+    yield from splat_losses(scene, "PyBullet")
+    yield from variant_losses(scene, "PyBullet")
 
 
 def _colliders(scene: Scene) -> Iterator[Collider]:

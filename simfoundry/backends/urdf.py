@@ -1,5 +1,7 @@
 """URDF: one file an object, and ``poses.json`` for what URDF has no place for: the poses and joint positions.
 
+``physics.json`` holds the rest that simulators know and URDF does not; ``load_drake.py`` and ``load_sapien.py`` use it.
+
 A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
 them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
 Link, joint and collider names are the scene's own; the robot's name is the object's.
@@ -9,15 +11,19 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
+from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
+from simfoundry.backends.surroundings import splat_losses, variant_losses
+from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
+    Background,
     Box,
     Capsule,
     Cylinder,
@@ -33,11 +39,32 @@ from simfoundry.scene.model import (
     principal_inertia,
 )
 
+FEATURES: dict[str, Cell] = {
+    "gravity": dropped("URDF describes objects, not a world"),
+    "relations": dropped("URDF describes objects, not a world"),
+    "cameras": dropped("URDF has none"),
+    "distant_lights": dropped("URDF has no lights"),
+    "point_lights": dropped("URDF has no lights"),
+    "dome_lights": dropped("URDF has no lights"),
+    "background_mesh": dropped("URDF describes objects, not a world"),
+    "background_splat": dropped("URDF describes objects, not a world"),
+    **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
+    "variants": dropped("a file holds one of them"),
+    **exact("box", "sphere", "cylinder", "capsule", "convex_mesh"),
+    "friction": dropped("URDF has no contact friction"),
+    "restitution": dropped("URDF has no restitution"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("joint_damping", "joint_friction"),
+    "armature": dropped("URDF has no rotor inertia"),
+}
+"""What URDF and the ``poses.json`` beside it keep of each feature."""
+
 Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
-_LOADER = Path(__file__).parent / "templates" / "urdf_load.py"
+_TEMPLATES = Path(__file__).parent / "templates"
+_LOADERS = {"load.py": "urdf_load.py", "load_drake.py": "drake_load.py", "load_sapien.py": "sapien_load.py"}
 
 
 @dataclass(frozen=True)
@@ -61,7 +88,8 @@ def compile_urdf(scene: Scene) -> Artifact:
     files = urdf_files(scene, Dialect(shown=capsule_parts, felt=capsule_parts))
     poses = {item.name: _manifest(item) for item in scene.objects}
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
-    files["load.py"] = _LOADER.read_bytes()
+    files["physics.json"] = physics_manifest(scene, capsule_parts)
+    files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
 
 
@@ -76,6 +104,21 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
             _add_joint(root, joint)
         ET.indent(root)
         files[f"{item.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+    return files
+
+
+def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
+    """A URDF of one link, in the frame of the world, that is seen and touches nothing; and assets not ``known`` yet."""
+    files = dict(known)
+    root = ET.Element("robot", name="background")
+    element = ET.SubElement(root, "link", name="background")
+    for visual in background.visuals:
+        shown = ET.SubElement(element, "visual", name=visual.name)
+        _add_origin(shown, background.X_WB @ visual.X_LG)
+        _add_geometry(shown, visual.geometry, files)
+        _add_material(shown, visual)
+    ET.indent(root)
+    files["_background.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
     return files
 
 
@@ -193,25 +236,37 @@ def _rounded(value: float) -> float:
 
 
 def _manifest(item: SceneObject) -> dict[str, object]:
-    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item)
+    return {"urdf": f"{item.name}.urdf"} | meaning(item) | placement(item)
+
+
+def meaning(item: SceneObject) -> dict[str, object]:
+    """What an object is: its category, and its labels where it has some."""
+    return {"category": item.category} | ({"labels": list(item.labels)} if item.labels else {})
 
 
 def _losses(scene: Scene) -> Iterator[Loss]:
-    def dropped(path: str, reason: str) -> Loss:
+    def lost(path: str, reason: str) -> Loss:
         return Loss(path, Fidelity.DROPPED, reason)
 
-    yield dropped("gravity", "URDF describes objects, not a world: the simulator sets gravity")
+    yield lost("gravity", "URDF describes objects, not a world: the simulator sets gravity")
     for item in scene.objects:
         colliders = [collider for link in item.links for collider in link.colliders]
         if colliders:
-            yield dropped(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
+            yield lost(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
         if any(collider.restitution > 0 for collider in colliders):
-            yield dropped(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
+            yield lost(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
         yield from joint_losses(item)
     for camera in scene.cameras:
-        yield dropped(camera.name, "URDF has no cameras")
+        yield lost(camera.name, "URDF has no cameras")
     for light in scene.lights:
-        yield dropped(light.name, "URDF has no lights")
+        yield lost(light.name, "URDF has no lights")
+    if scene.background is not None and scene.background.visuals:
+        reason = "URDF describes objects, not what is around them"
+        yield Loss("background", Fidelity.DROPPED, reason, "background_mesh")
+    yield from splat_losses(scene, "URDF")
+    yield from variant_losses(scene, "URDF")
+    if scene.relations:
+        yield lost("relations", "URDF describes objects, not what holds among them")
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:

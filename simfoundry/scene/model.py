@@ -223,13 +223,17 @@ class Light:
     X_WL: Pose
 
 
+Splat = Gaussians
+"""3D Gaussians that are seen and nothing else."""
+
+
 @dataclass(frozen=True, eq=False)
 class Background:
     """What is seen around the scene and touches nothing, in a frame ``X_WB``: visuals posed in it, or a splat."""
 
     X_WB: Pose
     visuals: tuple[Visual, ...] = ()
-    splat: Gaussians | None = None
+    splat: Splat | None = None
 
 
 @dataclass(frozen=True)

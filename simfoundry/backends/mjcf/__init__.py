@@ -2,7 +2,8 @@
 
 Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
 ``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), what a camera sees
-``object:visual``. Visuals are in group 2 and touch nothing, colliders in group 3, which cameras leave out.
+``object:visual``, and what is around it all ``:background:visual``. Visuals are in group 2 and touch nothing, colliders
+in group 3, which cameras leave out.
 
 Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
 colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links of one object do not collide with each
@@ -15,11 +16,12 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, number, numbers
-from simfoundry.backends.mjcf.bodies import add_object
+from simfoundry.backends.mjcf.bodies import add_background, add_object
 from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
+from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -38,6 +40,8 @@ def compile_mjcf(scene: Scene) -> Artifact:
     add_lights(world, scene.lights)
     for camera in scene.cameras:
         add_camera(world, camera)
+    if scene.background is not None:
+        add_background(world, scene.background, assets)
     qpos: list[float] = []
     for item in scene.objects:
         qpos.extend(add_object(world, item, assets))
@@ -48,7 +52,8 @@ def compile_mjcf(scene: Scene) -> Artifact:
     ET.indent(root)
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene)))
+    losses = (*restitution_losses(scene), *light_losses(scene), *variant_losses(scene, "MJCF"))
+    return Artifact("mjcf", "scene.xml", files, (*losses, *splat_losses(scene, "MuJoCo")))
 
 
 def _add_settings(root: ET.Element, scene: Scene) -> None:
@@ -90,5 +95,7 @@ def _add_texts(root: ET.Element, scene: Scene) -> None:
     for item in scene.objects:
         if item.category:
             ET.SubElement(custom, "text", name=f"{item.name}.category", data=item.category)
+        if item.labels:
+            ET.SubElement(custom, "text", name=f"{item.name}.labels", data=" ".join(item.labels))
     if scene.relations:
         ET.SubElement(custom, "text", name="relations", data="; ".join(str(r) for r in scene.relations))

@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 
+VARIANTS = "variant"
+"""The variant set of an object."""
+
+DEFAULT = "default"
+"""The variant that is the object as its document writes it."""
+
+
 @dataclass(frozen=True)
 class Scopes:
     """Where things go in the stage: objects, and the materials they share."""
@@ -35,13 +42,31 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     """Define ``item`` at its pose in the world, its links side by side below it at their joint positions.
 
     An articulation's root is the root link where it is free; where it is fixed, PhysX wants the root on a prim above
-    the link and the joint that holds it, else it falls back to joints in maximal coordinates.
+    the link and the joint that holds it, else it falls back to joints in maximal coordinates. Where it has variants,
+    each holds all of it, in the variant set ``variant``. Labels are of the taxonomy ``class``, which Isaac Sim reads.
     """
+    prim = define(scopes.objects, item.name, "Xform")
+    prim.SetInfo("kind", "component")
+    if not item.variants:
+        _fill_object(scopes, prim, item)
+        return
+    from pxr import Sdf
+
+    every = sorted((item, *item.variants), key=lambda one: one.variant != DEFAULT)
+    prim.variantSetNameList.prependedItems = [VARIANTS]
+    prim.variantSelections[VARIANTS] = item.variant
+    choices = Sdf.VariantSetSpec(prim, VARIANTS)
+    for one in every:
+        _fill_object(scopes, Sdf.VariantSpec(choices, one.variant).primSpec, one)
+
+
+def _fill_object(scopes: Scopes, prim: Sdf.PrimSpec, item: SceneObject) -> None:
+    """What an object, or one variant of it, consists of."""
     from pxr import Vt
 
-    prim = define(scopes.objects, item.name, "Xform", ["SemanticsLabelsAPI:category"])
-    prim.SetInfo("kind", "component")
+    apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
     attribute(prim, "semantics:labels:category", "token[]", Vt.TokenArray([item.category]))
+    attribute(prim, "semantics:labels:class", "token[]", Vt.TokenArray(item.semantics))
     place(prim, item.X_WO)
     X_OL = link_poses(item)
     links = {}

@@ -9,6 +9,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import check_names
+from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
@@ -26,9 +27,9 @@ def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
-    ``Objects/<object>/Joints/<joint>``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
-    start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there twice, is an
-    :class:`~simfoundry.backends.names.InvalidSceneError`.
+    ``Objects/<object>/Joints/<joint>``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The
+    stage's own prims start with a capital, the scene's names do not, so the two never meet. A name that is none, or is
+    there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
 
@@ -59,6 +60,8 @@ def _define_world(layer: Sdf.Layer, scene: Scene) -> None:
     scopes = Scopes(objects, define(world, "Looks", "Scope"), define(world, "Contacts", "Scope"))
     for item in scene.objects:
         define_object(scopes, item)
+    if scene.background is not None:
+        define_background(world, scopes.looks, scene.background)
     cameras = define(world, "Cameras", "Xform")
     for camera in scene.cameras:
         define_camera(cameras, camera)
@@ -80,12 +83,16 @@ def _assets(scene: Scene) -> dict[str, bytes]:
     """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
     meshes: dict[str, Mesh] = {}
     contents: dict[str, bytes] = {}
-    for link in (link for item in scene.objects for link in item.links):
-        for geometry in [v.geometry for v in link.visuals] + [c.geometry for c in link.colliders]:
-            if isinstance(geometry, Mesh):
-                meshes.setdefault(mesh_path(geometry), geometry)
-        for texture in map(texture_of, link.visuals):
-            if texture is not None:
-                contents[texture_path(texture)] = texture
+    links = [link for each in scene.objects for item in (each, *each.variants) for link in item.links]
+    around = scene.background
+    visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())
+    for geometry in [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]:
+        if isinstance(geometry, Mesh):
+            meshes.setdefault(mesh_path(geometry), geometry)
+    for texture in map(texture_of, visuals):
+        if texture is not None:
+            contents[texture_path(texture)] = texture
+    if around is not None and around.splat is not None:
+        contents[SPLAT] = splat_layer(around.splat)
     contents |= {path: mesh_layer(mesh) for path, mesh in meshes.items()}
     return dict(sorted(contents.items()))
