@@ -21,6 +21,9 @@ def _postpone(name: str) -> None:
         spec.loader = importlib.util.LazyLoader(spec.loader)
         sys.modules[name] = module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
+        package, _, own = name.rpartition(".")
+        if package:
+            setattr(importlib.import_module(package), own, module)
 
 
 # Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
