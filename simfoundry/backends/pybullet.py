@@ -82,13 +82,13 @@ SKIN = 1e-3
 _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 
 
-def compile_pybullet(scene: Scene) -> Artifact:
-    """Compile a scene for PyBullet. Raises :class:`InvalidSceneError` for unusable names."""
+def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
+    """Compile a scene for PyBullet that steps by ``timestep`` [s]. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
     files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin()))
     world = {
         "gravity": _numbers(scene.gravity),
-        "timestep": TIMESTEP,
+        "timestep": timestep,
         "objects": {item.name: _object(item) for item in scene.objects},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
         "lighting": _lighting(scene.lights),

@@ -18,6 +18,7 @@ from pathlib import Path
 from simfoundry.backends.artifact import Artifact, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
 from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
+from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
@@ -30,11 +31,18 @@ TIMESTEP = 1 / 500
 _LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
 
 
-def compile_mjcf(scene: Scene) -> Artifact:
-    """Compile a scene to MJCF. Raises :class:`InvalidSceneError` for unusable names."""
+def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0) -> Artifact:
+    """Compile a scene to MJCF that steps by ``timestep`` [s].
+
+    With ``cylinder_sides`` of three or more, cylinders collide as prisms of so many sides, for readers that collide no
+    cylinders. Raises :class:`InvalidSceneError` for unusable names.
+    """
     check_names(scene)
+    sides = int(cylinder_sides)
+    rounded = tuple(prism_losses(scene, sides)) if sides >= 3 else ()
+    scene = with_prisms(scene, sides) if sides >= 3 else scene
     root = ET.Element("mujoco", model=scene.name)
-    _add_settings(root, scene)
+    _add_settings(root, scene, timestep)
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
@@ -53,10 +61,10 @@ def compile_mjcf(scene: Scene) -> Artifact:
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
     losses = (*restitution_losses(scene), *light_losses(scene), *variant_losses(scene, "MJCF"))
-    return Artifact("mjcf", "scene.xml", files, (*losses, *splat_losses(scene, "MuJoCo")))
+    return Artifact("mjcf", "scene.xml", files, (*losses, *splat_losses(scene, "MuJoCo"), *rounded))
 
 
-def _add_settings(root: ET.Element, scene: Scene) -> None:
+def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     """How to read the file, how to step, and what the geoms have in common."""
     compiler = {
         "angle": "radian",
@@ -72,7 +80,7 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     }
     ET.SubElement(root, "compiler", compiler)
     # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
-    option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
+    option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
     ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
     visual = ET.SubElement(root, "visual")
     if scene.cameras:  # the off-screen buffer must hold the largest picture
