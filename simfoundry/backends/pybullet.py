@@ -83,7 +83,7 @@ _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
-    """Compile a scene for PyBullet that steps by ``timestep`` [s]. Raises :class:`InvalidSceneError` for unusable names."""
+    """Compile a scene for PyBullet that steps by ``timestep`` [s]; InvalidSceneError for unusable names."""
     check_names(scene)
     files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin()))
     world = {

@@ -1,4 +1,4 @@
-"""Load this world into MJX: ``load()`` returns a model and data on JAX's device; ``python load.py`` says what they hold.
+"""Load this world into MJX: ``load()`` returns a model and data on JAX's device; ``python load.py`` says what is there.
 
     model, data = load()
     step = jax.jit(mjx.step)
