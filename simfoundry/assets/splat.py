@@ -55,7 +55,7 @@ def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
         raise MeshError("SF301", f"{path.name} has {len(raw)} Gaussians; 1 to {MAX_GAUSSIANS} are read", EXPORT)
     rotations = _columns(raw, _ROTATION)
     lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
-    turned = lengths > 0
+    turned = lengths != 0
     with np.errstate(over="ignore"):
         found = Gaussians(
             positions=_single(_columns(raw, _XYZ) * scale),
