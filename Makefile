@@ -40,7 +40,7 @@ format: $(READY) ## Format the code and mend what can be mended by itself
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-schemas: $(READY) ## Write schemas/ and the pages of docs/ that are generated from the code
+schemas: $(READY) ## Write schemas/ and the generated pages of docs/
 	$(BIN)/python -m simfoundry.spec.generated
 	$(BIN)/python -m simfoundry.targets.generated
 

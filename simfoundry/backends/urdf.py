@@ -112,6 +112,9 @@ def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[
     files = dict(known)
     root = ET.Element("robot", name="background")
     element = ET.SubElement(root, "link", name="background")
+    inertial = ET.SubElement(element, "inertial")  # without one readers invent a mass, and say so on every load
+    ET.SubElement(inertial, "mass", value="0")
+    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
     for visual in background.visuals:
         shown = ET.SubElement(element, "visual", name=visual.name)
         _add_origin(shown, background.X_WB @ visual.X_LG)

@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -190,3 +191,14 @@ def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     expected = {p.relative_to(folder()).as_posix() for p in folder().rglob("*") if p.suffix in (".yaml", ".py")}
     assert {f"simfoundry/targets/profiles/{name}" for name in expected} <= names
+
+
+def test_the_profile_of_the_page_holds(tmp_path: Path) -> None:
+    shown = re.search(
+        r"^```yaml\n(# targets/.*?)^```", (ROOT / "docs/add-a-target.md").read_text(), re.DOTALL | re.MULTILINE
+    )
+    assert shown is not None
+    target = read_profile(profile(tmp_path, shown[1]))
+    losses = {loss.path: loss.reason for loss in compile_target(full_scene(), target).losses}
+    assert "gravity" not in losses and losses["restitution"] == "it has soft contacts (never)"
+    assert losses["friction"].startswith("my_sim takes the average of a pair")
