@@ -108,7 +108,7 @@ def test_a_wrong_call_gives_2_and_says_why(args: list[str], words: str) -> None:
 def test_a_misspelt_camera_or_target_is_named(scene: Path, tmp_path: Path) -> None:
     assert "did you mean `front`?" in run("render", scene, "-c", "fornt").err
     assert "did you mean `front`?" in run("synthesize", scene, "-c", "fornt", "-o", tmp_path / "c").err
-    assert "'mjcf'" in run("compile", scene, "-t", "mjfc").err
+    assert "did you mean `mjcf`" in run("compile", scene, "-t", "mjfc").err
 
 
 def test_strict_compiling_gives_1_where_something_is_lost(scene: Path, tmp_path: Path) -> None:
