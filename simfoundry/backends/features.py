@@ -88,6 +88,11 @@ def _textured(item: SceneObject) -> bool:
     return any(has_texture(mesh) for mesh in meshes)
 
 
+def _silent(scene: Scene) -> list[str]:
+    pairs = [item.name for item in scene.objects if item.no_contact]
+    return [*pairs, *(["no_contact"] if scene.no_contact else [])]
+
+
 def _always(scene: Scene) -> list[str]:
     return [scene.name]
 
@@ -121,10 +126,19 @@ FEATURES: dict[str, Feature] = {
     "convex_mesh": Feature("body", "convex parts that collide", _colliders(lambda c: isinstance(c.geometry, Mesh))),
     "friction": Feature("body", "friction of a pair (geometric mean)", _colliders(lambda c: True)),
     "restitution": Feature("body", "restitution of a pair (geometric mean)", _colliders(lambda c: True)),
+    "torsional_friction": Feature(
+        "body", "resistance against spinning", _colliders(lambda c: c.torsional_friction > 0)
+    ),
+    "rolling_friction": Feature("body", "resistance against rolling", _colliders(lambda c: c.rolling_friction > 0)),
+    "no_contact": Feature("body", "pairs that pass through each other", _silent),
     "fixed_joint": Feature("joint", "fixed joints", _joints(lambda j: j.type is JointType.FIXED)),
     "revolute": Feature("joint", "revolute joints", _joints(lambda j: j.type is JointType.REVOLUTE)),
     "continuous": Feature("joint", "continuous joints", _joints(lambda j: j.type is JointType.CONTINUOUS)),
     "prismatic": Feature("joint", "prismatic joints", _joints(lambda j: j.type is JointType.PRISMATIC)),
+    "ball": Feature("joint", "ball joints", _joints(lambda j: j.type is JointType.BALL)),
+    "free": Feature("joint", "free joints", _joints(lambda j: j.type is JointType.FREE)),
+    "mimic": Feature("joint", "joints that follow others", _joints(lambda j: j.mimic is not None)),
+    "drive": Feature("joint", "motors in joints", _joints(lambda j: j.drive is not None)),
     "joint_position": Feature("joint", "joint positions", _joints(_moving)),
     "joint_limits": Feature(
         "joint", "joint limits", _joints(lambda j: j.limits is not None or j.type is JointType.PRISMATIC)
@@ -141,6 +155,8 @@ _OF_JOINT = {
     "friction": "joint_friction",
     "armature": "armature",
     "position": "joint_position",
+    "mimic": "mimic",
+    "drive": "drive",
 }
 _OF_OBJECT = {"colliders": "convex_mesh"}
 _OF_LIGHT = {
@@ -162,7 +178,7 @@ def feature_of(loss: Loss, scene: Scene) -> str:
     if item is not None and word:
         joint = next((j for j in item.joints if j.name == below[0]), None)
         if joint is not None:
-            return _OF_JOINT.get(word, "" if len(below) > 1 else _type_of(joint))
+            return _OF_JOINT.get(below[1], "") if len(below) > 1 else _type_of(joint)
         return _OF_OBJECT.get(word, word if word in FEATURES else "")
     light = next((light for light in scene.lights if light.name == owner), None)
     if light is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,8 @@ from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
+from simfoundry.backends.resistance import Resistance, resistance
+from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
     Dialect,
@@ -33,15 +35,19 @@ from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import (
     Camera,
     Collider,
+    Drive,
     Geometry,
     JointType,
     Light,
     LightType,
     Link,
     Mesh,
+    Mimic,
     Scene,
     SceneObject,
 )
+from simfoundry.scene.touching import silent_pairs, touching_pairs
+from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
@@ -67,9 +73,14 @@ FEATURES: dict[str, Cell] = {
     "convex_mesh": approximated("its skin rounds edges by 1 mm"),
     "friction": approximated("up to 9 % less between its two axes"),
     "restitution": approximated("a rebound differs by up to 0.15"),
+    "torsional_friction": approximated("mixed with the sliding friction, one number a link"),
+    "rolling_friction": approximated("mixed with the sliding friction, one number a link"),
+    **exact("no_contact"),
     **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
     **exact("joint_damping", "joint_friction"),
     "armature": dropped("URDF has no rotor inertia"),
+    **exact("ball", "free", "mimic"),
+    "drive": Cell(reason="up to the stiffness that its steps can carry"),
 }
 """What PyBullet keeps of each feature."""
 
@@ -85,11 +96,13 @@ _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     """Compile a scene for PyBullet that steps by ``timestep`` [s]; InvalidSceneError for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin()))
-    world = {
+    files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin(), ball="spherical"))
+    resistances = _resistances(scene)
+    parts = [tree for item in scene.objects for tree in trees(item)]
+    world: dict[str, object] = {
         "gravity": _numbers(scene.gravity),
         "timestep": timestep,
-        "objects": {item.name: _object(item) for item in scene.objects},
+        "objects": {tree.name: _object(tree, resistances, timestep) for tree in parts},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
         "lighting": _lighting(scene.lights),
         "relations": [str(relation) for relation in scene.relations],
@@ -97,9 +110,11 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)
         world["background"] = BACKGROUND
+    if between := _silent_between(scene, parts):
+        world["no_contact"] = between
     files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, tuple(_losses(scene)))
+    return Artifact("pybullet", "load.py", files, tuple(_losses(scene, timestep)))
 
 
 def link_friction(link: Link) -> float:
@@ -133,18 +148,72 @@ def _under_skin() -> Parts:
     return parts
 
 
-def _object(item: SceneObject) -> dict[str, object]:
-    links = {
-        link.name: {
-            "lateral_friction": _number(math.sqrt(link_friction(link))),
-            "restitution": _number(math.sqrt(link_restitution(link))),
-        }
-        for link in item.links
+def _resistances(scene: Scene) -> dict[str, Resistance]:
+    """What is written for the links' resistance against spinning and rolling."""
+
+    def of(field: str) -> Resistance:
+        return resistance(
+            scene,
+            lambda link: math.sqrt(link_friction(link)),
+            lambda link: max(getattr(c, field) for c in link.colliders),
+        )
+
+    return {"torsional_friction": of("torsional_friction"), "rolling_friction": of("rolling_friction")}
+
+
+def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) -> dict[str, object]:
+    """One body of Bullet: an object, or a part of one that moves freely; keys that say nothing are left out."""
+    item = tree.owner
+    links = {link.name: _surface(item, link, resistances) for link in tree.links}
+    moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
+    rest: dict[str, object] = {
+        "links": links,
+        "joint_friction": {joint.name: _number(joint.friction) for joint in moving},
+        "joint_damping": {joint.name: _number(joint.damping) for joint in moving},
     }
-    friction = {joint.name: _number(joint.friction) for joint in item.joints if joint.type is not JointType.FIXED}
-    damping = {joint.name: _number(joint.damping) for joint in item.joints if joint.type is not JointType.FIXED}
-    rest = {"links": links, "joint_friction": friction, "joint_damping": damping}
-    return {"urdf": f"{item.name}.urdf"} | meaning(item) | placement(item) | rest
+    names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
+    more: dict[str, object] = {
+        "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
+        "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
+        "drives": {
+            name: _drive(drive) for name, drive in stable_drives(item, timestep, False).items() if name in joints
+        },
+        "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
+    }
+    if more["self_collision"]:
+        more["no_contact"] = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
+    rest |= {key: value for key, value in more.items() if value}
+    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
+
+
+def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:
+    surface = {
+        "lateral_friction": _number(math.sqrt(link_friction(link))),
+        "restitution": _number(math.sqrt(link_restitution(link))),
+    }
+    for key, found in resistances.items():  # Bullet calls the first one spinning friction
+        if value := found.written.get(item.qualified(link.name)):
+            surface[key.replace("torsional", "spinning")] = _number(value)
+    return surface
+
+
+def _mimic(mimic: Mimic) -> dict[str, object]:
+    return {"joint": mimic.joint, "multiplier": _number(mimic.multiplier), "offset": _number(mimic.offset)}
+
+
+def _drive(drive: Drive) -> dict[str, float]:
+    found = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
+    if drive.force_limit is not None:
+        found["force_limit"] = drive.force_limit
+    return {key: _number(value) for key, value in found.items()}
+
+
+def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]]:
+    """Pairs of links of different bodies that do not touch, each link as its body and its own name."""
+    home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
+    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
+    pairs = ((home[a], home[b]) for a, b in (*own, *scene.no_contact))
+    return [[a, b] for a, b in pairs if a[0] != b[0]]
 
 
 def _camera(camera: Camera) -> dict[str, object]:
@@ -200,13 +269,17 @@ def _numbers(values: Array) -> list[float]:
     return [_number(v) for v in np.asarray(values).ravel()]
 
 
-def _losses(scene: Scene) -> Iterator[Loss]:
+def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
     if any(collider.friction > 0 for collider in _colliders(scene)):
         reason = "Bullet's friction depends on the direction: up to 9 % below Coulomb's between its two axes"
         yield Loss("friction", Fidelity.APPROXIMATED, reason)
     if any(collider.restitution > 0 for collider in _colliders(scene)):
         reason = "Bullet acts on an impact at whole steps: a rebound differs from the coefficient by up to 0.15"
         yield Loss("restitution", Fidelity.APPROXIMATED, reason)
+    for key, found in _resistances(scene).items():
+        if found.error > 1e-9:
+            reason = f"Bullet mixes it with the sliding friction, one number a link: some pair is {found.error:.0%} off"
+            yield Loss(key, Fidelity.APPROXIMATED, reason)
     for item in scene.objects:
         for link in item.links:
             yield from _surface_losses(item, link)
@@ -214,6 +287,7 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
+    yield from stiffness_losses(scene, timestep, implicit_damping=False)
     sun = _shining(scene.lights)
     for light in scene.lights:
         if light.type is LightType.DOME:

@@ -1,9 +1,10 @@
-"""``physics.json``: what URDF has no place for and its simulators can hold: gravity, surfaces, joint friction, armature."""
+"""``physics.json``: what URDF has no place for and its simulators can hold, as gravity, surfaces and armature."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from itertools import combinations
 from typing import Protocol
 
 from simfoundry.backends.artifact import number
@@ -34,7 +35,13 @@ def _object(item: SceneObject, split: Split) -> dict[str, object]:
         for joint in item.joints
         if joint.type is not JointType.FIXED
     }
-    return {"links": {link.name: _surfaces(link, split) for link in item.links}, "joints": joints}
+    links = {link.name: _surfaces(link, split) for link in item.links}
+    return {"links": links, "joints": joints, "silent": [list(pair) for pair in _silent_pairs(item)]}
+
+
+def _silent_pairs(item: SceneObject) -> Iterator[tuple[str, str]]:
+    """Pairs of links that do not touch: all of one object, for joints, not contacts, hold a drawer in its cabinet."""
+    return combinations((link.name for link in item.links), 2)
 
 
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:

@@ -6,17 +6,17 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
-from simfoundry.lint.frames import Frame, Vec
+from simfoundry.lint.frames import WORLD, Frame, Vec
 from simfoundry.lint.solids import Solid, posed
 
 FARTHEST = 1e6
 """What lies farther from the origin than this [m], or is larger, is not judged: numbers lose their meaning there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
+class Limb(NamedTuple):
     """A link of a thing: its frame in the thing, and its solids with their poses in it."""
 
     X_OL: Frame
@@ -24,13 +24,13 @@ class Limb:
     touches: bool = True
 
 
-@dataclass(frozen=True)
-class Turn:
-    """A joint at its position, with its limits [m or rad]; a continuous joint has none."""
+class Turn(NamedTuple):
+    """A joint at its position, with its limits [m or rad]; a continuous joint has none, a ball or free one a motion."""
 
     position: float
     limits: tuple[float, float] | None
     child: str
+    motion: Frame = WORLD
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +83,12 @@ class Thing:
             for piece in posed(solid, self.X_WO @ limb.X_OL @ X)
         )
 
-    @property
+    @cached_property
     def sure(self) -> bool:
         """Whether the pieces are all that there is, not bounds of something hollow."""
         return all(solid.sure for limb in self.limbs.values() for solid, _ in limb.solids)
 
-    @property
+    @cached_property
     def solid(self) -> bool:
         """Whether anything of it touches others."""
         return any(limb.touches and limb.solids for limb in self.limbs.values())
@@ -108,7 +108,7 @@ class Thing:
         """The middle of its bounds in the world [m]."""
         return middle(self.low, self.high)
 
-    @property
+    @cached_property
     def usable(self) -> bool:
         """Whether it has a shape of a size that can be reckoned with."""
         return bool(self.hulls) and all(abs(v) < FARTHEST for v in (*self.low, *self.high))
@@ -155,11 +155,11 @@ def extent(pieces: tuple[Piece, ...], n: Vec) -> tuple[float, float]:
 
 def close_pairs(a: tuple[Piece, ...], b: tuple[Piece, ...], gap: float) -> Iterator[tuple[Piece, Piece]]:
     """Pairs of pieces whose bounds are at most ``gap`` apart, or with a negative one overlap by at least that."""
-    low, high = bounds(b)
-    around = Piece((), low=low, high=high)
+    around_a, around_b = (Piece((), low=low, high=high) for low, high in map(bounds, (a, b)))
+    near = [q for q in b if not apart(q, around_a, gap)]
     for p in a:
-        if not apart(p, around, gap):
-            for q in b:
+        if not apart(p, around_b, gap):
+            for q in near:
                 if not apart(p, q, gap):
                     yield p, q
 

@@ -68,12 +68,13 @@ def _object_layer(scene: Scene, item: SceneObject) -> bytes:
     rest = tuple(replace(joint, position=0.0) for joint in item.joints)
     alone = replace(
         scene,
-        objects=(replace(item, X_WO=IDENTITY, joints=rest, variants=()),),
+        objects=(replace(item, X_WO=IDENTITY, joints=rest, variant="", variants=()),),
         cameras=(),
         lights=(),
         relations=(),
         background=None,
         left_out=(),
+        no_contact=(),
     )
     whole = Sdf.Layer.CreateAnonymous(".usda")
     whole.ImportFromString(compile_usd(alone).files["scene.usda"].decode())

@@ -11,6 +11,8 @@ from tests.scenes import checker_png
 SCENE = """\
 simfoundry: scene/1
 name: everything
+materials:
+  rubber: {torsional_friction: 0.002, rolling_friction: 0.001}
 objects:
   desk:
     fixed: true
@@ -23,6 +25,7 @@ objects:
     mass: 0.2
     friction: 0.3
     restitution: 0.4
+    material: rubber
     place: {on: desk, xy: [0.3, 0.1], yaw_deg: 20}
     variants:
       tall: {shape: {cylinder: {radius: 0.03, height: 0.2}}, labels: [vase]}
@@ -38,6 +41,8 @@ objects:
 cameras:
   eye: {size: [64, 48], fx: 60, fy: 61, pose: {xyz: [1, 1, 1], look_at: [0.4, 0, 0]}}
 relations: [OnTop(cup, desk)]
+no_contact:
+  - [cup, cabinet]
 """
 
 CABINET = """\
@@ -48,12 +53,20 @@ links:
   drawer: {mass: 1, parts: {tray: {shape: {box: [0.2, 0.2, 0.1]}, pose: {xyz: [0, 0, 0.1]}}}}
   door: {mass: 1, parts: {panel: {shape: {box: [0.02, 0.2, 0.2]}, pose: {xyz: [0, 0.1, 0.1]}}}}
   knob: {mass: 0.1, parts: {ball: {shape: {sphere: 0.01}}}}
+  head: {mass: 0.2, parts: {ball: {shape: {sphere: 0.02}}}}
+  lid: {mass: 0.2, parts: {plate: {shape: {box: [0.1, 0.1, 0.01]}}}}
+  shelf: {mass: 0.5, parts: {board: {shape: {box: [0.2, 0.1, 0.01]}}}}
   grip: {mass: 0.1, parts: {bar: {shape: {box: [0.01, 0.05, 0.01]}}}}
 joints:
   slide: {type: prismatic, parent: frame, child: drawer, axis: [1, 0, 0], limits: [0, 0.2], damping: 3, friction: 0.5,
-          armature: 0.01}
+          armature: 0.01,
+          drive: {stiffness: 50, damping: 5}}
   hinge: {type: revolute, parent: frame, child: door, limits_deg: [0, 90], damping: 0.1, friction: 0.05}
   turn: {type: continuous, parent: door, child: knob, pose: {xyz: [0.03, 0.1, 0.1]}}
+  nod: {type: ball, parent: frame, child: head, pose: {xyz: [0, 0, 0.4]}}
+  loose: {type: free, parent: frame, child: lid, pose: {xyz: [0, 0, 0.6]}}
+  along: {type: prismatic, parent: frame, child: shelf, pose: {xyz: [0, 0, 0.3]}, axis: [1, 0, 0], limits: [0, 0.4],
+          mimic: {joint: slide, multiplier: 2}}
   weld: {type: fixed, parent: drawer, child: grip, pose: {xyz: [0.12, 0, 0.1]}}
 """
 

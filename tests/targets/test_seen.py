@@ -243,7 +243,7 @@ def test_a_variant_may_be_an_asset_with_joints(tmp_path: Path) -> None:
     path.write_text(text)
     cup = lower_file(path).object("cup")
     chest = next(v for v in cup.variants if v.variant == "chest")
-    assert [j.name for j in chest.joints] == ["slide", "hinge", "turn", "weld"]
+    assert [j.name for j in chest.joints] == ["slide", "hinge", "turn", "nod", "loose", "along", "weld"]
     stage = stage_of(lower_file(path), tmp_path / "usd")
     stage.GetPrimAtPath("/World/Objects/cup").GetVariantSets().SetSelection("variant", "chest")
     assert errors(stage) == []

@@ -6,8 +6,8 @@ Names: a body is its object, or ``object.link`` where it is not the root; a free
 in group 3, which cameras leave out.
 
 Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
-colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links of one object do not collide with each
-other: joints, not contacts, hold a drawer in its cabinet.
+colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links that a joint connects do not touch:
+joints, not contacts, hold a drawer in its cabinet.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
-from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
+from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
+from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.scene.model import Scene
 
@@ -51,17 +53,28 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     if scene.background is not None:
         add_background(world, scene.background, assets)
     qpos: list[float] = []
+    resisting = resists(scene)
     for item in scene.objects:
-        qpos.extend(add_object(world, item, assets))
+        qpos.extend(add_object(world, item, assets, resisting))
     add_contacts(root, scene)
+    add_mimics(root, scene)
+    ctrl = add_drives(root, scene, timestep)
     _add_texts(root, scene)
     keyframe = ET.SubElement(root, "keyframe")
-    ET.SubElement(keyframe, "key", {"name": "initial"} | ({"qpos": numbers(qpos)} if qpos else {}))
+    state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
+    ET.SubElement(keyframe, "key", {"name": "initial"} | state)
     ET.indent(root)
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    losses = (*restitution_losses(scene), *light_losses(scene), *variant_losses(scene, "MJCF"))
-    return Artifact("mjcf", "scene.xml", files, (*losses, *splat_losses(scene, "MuJoCo"), *rounded))
+    losses = (
+        *restitution_losses(scene),
+        *stiffness_losses(scene, timestep, implicit_damping=True),
+        *light_losses(scene),
+        *variant_losses(scene, "MJCF"),
+        *splat_losses(scene, "MuJoCo"),
+        *rounded,
+    )
+    return Artifact("mjcf", "scene.xml", files, losses)
 
 
 def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
@@ -81,7 +94,8 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     ET.SubElement(root, "compiler", compiler)
     # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
     option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
-    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
+    # Resistance against rolling is so small beside it that the tangent has to be stiffer still, or a held ball creeps.
+    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "100" if resists(scene) else "10"})
     visual = ET.SubElement(root, "visual")
     if scene.cameras:  # the off-screen buffer must hold the largest picture
         width, height = max(c.width for c in scene.cameras), max(c.height for c in scene.cameras)

@@ -75,7 +75,7 @@ def convex(urdf: Path, folder: Path) -> Path:
 def load_object(
     plant: MultibodyPlant, scene_graph: SceneGraph, urdf: Path, item: dict[str, Any], physics: dict[str, Any]
 ) -> ModelInstanceIndex:
-    """Load one object in its pose, with its friction and joint positions; its links do not touch each other."""
+    """Load one object in its pose, with its friction, joint positions, and links that do not touch each other."""
     (model,) = Parser(plant).AddModels(str(urdf))
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(model)]
     X_WO = RigidTransform(Quaternion(np.array(item["q_wxyz"]) / np.linalg.norm(item["q_wxyz"])), item["p"])
@@ -83,13 +83,13 @@ def load_object(
         plant.WeldFrames(plant.world_frame(), bodies[0].body_frame(), X_WO)
     else:
         plant.SetDefaultFloatingBaseBodyPose(bodies[0], X_WO)
-    geometries = []
-    for body in bodies:
-        found = plant.GetCollisionGeometriesForBody(body)
-        geometries += found
-        set_friction(plant, scene_graph, found, physics["links"][body.name()])
-    within = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(geometries))
-    scene_graph.collision_filter_manager().Apply(within)
+    geometries = {body.name(): plant.GetCollisionGeometriesForBody(body) for body in bodies}
+    for link, found in geometries.items():
+        set_friction(plant, scene_graph, found, physics["links"][link])
+    silent = CollisionFilterDeclaration()
+    for a, b in physics["silent"]:
+        silent.ExcludeBetween(GeometrySet(geometries[a]), GeometrySet(geometries[b]))
+    scene_graph.collision_filter_manager().Apply(silent)
     for name, position in item["joints"].items():
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])

@@ -3,8 +3,8 @@
     scene, objects = load()
     scene.step()
 
-An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and joint
-friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
+An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and
+joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import sapien
@@ -22,9 +22,9 @@ from sapien import physx
 HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
-"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction: stiff, up to the force of the friction."""
+"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
 
-Loaded = physx.PhysxArticulation | sapien.Entity
+Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
 
 
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
@@ -62,10 +62,8 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
     return folder / urdf.name
 
 
-def load_object(
-    scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int
-) -> Loaded:
-    """Load one object in its pose, with its materials and joint positions; its links do not touch each other."""
+def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
+    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other."""
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
     articulations, actors, _ = loader.parse(str(urdf))
@@ -74,12 +72,13 @@ def load_object(
         actors[0].set_initial_pose(pose)
         name = actors[0].name
         entity = actors[0].build_static(name) if item["fixed"] else actors[0].build(name)
-        set_surfaces(component_of(entity), physics["links"][name], group)
+        set_surfaces(component_of(entity), physics["links"][name], 0, group)
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"])
+    bits = silence({link.name for link in articulation.links}, {frozenset(pair) for pair in physics["silent"]})
     for link in articulation.links:
-        set_surfaces(link, physics["links"][link.name], group)
+        set_surfaces(link, physics["links"][link.name], bits[link.name], group)
     for joint in articulation.active_joints:
         set_joint(joint, physics["joints"][joint.name])
     articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
@@ -91,8 +90,30 @@ def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
     return next(c for c in entity.components if isinstance(c, physx.PhysxRigidBaseComponent))
 
 
-def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], group: int) -> None:
-    """Give each collision shape its material, and the group of its object, within which nothing collides."""
+def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
+    """For each link a mask, such that two share a bit if they do not touch: PhysX has 32 for a scene, we for an object.
+
+    Each bit stands for links of which no two touch, as many as can be found.
+    """
+    masks, left, bit = dict.fromkeys(links, 0), set(silent), 0
+    while left:
+        first = min(left, key=sorted)
+        quiet = sorted(first)
+        quiet += [a for a in sorted(links - first) if all(frozenset((a, b)) in silent for b in quiet)]
+        quiet = [a for k, a in enumerate(quiet) if all(frozenset((a, b)) in silent for b in quiet[:k])]
+        if bit == 32:
+            raise RuntimeError("PhysX cannot tell so many links apart that do not touch each other")
+        for link in quiet:
+            masks[link] |= 1 << bit
+        left -= {frozenset((a, b)) for a in quiet for b in quiet if a != b}
+        bit += 1
+    return masks
+
+
+def set_surfaces(
+    link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], mask: int, group: int
+) -> None:
+    """Give each collision shape its material, and the mask that silences it within the group of its object."""
     if hasattr(link, "angular_damping"):  # PhysX drags by itself
         link.linear_damping = link.angular_damping = 0.0
     shapes = link.collision_shapes
@@ -102,7 +123,7 @@ def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[s
         mu = surface["friction"]
         shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
         first, second, ignored, _ = shape.collision_groups
-        shape.set_collision_groups([first, second, ignored | 1 << 30, group])
+        shape.set_collision_groups([first, second, ignored | mask, group])
 
 
 def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, float]) -> None:

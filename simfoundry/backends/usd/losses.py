@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from simfoundry.backends.artifact import Fidelity, Loss
-from simfoundry.backends.features import Cell, approximated, exact
+from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
-from simfoundry.scene.model import Collider, LightType, Mesh, Scene, SceneObject
+from simfoundry.scene.model import Collider, Joint, JointType, LightType, Mesh, Scene, SceneObject
+from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64  # PhysX's limit of a convex hull
 
@@ -22,9 +23,16 @@ FEATURES: dict[str, Cell] = {
     "convex_mesh": Cell(reason=f"up to {HULL_VERTICES} vertices, PhysX's limit"),
     "friction": approximated("exact under PhysX's combine mode, which others do not know"),
     "restitution": approximated("exact under PhysX's combine mode, which others do not know"),
+    "torsional_friction": dropped("PhysX has no place for it in USD; Newton reads it"),
+    "rolling_friction": dropped("PhysX has no place for it in USD; Newton reads it"),
+    **exact("no_contact"),
     "fixed_joint": Cell(reason="but in objects that cannot move, which are one body"),
     **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
     **exact("joint_damping", "joint_friction", "armature"),
+    "ball": Cell(reason="without damping and friction, which PhysX has not"),
+    **exact("free"),
+    "mimic": Cell(reason="of its own kind: a slide a slide, a hinge a hinge"),
+    **exact("drive"),
 }
 """What USD keeps of each feature."""
 
@@ -48,12 +56,19 @@ def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
                 f"{worst:.3g} (load(own_{name}=True) in load.py gives it the surface's own value)"
             )
             yield Loss(name, Fidelity.APPROXIMATED, reason)
+    for name in ("torsional_friction", "rolling_friction"):
+        if any(getattr(collider, name) for collider in colliders):
+            yield Loss(name, Fidelity.DROPPED, "PhysX has no place for it in USD; Newton reads it")
 
 
 def _object(item: SceneObject) -> Iterator[Loss]:
-    if is_static(item):
-        for joint in item.joints:
-            yield Loss(f"{item.name}.{joint.name}", Fidelity.DROPPED, "a joint in an object that cannot move")
+    for tree in trees(item):
+        for joint in tree.joints:
+            path = f"{item.name}.{joint.name}"
+            if is_static(tree):
+                yield Loss(path, Fidelity.DROPPED, "a joint in an object that cannot move")
+            else:
+                yield from _joint(path, joint, {j.name: j for j in tree.joints})
     for link in item.links:
         for visual in link.visuals:
             if isinstance(visual.geometry, Mesh) and visual.geometry.texture and texture_of(visual) is None:
@@ -61,6 +76,23 @@ def _object(item: SceneObject) -> Iterator[Loss]:
                 yield Loss(f"{item.name}.{link.name}.{visual.name}.texture", Fidelity.DROPPED, reason, "texture")
         for collider in link.colliders:
             yield from _hull(f"{item.name}.{link.name}.{collider.name}", collider)
+
+
+def _joint(path: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[Loss]:
+    if joint.type is JointType.BALL:
+        for field in ("damping", "friction"):
+            if getattr(joint, field):
+                reason = f"PhysX's ball joints have no {field}; Newton reads it"
+                yield Loss(f"{path}.{field}", Fidelity.DROPPED, reason)
+    if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
+        reason = "USD has one damping a joint: what it adds to the drive's counts towards the force limit"
+        yield Loss(f"{path}.damping", Fidelity.APPROXIMATED, reason)
+    if joint.mimic is not None:
+        leader = by_name.get(joint.mimic.joint)
+        slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]
+        if slides[0] != slides[1]:
+            reason = "PhysX and Newton let a joint follow only one of its kind, a slide a slide, a hinge a hinge"
+            yield Loss(f"{path}.mimic", Fidelity.DROPPED, reason)
 
 
 def _hull(path: str, collider: Collider) -> Iterator[Loss]:

@@ -61,7 +61,8 @@ def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
     from pxr import Sdf
 
     paths = [path.StripAllVariantSelections() for path in targets]
-    Sdf.RelationshipSpec(prim, name, custom=False).targetPathList.explicitItems = paths
+    custom = name.startswith("simfoundry:")
+    Sdf.RelationshipSpec(prim, name, custom=custom).targetPathList.explicitItems = paths
 
 
 def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) -> None:

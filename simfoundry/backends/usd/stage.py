@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
-from simfoundry.backends.usd.bodies import Scopes, define_object
+from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
 from simfoundry.backends.usd.lights import define_light
@@ -60,6 +60,7 @@ def _define_world(layer: Sdf.Layer, scene: Scene) -> None:
     scopes = Scopes(objects, define(world, "Looks", "Scope"), define(world, "Contacts", "Scope"))
     for item in scene.objects:
         define_object(scopes, item)
+    filter_pairs(scopes, scene)
     if scene.background is not None:
         define_background(world, scopes.looks, scene.background)
     cameras = define(world, "Cameras", "Xform")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pydantic import ValidationError
 
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
-from simfoundry.spec.checks.joints import check_joints
+from simfoundry.spec.checks.joints import check_joints, check_pair
 from simfoundry.spec.checks.names import SceneNames
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_description, is_document
 from simfoundry.spec.plausible import volume
@@ -47,6 +46,11 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
             file: str | None = getattr(spec.background, key)
             if file is not None:
                 c.file(file, ("background", key), suffixes)
+    seen: set[frozenset[str]] = set()
+    for k, pair in enumerate(spec.no_contact):
+        for i, part in enumerate(pair):
+            names.check_part(c, part, ("no_contact", k, i))
+        check_pair(c, pair, k, seen)
     _relations(c, names, spec)
 
 
@@ -95,7 +99,11 @@ def _asset(c: Checker, item: ObjectSpec, reference: str, path: Path_) -> None:
             message = f"`{field}` has no effect here: the links of `{reference}` have their own"
             c.add("SF107", (*path, field), message, "write it in that document")
     used = c.use(reference, place, ("asset/1",), (ASSET_SUFFIX,))
-    if used is not None and isinstance(used.spec, AssetSpec):
+    if used is None:
+        return
+    from simfoundry.spec.asset import AssetSpec
+
+    if isinstance(used.spec, AssetSpec):
         check_joints(c, used.spec, item.joints, (*path, "joints"))
 
 
