@@ -93,6 +93,10 @@ def _silent(scene: Scene) -> list[str]:
     return [*pairs, *(["no_contact"] if scene.no_contact else [])]
 
 
+def _left_out(start: str) -> Users:
+    return lambda scene: [part.path for part in scene.left_out if part.path.startswith(start)]
+
+
 def _always(scene: Scene) -> list[str]:
     return [scene.name]
 
@@ -100,6 +104,8 @@ def _always(scene: Scene) -> list[str]:
 FEATURES: dict[str, Feature] = {
     "gravity": Feature("scene", "gravity", _always),
     "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
+    "robots": Feature("scene", "robots", _left_out("robots.")),
+    "mounted_cameras": Feature("scene", "cameras on robots and objects", _left_out("cameras.")),
     "cameras": Feature("scene", "cameras: pose and intrinsics", lambda s: [c.name for c in s.cameras]),
     "distant_lights": Feature("scene", "lights of parallel rays", _lights(LightType.DISTANT)),
     "point_lights": Feature("scene", "point lights", _lights(LightType.POINT)),
@@ -173,6 +179,8 @@ def feature_of(loss: Loss, scene: Scene) -> str:
     if loss.path in FEATURES:
         return loss.path
     owner, *below = loss.path.split(".")
+    if any(part.path == loss.path for part in scene.left_out):
+        return {"robots": "robots", "cameras": "mounted_cameras"}.get(owner, "")
     word = below[-1] if below else ""
     item = next((o for o in scene.objects if o.name == owner), None)
     if item is not None and word:

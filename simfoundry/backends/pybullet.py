@@ -62,6 +62,8 @@ _SUN = {
 }
 
 FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
     **exact("gravity", "relations", "cameras", "background_mesh"),
     "distant_lights": approximated("one light a picture: the first; its brightness differs"),
     "point_lights": approximated("one light a picture: the first, as parallel rays"),

@@ -42,6 +42,8 @@ from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
 FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
     "gravity": dropped("URDF describes objects, not a world"),
     "relations": dropped("URDF describes objects, not a world"),
     "cameras": dropped("URDF has none"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -44,9 +45,24 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, forc
     width = max(len(artifact.target) for artifact in artifacts)
     for artifact in artifacts:
         click.echo(f"{artifact.target:<{width}}  {out / artifact.target / artifact.entry}")
+        for line in dropped(losses[artifact.target]["losses"]):
+            click.echo(f"{'':<{width}}  {line}")
     click.echo()
     for line in table(losses):
         click.echo(line)
     if lossy:
         click.echo(f"why, and by how much: {out / LOSSES}")
     return FINDINGS if strict and lossy else DONE
+
+
+def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
+    """A line for each reason for which something is not there at all: ``no robots.arm: robots are ...``."""
+    by_reason: dict[str, list[str]] = {}
+    for loss in losses:
+        if loss["fidelity"] == "dropped":
+            by_reason.setdefault(loss["reason"], []).append(loss["path"])
+    lines = []
+    for reason, paths in by_reason.items():
+        more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+        lines.append(f"no {', '.join(paths[:3])}{more}: {reason}")
+    return lines

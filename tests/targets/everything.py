@@ -38,7 +38,10 @@ objects:
     place: {on: desk, xy: [0.7, -0.1]}
   tile: {asset: tile.obj, solid: hull, mass: 0.1, place: {on: desk, xy: [0.2, -0.2]}}
   cabinet: {asset: cabinet.asset.yaml, fixed: true, joints: {slide: 0.1, hinge: 0.3}, pose: {xyz: [1, 0.8, 0]}}
+robots:
+  arm: {model: franka_robotiq, pose: {xyz: [-0.6, 0, 0]}}
 cameras:
+  wrist: {size: [64, 48], fx: 60, fy: 60, pose: {xyz: [0, 0, 0.1], look_at: [0, 0, 1]}, mount: arm.hand}
   eye: {size: [64, 48], fx: 60, fy: 61, pose: {xyz: [1, 1, 1], look_at: [0.4, 0, 0]}}
 relations: [OnTop(cup, desk)]
 no_contact:

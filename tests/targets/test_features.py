@@ -89,15 +89,18 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
     lines = table(report(scene, [compile_scene(scene, backend) for backend in ("mjcf", "usd")]))
     assert lines[0].split() == ["not", "kept", "mjcf", "usd"]
     assert [line.split()[0] for line in lines[1:-1]] == [
+        "robots",
+        "mounted_cameras",
         "variants",
         "friction",
         "restitution",
         "torsional_friction",
         "rolling_friction",
     ]
-    assert lines[1].split() == ["variants", "-1"]
+    assert lines[1].split() == ["robots", "-1", "-1"]
+    assert lines[3].split() == ["variants", "-1"]
     in_use = sum(1 for f in FEATURES.values() if any(f.users(scene)))
-    assert lines[-1] == f"kept by all: {in_use - 5} of the {in_use} fields in use"
+    assert lines[-1] == f"kept by all: {in_use - 7} of the {in_use} fields in use"
 
 
 def test_the_page_is_what_the_tables_say() -> None:

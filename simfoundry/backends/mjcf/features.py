@@ -5,6 +5,8 @@ from __future__ import annotations
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 
 FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
     **exact("gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
     "dome_lights": approximated("its colour lights everything alike, without shading"),
     "background_splat": dropped("MuJoCo shows surfaces only"),
