@@ -34,13 +34,15 @@ lint: $(READY) ## Check style, types and the import contract; changes nothing
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m simfoundry.spec.generated --check
+	$(BIN)/python -m simfoundry.targets.generated --check
 
 format: $(READY) ## Format the code and mend what can be mended by itself
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-schemas: $(READY) ## Write schemas/, docs/reference.md and docs/findings.md from simfoundry/spec
+schemas: $(READY) ## Write schemas/ and the generated pages of docs/
 	$(BIN)/python -m simfoundry.spec.generated
+	$(BIN)/python -m simfoundry.targets.generated
 
 pictures: $(READY) ## Render the pictures of specs/README.md anew
 	$(BIN)/python specs/render_pictures.py

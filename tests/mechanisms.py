@@ -85,7 +85,7 @@ def pot(fixed: bool = False) -> SceneObject:
 
 
 def chain(
-    count: int = 3, gap: float = 0.0, X_WO: Pose | None = None, **more: tuple[tuple[str, str], ...]
+    count: int = 3, gap: float = 0.0, X_WO: Pose | None = None, no_contact: tuple[tuple[str, str], ...] = ()
 ) -> SceneObject:
     """Boxes of 10 cm in a row, each sliding along x against the one before it, ``gap`` [m] apart."""
     links = tuple(part(f"box_{k}", box(0.1, 0.1, 0.1), IDENTITY, 0.5) for k in range(count))
@@ -94,7 +94,8 @@ def chain(
               unit(1, 0, 0), limits=(-1.0, 1.0))
         for k in range(count - 1)
     )  # fmt: skip
-    return SceneObject("chain", "chain", True, pose(0, 0, 1) if X_WO is None else X_WO, links, joints, **more)
+    X_WO = pose(0, 0, 1) if X_WO is None else X_WO
+    return SceneObject("chain", "chain", True, X_WO, links, joints, no_contact=no_contact)
 
 
 def rough(item: SceneObject, torsional: float = 0.0, rolling: float = 0.0) -> SceneObject:

@@ -21,11 +21,15 @@ class Fidelity(StrEnum):
 
 @dataclass(frozen=True)
 class Loss:
-    """One field that a target cannot hold exactly: which (``cup.restitution``), what became of it, and why."""
+    """One field that a target cannot hold exactly: which (``cup.restitution``), what became of it, and why.
+
+    ``feature`` is the row of the support matrix that it belongs to, where the path does not say it already.
+    """
 
     path: str
     fidelity: Fidelity
     reason: str
+    feature: str = ""
 
 
 @dataclass(frozen=True)

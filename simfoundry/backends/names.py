@@ -21,13 +21,14 @@ def check_names(scene: Scene) -> None:
     _check("the scene", "object" if not scene.robots else "object or robot", both)
     _check("the scene", "camera", (c.name for c in (*scene.cameras, *(m.camera for m in scene.mounted))))
     _check("the scene", "light", (light.name for light in scene.lights))
-    for item in scene.objects:
+    for item in (one for each in scene.objects for one in (each, *each.variants)):
         _check_object(item)
 
 
 def _check_object(item: SceneObject) -> None:
     _check(item.name, "link", (link.name for link in item.links))
     _check(item.name, "joint", (joint.name for joint in item.joints))
+    _check(item.name, "variant", (v.variant for v in (item, *item.variants) if item.variants))
     for link in item.links:
         where = f"{item.name}.{link.name}"
         _check(where, "visual", (visual.name for visual in link.visuals))

@@ -16,12 +16,23 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
+from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
 from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
-from simfoundry.backends.urdf import Dialect, Parts, joint_losses, placement, urdf_files, whole
+from simfoundry.backends.surroundings import splat_losses, variant_losses
+from simfoundry.backends.urdf import (
+    Dialect,
+    Parts,
+    background_urdf,
+    joint_losses,
+    meaning,
+    placement,
+    urdf_files,
+    whole,
+)
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import (
     Camera,
@@ -29,6 +40,8 @@ from simfoundry.scene.model import (
     Drive,
     Geometry,
     JointType,
+    Light,
+    LightType,
     Link,
     Mesh,
     Mimic,
@@ -41,6 +54,40 @@ from simfoundry.scene.trees import Tree, trees
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
+BACKGROUND = "_background.urdf"
+"""The file of what is seen around the scene; no object is called so."""
+
+_DOME = "PyBullet adds its mean, without its colour, to what everything reflects alike"
+_SUN = {
+    LightType.DISTANT: "PyBullet's surfaces answer to a light in its own way: brightness differs, shadows are soft",
+    LightType.POINT: "PyBullet shines parallel rays from where it is to the origin, and they do not spread",
+}
+
+FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
+    **exact("gravity", "relations", "cameras", "background_mesh"),
+    "distant_lights": approximated("one light a picture: the first; its brightness differs"),
+    "point_lights": approximated("one light a picture: the first, as parallel rays"),
+    "dome_lights": approximated("their mean, without colour, lights everything alike"),
+    "background_splat": dropped("PyBullet shows surfaces only"),
+    **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
+    "variants": dropped("a world holds one of them"),
+    **exact("box", "sphere", "cylinder", "capsule"),
+    "convex_mesh": approximated("its skin rounds edges by 1 mm"),
+    "friction": approximated("up to 9 % less between its two axes"),
+    "restitution": approximated("a rebound differs by up to 0.15"),
+    "torsional_friction": approximated("mixed with the sliding friction, one number a link"),
+    "rolling_friction": approximated("mixed with the sliding friction, one number a link"),
+    **exact("no_contact"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("joint_damping", "joint_friction"),
+    "armature": dropped("URDF has no rotor inertia"),
+    **exact("ball", "free", "mimic"),
+    "drive": Cell(reason="up to the stiffness that its steps can carry"),
+}
+"""What PyBullet keeps of each feature."""
+
 NEAR, FAR = 0.01, 100.0
 """Clipping distances of the cameras [m]."""
 
@@ -50,8 +97,8 @@ SKIN = 1e-3
 _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 
 
-def compile_pybullet(scene: Scene) -> Artifact:
-    """Compile a scene for PyBullet. Raises :class:`InvalidSceneError` for unusable names."""
+def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
+    """Compile a scene for PyBullet that steps by ``timestep`` [s]; InvalidSceneError for unusable names."""
     check_names(scene)
     dialect = Dialect(shown=whole, felt=_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
@@ -62,17 +109,22 @@ def compile_pybullet(scene: Scene) -> Artifact:
     parts = [tree for item in scene.objects for tree in trees(item)]
     world: dict[str, object] = {
         "gravity": _numbers(scene.gravity),
-        "timestep": TIMESTEP,
-        "objects": {tree.name: _object(tree, resistances) for tree in parts},
+        "timestep": timestep,
+        "objects": {tree.name: _object(tree, resistances, timestep) for tree in parts},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
+        "lighting": _lighting(scene.lights),
+        "relations": [str(relation) for relation in scene.relations],
     }
     if robots:
         world["robots"] = {name: _robot(robot) for name, robot in robots.items()}
+    if scene.background is not None and scene.background.visuals:
+        files |= background_urdf(scene.background, files)
+        world["background"] = BACKGROUND
     if between := _silent_between(scene, parts):
         world["no_contact"] = between
     files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*_losses(scene), *lost))
+    return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep), *lost))
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
@@ -168,7 +220,7 @@ def _resistances(scene: Scene) -> dict[str, Resistance]:
     return {"torsional_friction": of("torsional_friction"), "rolling_friction": of("rolling_friction")}
 
 
-def _object(tree: Tree, resistances: Mapping[str, Resistance]) -> dict[str, object]:
+def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) -> dict[str, object]:
     """One body of Bullet: an object, or a part of one that moves freely; keys that say nothing are left out."""
     item = tree.owner
     links = {link.name: _surface(item, link, resistances) for link in tree.links}
@@ -183,14 +235,14 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance]) -> dict[str, obje
         "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
         "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
         "drives": {
-            name: _drive(drive) for name, drive in stable_drives(item, TIMESTEP, False).items() if name in joints
+            name: _drive(drive) for name, drive in stable_drives(item, timestep, False).items() if name in joints
         },
         "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
     }
     if more["self_collision"]:
         more["no_contact"] = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
     rest |= {key: value for key, value in more.items() if value}
-    return {"urdf": f"{tree.name}.urdf", "category": item.category} | placement(tree) | rest
+    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
 
 
 def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:
@@ -235,6 +287,25 @@ def _camera(camera: Camera) -> dict[str, object]:
     }
 
 
+def _lighting(lights: tuple[Light, ...]) -> dict[str, object]:
+    """Arguments of ``getCameraImage``: the first light with a place or direction, and the sum of the domes; or none."""
+    if not lights:
+        return {}
+    dome = sum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
+    lighting: dict[str, object] = {"lightAmbientCoeff": _number(dome), "lightSpecularCoeff": 0.0}
+    sun = _shining(lights)
+    if sun is None:
+        return lighting | {"lightDiffuseCoeff": 0.0}
+    towards = sun.X_WL.rotation[:, 2] if sun.type is LightType.DISTANT else sun.X_WL.p
+    color = {"lightDirection": _numbers(towards), "lightColor": _numbers(sun.rgb)}
+    return lighting | color | {"lightDiffuseCoeff": _number(sun.intensity)}
+
+
+def _shining(lights: tuple[Light, ...]) -> Light | None:
+    """The light of a picture: the first that is no dome."""
+    return next((light for light in lights if light.type is not LightType.DOME), None)
+
+
 def projection_matrix(camera: Camera) -> Array:
     """OpenGL's projection of a pinhole camera, shape (4, 4); the middle of the first pixel is (0, 0)."""
     left, right = -(camera.cx + 0.5) / camera.fx, (camera.width - camera.cx - 0.5) / camera.fx
@@ -257,7 +328,7 @@ def _numbers(values: Array) -> list[float]:
     return [_number(v) for v in np.asarray(values).ravel()]
 
 
-def _losses(scene: Scene) -> Iterator[Loss]:
+def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
     if any(collider.friction > 0 for collider in _colliders(scene)):
         reason = "Bullet's friction depends on the direction: up to 9 % below Coulomb's between its two axes"
         yield Loss("friction", Fidelity.APPROXIMATED, reason)
@@ -275,10 +346,17 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
-    yield from stiffness_losses(scene, TIMESTEP, implicit_damping=False)
+    yield from stiffness_losses(scene, timestep, implicit_damping=False)
+    sun = _shining(scene.lights)
     for light in scene.lights:
-        reason = "a PyBullet world holds no lights: each picture brings its own"
-        yield Loss(light.name, Fidelity.DROPPED, reason)
+        if light.type is LightType.DOME:
+            yield Loss(light.name, Fidelity.APPROXIMATED, _DOME)
+        elif light is sun:
+            yield Loss(light.name, Fidelity.APPROXIMATED, _SUN[light.type])
+        else:
+            yield Loss(light.name, Fidelity.DROPPED, "a picture of PyBullet has one light, and this is another")
+    yield from splat_losses(scene, "PyBullet")
+    yield from variant_losses(scene, "PyBullet")
 
 
 def _colliders(scene: Scene) -> Iterator[Collider]:

@@ -11,17 +11,20 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
+from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
+from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
+    Background,
     Box,
     Capsule,
     Cylinder,
@@ -38,6 +41,34 @@ from simfoundry.scene.model import (
 )
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
+
+FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
+    "gravity": dropped("URDF describes objects, not a world"),
+    "relations": dropped("URDF describes objects, not a world"),
+    "cameras": dropped("URDF has none"),
+    "distant_lights": dropped("URDF has no lights"),
+    "point_lights": dropped("URDF has no lights"),
+    "dome_lights": dropped("URDF has no lights"),
+    "background_mesh": dropped("URDF describes objects, not a world"),
+    "background_splat": dropped("URDF describes objects, not a world"),
+    **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
+    "variants": dropped("a file holds one of them"),
+    **exact("box", "sphere", "cylinder", "capsule", "convex_mesh"),
+    "friction": dropped("URDF has no contact friction"),
+    "restitution": dropped("URDF has no restitution"),
+    "torsional_friction": dropped("URDF has no contact friction"),
+    "rolling_friction": dropped("URDF has no contact friction"),
+    "no_contact": dropped("URDF does not say what touches"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("joint_damping", "joint_friction"),
+    "armature": dropped("URDF has no rotor inertia"),
+    "ball": dropped("URDF has none: the link is welded"),
+    **exact("free", "mimic"),
+    "drive": dropped("URDF has no motors"),
+}
+"""What URDF and the ``poses.json`` beside it keep of each feature."""
 
 Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
@@ -105,6 +136,24 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
             _add_joint(root, joint, dialect)
         ET.indent(root)
         files[f"{tree.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+    return files
+
+
+def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
+    """A URDF of one link, in the frame of the world, that is seen and touches nothing; and assets not ``known`` yet."""
+    files = dict(known)
+    root = ET.Element("robot", name="background")
+    element = ET.SubElement(root, "link", name="background")
+    inertial = ET.SubElement(element, "inertial")  # without one readers invent a mass, and say so on every load
+    ET.SubElement(inertial, "mass", value="0")
+    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    for visual in background.visuals:
+        shown = ET.SubElement(element, "visual", name=visual.name)
+        _add_origin(shown, background.X_WB @ visual.X_LG)
+        _add_geometry(shown, visual.geometry, files)
+        _add_material(shown, visual)
+    ET.indent(root)
+    files["_background.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
     return files
 
 
@@ -236,41 +285,53 @@ def _rounded(value: float) -> float:
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
-    return {"urdf": f"{tree.name}.urdf", "category": tree.owner.category} | placement(tree)
+    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree)
+
+
+def meaning(item: SceneObject) -> dict[str, object]:
+    """What an object is: its category, and its labels where it has some."""
+    return {"category": item.category} | ({"labels": list(item.labels)} if item.labels else {})
 
 
 def _losses(scene: Scene) -> Iterator[Loss]:
-    def dropped(path: str, reason: str) -> Loss:
+    def lost(path: str, reason: str) -> Loss:
         return Loss(path, Fidelity.DROPPED, reason)
 
-    yield dropped("gravity", "URDF describes objects, not a world: the simulator sets gravity")
+    yield lost("gravity", "URDF describes objects, not a world: the simulator sets gravity")
     for item in scene.objects:
         colliders = [collider for link in item.links for collider in link.colliders]
         if colliders:
-            yield dropped(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
+            yield lost(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
         if any(collider.restitution > 0 for collider in colliders):
-            yield dropped(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
+            yield lost(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
         for field in ("torsional_friction", "rolling_friction"):
             if any(getattr(collider, field) > 0 for collider in colliders):
-                yield dropped(f"{item.name}.{field}", "URDF has no contact friction: the simulator's default applies")
+                yield lost(f"{item.name}.{field}", "URDF has no contact friction: the simulator's default applies")
         yield from joint_losses(item)
         for joint in item.joints:
             path = f"{item.name}.{joint.name}"
             if joint.type is JointType.BALL:
-                yield dropped(path, "URDF has no ball joints: the link is welded where the scene has it")
+                yield lost(path, "URDF has no ball joints: the link is welded where the scene has it")
             if joint.drive is not None:
-                yield dropped(f"{path}.drive", "URDF has no motors; its force limit stands as the joint's effort")
+                yield lost(f"{path}.drive", "URDF has no motors; its force limit stands as the joint's effort")
         if touching_pairs(item) or item.no_contact:
             reason = "URDF does not say which links touch: the simulator decides whether those of one object do"
-            yield dropped(f"{item.name}.no_contact", reason)
+            yield lost(f"{item.name}.no_contact", reason)
     if scene.no_contact:
-        yield dropped("no_contact", "URDF does not say which objects pass through each other")
+        yield lost("no_contact", "URDF does not say which objects pass through each other")
     for camera in scene.cameras:
-        yield dropped(camera.name, "URDF has no cameras")
+        yield lost(camera.name, "URDF has no cameras")
     for mounted in scene.mounted:
-        yield dropped(mounted.camera.name, "URDF has no cameras")
+        yield lost(mounted.camera.name, "URDF has no cameras")
     for light in scene.lights:
-        yield dropped(light.name, "URDF has no lights")
+        yield lost(light.name, "URDF has no lights")
+    if scene.background is not None and scene.background.visuals:
+        reason = "URDF describes objects, not what is around them"
+        yield Loss("background", Fidelity.DROPPED, reason, "background_mesh")
+    yield from splat_losses(scene, "URDF")
+    yield from variant_losses(scene, "URDF")
+    if scene.relations:
+        yield lost("relations", "URDF describes objects, not what holds among them")
 
 
 def joint_losses(item: SceneObject) -> Iterator[Loss]:

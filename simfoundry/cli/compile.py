@@ -14,7 +14,13 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option("-t", "--target", "targets", type=click.Choice(TARGETS), multiple=True, help="Default: all four.")
+@click.option(
+    "-t",
+    "--target",
+    "targets",
+    multiple=True,
+    help="A backend, a simulator, or your own profile; default: all backends.",
+)
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True)
 @click.option("--strict", is_flag=True, help="Exit with 1 where a target cannot keep everything.")
 @click.option("--force", is_flag=True, help="Replace target folders even where they hold files of your own.")
@@ -24,25 +30,29 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, forc
     """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
-    from simfoundry.worlds.build import build, losses_by_target
+    from simfoundry.targets.report import report, table
+    from simfoundry.worlds.build import LOSSES, build
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
         artifacts = build(lowered, targets or TARGETS, out, force)
-    losses = losses_by_target(artifacts)
+    losses = report(lowered, artifacts)
+    lossy = any(artifact.losses for artifact in artifacts)
     if as_json:
         entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
         print_json({"out": str(out), "targets": entries, "losses": losses})
-    else:
-        for artifact in artifacts:
-            count = len(artifact.losses)
-            lost = f"{count} loss{'es' if count != 1 else ''}" if count else "nothing lost"
-            click.echo(f"{artifact.target:<9} {out / artifact.target / artifact.entry}  ({lost})")
-            for line in dropped(losses[artifact.target]):
-                click.echo(f"{'':<9} {line}")
-        if any(losses.values()):
-            click.echo(f"what each target cannot keep: {out / 'loss.json'}")
-    return FINDINGS if strict and any(losses.values()) else DONE
+        return FINDINGS if strict and lossy else DONE
+    width = max(len(artifact.target) for artifact in artifacts)
+    for artifact in artifacts:
+        click.echo(f"{artifact.target:<{width}}  {out / artifact.target / artifact.entry}")
+        for line in dropped(losses[artifact.target]["losses"]):
+            click.echo(f"{'':<{width}}  {line}")
+    click.echo()
+    for line in table(losses):
+        click.echo(line)
+    if lossy:
+        click.echo(f"why, and by how much: {out / LOSSES}")
+    return FINDINGS if strict and lossy else DONE
 
 
 def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:

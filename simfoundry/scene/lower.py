@@ -16,6 +16,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
+from simfoundry.scene.background import lower_background
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
@@ -47,7 +48,8 @@ from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.positions import Written, position
-from simfoundry.spec.scene import CameraSpec, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.variants import variant_names, variant_of
 
 Progress = Callable[[str, int, int], None]
 
@@ -73,6 +75,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     robots, no_models = _robots(loaded, spec)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
+    around = spec.background
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
@@ -80,9 +83,10 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=(*no_models, *_left_out(spec)),
+        left_out=tuple(no_models),
         robots=robots,
         mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
+        background=None if around is None else lower_background(loaded, around, pose(around.pose)),
         no_contact=no_contact,
     )
 
@@ -105,6 +109,12 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     if not places:
         return tuple(objects)
     solved, errors = place_all({item.name: item for item in objects}, places, viewer(spec))
+    for name, item in solved.items():
+        if item.variants and name in places and not errors:
+            # Each variant stands where it belongs, among all other things as they are.
+            stood = [place_all(solved | {name: v}, {name: places[name]}, viewer(spec)) for v in item.variants]
+            solved[name] = replace(item, variants=tuple(found[name] for found, _ in stood))
+            errors |= {k: e for _, wrong in stood for k, e in wrong.items()}
     if errors:
         raise SpecError(
             loaded.finding("SF210", ("objects", name, "place"), e.message, e.hint) for name, e in errors.items()
@@ -128,12 +138,6 @@ def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[Le
 def _mounted(name: str, spec: CameraSpec, mount: str) -> MountedCamera:
     carrier, _, link = mount.partition(".")
     return MountedCamera(carrier, link, camera(name, spec))
-
-
-def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
-    """What the language can say and the lowered scene cannot hold."""
-    if spec.background is not None:
-        yield LeftOut("background", "backgrounds are not compiled yet")
 
 
 def _relation(text: str) -> Relation:
@@ -171,6 +175,18 @@ class _Lowering:
     findings: list[Diagnostic] = field(default_factory=list)
 
     def object(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
+        """The object as the chosen one of its variants, with the others beside it."""
+        if not item.variants:
+            return self.one(name, item, spec, ("objects", name))
+        every = {}
+        for key in variant_names(item):
+            place = ("objects", name) if key == DEFAULT_VARIANT else ("objects", name, "variants", key)
+            every[key] = self.one(name, variant_of(item, key), spec, place)
+        chosen = every.pop(item.variant or DEFAULT_VARIANT)
+        others = tuple(replace(o, variant=key) for key, o in every.items() if o is not None)
+        return None if chosen is None else replace(chosen, variant=item.variant or DEFAULT_VARIANT, variants=others)
+
+    def one(self, name: str, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...]) -> SceneObject | None:
         before = len(self.findings)
         category = item.category or name
         joints: tuple[Joint, ...] = ()
@@ -182,16 +198,15 @@ class _Lowering:
             links, joints = self.articulated(asset, asset.spec, item)
             silent = asset.spec.no_contact
         else:
-            links = self.rigid(name, item, spec)
+            links = self.rigid(item, spec, place)
         if len(self.findings) > before:
             return None
-        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent)
+        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
 
-    def rigid(self, name: str, item: ObjectSpec, spec: SceneSpec) -> list[Link]:
+    def rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...]) -> list[Link]:
         """The one link of a primitive or of a mesh."""
         before = len(self.findings)
         builder = BodyBuilder("base", item, spec.materials, self.cache)
-        place = ("objects", name)
         with _At(self, self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
                 builder.add_shape("shape", item.shape, Pose.of(), None, show=item.visual is None)

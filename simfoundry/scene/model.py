@@ -14,6 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.splat import Gaussians
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.robot import Robot
 
@@ -201,6 +202,9 @@ class SceneObject:
     ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other
     has a free root. Links are in topological order: a parent comes before its children. ``no_contact`` are pairs of
     links that pass through each other, besides those that joints connect.
+
+    ``labels`` are what it is to a vision system; where there are none, its category. ``variant`` is which of its
+    variants it is, empty where it has none; ``variants`` are all the others, whole objects of the same name.
     """
 
     name: str
@@ -210,6 +214,14 @@ class SceneObject:
     links: tuple[Link, ...]
     joints: tuple[Joint, ...] = ()
     no_contact: tuple[tuple[str, str], ...] = ()
+    labels: tuple[str, ...] = ()
+    variant: str = ""
+    variants: tuple[SceneObject, ...] = ()
+
+    @property
+    def semantics(self) -> tuple[str, ...]:
+        """Its labels, or its category where it has none."""
+        return self.labels or ((self.category,) if self.category else ())
 
     @property
     def root(self) -> Link:
@@ -269,6 +281,19 @@ class Light:
     X_WL: Pose
 
 
+Splat = Gaussians
+"""3D Gaussians that are seen and nothing else."""
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What is seen around the scene and touches nothing, in a frame ``X_WB``: visuals posed in it, or a splat."""
+
+    X_WB: Pose
+    visuals: tuple[Visual, ...] = ()
+    splat: Splat | None = None
+
+
 @dataclass(frozen=True)
 class Relation:
     """A relation that the spec states, as ``OnTop(cup, desk)``; an argument is ``object`` or ``object.joint``."""
@@ -305,6 +330,7 @@ class Scene:
     left_out: tuple[LeftOut, ...] = ()
     robots: tuple[Robot, ...] = ()
     mounted: tuple[MountedCamera, ...] = ()
+    background: Background | None = None
     no_contact: tuple[tuple[str, str], ...] = ()
 
     def object(self, name: str) -> SceneObject:

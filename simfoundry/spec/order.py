@@ -16,6 +16,7 @@ _FIRST = (
     "name",
     "description",
     "category",
+    "labels",
     "fixed",
     "shape",
     "asset",

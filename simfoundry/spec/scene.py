@@ -50,6 +50,36 @@ JointPosition = Annotated[
 Touching = tuple[PartName, PartName]
 
 
+Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
+
+DEFAULT_VARIANT = "default"
+"""The variant of an object that is the object as it is written."""
+
+
+class VariantSpec(Body):
+    """What differs in one variant of an object; all else is as the object has it.
+
+    A new `shape` or `asset` comes without the old one's `scale` and `visual`.
+    """
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    asset: FileName | None = Field(
+        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
+    )
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    visual: FileName | None = Field(None, description="A mesh that is shown in place of the shape.")
+    category: Name | None = Field(None, description="What it is, as `mug`.")
+    labels: Labels = Field((), description="What it is to a vision system; default: the object's.")
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Self:
+        exclusive(self, "shape", "asset")
+        exclusive(self, "mass", "density")
+        if not self.model_fields_set:
+            raise PydanticCustomError("sf107", "a variant says what differs, and this one says nothing")
+        return self
+
+
 class ObjectSpec(Body):
     """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
 
@@ -62,6 +92,9 @@ class ObjectSpec(Body):
         None, description="A mesh that is shown in place of the shape; it has no effect in physics."
     )
     category: Name | None = Field(None, description="What it is, as `mug`; default: its name.")
+    labels: Labels = Field(
+        (), description="What it is to a vision system, the most telling first; default: its category."
+    )
     fixed: bool = Field(False, description="Welded to the world.")
     pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
     place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
@@ -70,6 +103,12 @@ class ObjectSpec(Body):
         description="Joint positions by name: metres, radians, or `{deg: 30}`; of a ball joint its rotation, as "
         "`{rpy_deg: [10, 0, 20]}`, of a free joint a pose; default 0.",
     )
+    variant: Name | None = Field(
+        None, description="Which of its `variants` is compiled; default: `default`, the object as it is written."
+    )
+    variants: dict[Name, VariantSpec] = Field(
+        {}, description="What it could be instead, by name, each with what differs; in USD one variant set holds all."
+    )
     origin: Origin | None = Field(None, description="Where the description comes from.")
 
     @model_validator(mode="after")
@@ -77,6 +116,9 @@ class ObjectSpec(Body):
         exclusive(self, "shape", "asset", needed=True)
         exclusive(self, "mass", "density")
         exclusive(self, "pose", "place")
+        if DEFAULT_VARIANT in self.variants:
+            message = "`default` is the object as it is written, so no variant can be called so"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "variants"})
         if self.asset is None and self.visual is None and self.scale != 1.0:
             raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
         return self

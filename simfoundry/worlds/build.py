@@ -6,28 +6,38 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from simfoundry.backends import BACKENDS, compile_scene
+from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
 from simfoundry.errors import OutputError
 from simfoundry.files import strangers, write_atomically
 from simfoundry.scene.model import Scene
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import find_target
+from simfoundry.targets.report import report
 
 TARGETS = tuple(sorted(BACKENDS))
+"""The targets of a build where nobody says which: the plain backends."""
+
+
+LOSSES = "loss.json"
+"""What became of each field in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
 
 
 def build(scene: Scene, targets: Iterable[str], out: Path, force: bool = False) -> list[Artifact]:
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 
-    Everything is compiled before anything is written; each folder is replaced in one step. Raises
-    :class:`OutputError` where a folder holds files that no build wrote, unless ``force``.
+    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled before anything is
+    written; each folder is replaced in one step. Raises :class:`OutputError` where a folder holds files that no build
+    wrote, unless ``force``.
     """
-    artifacts = [compile_scene(scene, target) for target in dict.fromkeys(targets)]
+    found = [find_target(name) for name in dict.fromkeys(targets)]
+    artifacts = [compile_target(scene, target) for target in {t.name: t for t in found}.values()]
     for artifact in artifacts if not force else ():
         _ensure_ours(out / artifact.target)
     for artifact in artifacts:
         artifact.write(out / artifact.target)
-    report = json.dumps(losses_by_target(artifacts), indent=2, ensure_ascii=False) + "\n"
-    write_atomically(out / "loss.json", report.encode())
+    text = json.dumps(report(scene, artifacts), indent=2, ensure_ascii=False) + "\n"
+    write_atomically(out / LOSSES, text.encode())
     return artifacts
 
 
@@ -44,13 +54,3 @@ def _ensure_ours(folder: Path) -> None:
     if foreign:
         names = ", ".join(foreign[:3])
         raise OutputError(f"{folder} holds files that no build wrote ({names}); choose another folder, or say --force")
-
-
-def losses_by_target(artifacts: Iterable[Artifact]) -> dict[str, list[dict[str, str]]]:
-    """Per target, every field that is approximated or dropped, with the reason: what ``loss.json`` holds."""
-    return {
-        artifact.target: [
-            {"path": loss.path, "fidelity": loss.fidelity.value, "reason": loss.reason} for loss in artifact.losses
-        ]
-        for artifact in artifacts
-    }

@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
 from simfoundry.errors import OutputError
 from simfoundry.scene.model import Scene
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import Target
+from simfoundry.targets.report import report
 from simfoundry.worlds import build as module
-from simfoundry.worlds.build import TARGETS, build, losses_by_target
+from simfoundry.worlds.build import TARGETS, build
 from tests.scenes import full_scene
 
 
@@ -31,8 +33,8 @@ def test_every_target_has_its_folder_with_a_manifest_that_is_true(tmp_path: Path
         assert manifest["files"] == {k: hashlib.sha256(v).hexdigest() for k, v in files.items()}
         assert manifest["entry"] in files
     losses = json.loads((tmp_path / "loss.json").read_text())
-    assert {t: len(v) for t, v in losses.items()} == {a.target: len(a.losses) for a in artifacts}
-    assert json.loads((tmp_path / "loss.json").read_bytes()) == losses_by_target(artifacts)
+    assert {t: len(v["losses"]) for t, v in losses.items()} == {a.target: len(a.losses) for a in artifacts}
+    assert json.loads((tmp_path / "loss.json").read_bytes()) == report(full_scene(), artifacts)
 
 
 def test_building_again_gives_the_same_and_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -46,12 +48,12 @@ def test_a_target_that_fails_writes_nothing(tmp_path: Path, monkeypatch: pytest.
     build(full_scene(), ["mjcf"], tmp_path)
     before = content(tmp_path)
 
-    def failing(scene: Scene, target: str) -> Artifact:
-        if target == "usd":
+    def failing(scene: Scene, target: Target) -> Artifact:
+        if target.name == "usd":
             raise RuntimeError("no")
-        return compile_scene(scene, target)
+        return compile_target(scene, target)
 
-    monkeypatch.setattr(module, "compile_scene", failing)
+    monkeypatch.setattr(module, "compile_target", failing)
     with pytest.raises(RuntimeError):
         build(full_scene(), ["mjcf", "urdf", "usd"], tmp_path)
     assert content(tmp_path) == before

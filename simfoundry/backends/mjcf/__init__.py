@@ -2,7 +2,8 @@
 
 Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
 ``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), what a camera sees
-``object:visual``. Visuals are in group 2 and touch nothing, colliders in group 3, which cameras leave out.
+``object:visual``, and what is around it all ``:background:visual``. Visuals are in group 2 and touch nothing, colliders
+in group 3, which cameras leave out.
 
 Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
 colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links that a joint connects do not touch:
@@ -18,14 +19,16 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
-from simfoundry.backends.mjcf.bodies import add_object
+from simfoundry.backends.mjcf.bodies import add_background, add_object
 from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
+from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
 from simfoundry.backends.stiffness import stiffness_losses
+from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -34,23 +37,32 @@ TIMESTEP = 1 / 500
 _LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
 
 
-def compile_mjcf(scene: Scene) -> Artifact:
-    """Compile a scene to MJCF. Raises :class:`InvalidSceneError` for unusable names."""
+def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0) -> Artifact:
+    """Compile a scene to MJCF that steps by ``timestep`` [s].
+
+    With ``cylinder_sides`` of three or more, cylinders collide as prisms of so many sides, for readers that collide no
+    cylinders. Raises :class:`InvalidSceneError` for unusable names.
+    """
     check_names(scene)
+    sides = int(cylinder_sides)
+    rounded = tuple(prism_losses(scene, sides)) if sides >= 3 else ()
+    scene = with_prisms(scene, sides) if sides >= 3 else scene
     root = ET.Element("mujoco", model=scene.name)
-    _add_settings(root, scene)
+    _add_settings(root, scene, timestep)
     assets = Assets(ET.SubElement(root, "asset"))
     world = ET.SubElement(root, "worldbody")
     add_lights(world, scene.lights)
     for camera in scene.cameras:
         add_camera(world, camera)
+    if scene.background is not None:
+        add_background(world, scene.background, assets)
     qpos: list[float] = []
     resisting = resists(scene)
     for item in scene.objects:
         qpos.extend(add_object(world, item, assets, resisting))
     add_contacts(root, scene)
     add_mimics(root, scene)
-    ctrl = add_drives(root, scene, TIMESTEP)
+    ctrl = add_drives(root, scene, timestep)
     _add_texts(root, scene)
     lost: list[Loss] = []
     for robot in scene.robots:
@@ -71,14 +83,17 @@ def compile_mjcf(scene: Scene) -> Artifact:
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
     losses = (
         *restitution_losses(scene),
-        *stiffness_losses(scene, TIMESTEP, implicit_damping=True),
+        *stiffness_losses(scene, timestep, implicit_damping=True),
         *light_losses(scene),
         *lost,
+        *variant_losses(scene, "MJCF"),
+        *splat_losses(scene, "MuJoCo"),
+        *rounded,
     )
     return Artifact("mjcf", "scene.xml", files, losses)
 
 
-def _add_settings(root: ET.Element, scene: Scene) -> None:
+def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     """How to read the file, how to step, and what the geoms have in common."""
     compiler = {
         "angle": "radian",
@@ -94,7 +109,7 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     }
     ET.SubElement(root, "compiler", compiler)
     # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
-    option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
+    option = {"timestep": number(timestep), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
     # Resistance against rolling is so small beside it that the tangent has to be stiffer still, or a held ball creeps.
     ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "100" if resists(scene) else "10"})
     visual = ET.SubElement(root, "visual")
@@ -119,5 +134,7 @@ def _add_texts(root: ET.Element, scene: Scene) -> None:
     for item in scene.objects:
         if item.category:
             ET.SubElement(custom, "text", name=f"{item.name}.category", data=item.category)
+        if item.labels:
+            ET.SubElement(custom, "text", name=f"{item.name}.labels", data=" ".join(item.labels))
     if scene.relations:
         ET.SubElement(custom, "text", name="relations", data="; ".join(str(r) for r in scene.relations))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import (
+    Background,
     Box,
     Capsule,
     Collider,
@@ -68,6 +70,13 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, resisting: bool) ->
             qpos.append(joint.position)
         pending.extend((child, below) for below in reversed(joints_by_parent.get(joint.child, [])))
     return qpos
+
+
+def add_background(world: ET.Element, background: Background, assets: Assets) -> None:
+    """Add what is seen around the scene; its geoms touch nothing."""
+    for visual in background.visuals:
+        posed = replace(visual, X_LG=background.X_WB @ visual.X_LG)
+        _add_visual(world, f":background:{visual.name}", posed, assets)
 
 
 def free_joint_name(tree: Tree) -> str:

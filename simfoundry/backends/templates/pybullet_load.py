@@ -28,12 +28,26 @@ def load(client: int | None = None) -> dict[str, int]:
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
+    if "background" in world:
+        flags = pybullet.URDF_IGNORE_COLLISION_SHAPES
+        pybullet.loadURDF(str(HERE / world["background"]), useFixedBase=True, flags=flags, physicsClientId=client)
     bodies = {name: load_object(client, item) for name, item in world["objects"].items()}
     bodies |= {name: load_robot(client, item) for name, item in world.get("robots", {}).items()}
     for (name_a, link_a), (name_b, link_b) in world.get("no_contact", []):
         a, b = bodies[name_a], bodies[name_b]
         silence(client, a, link_index(client, a, link_a), b, link_index(client, b, link_b))
     return bodies
+
+
+def picture(client: int, camera: str) -> tuple[Any, ...]:
+    """What a camera of the scene sees under its lights, as ``getCameraImage`` returns it: width, height, rgba, ..."""
+    world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
+    view = world["cameras"][camera]
+    size, matrices = (view["width"], view["height"]), (view["view"], view["projection"])
+    shot: tuple[Any, ...] = pybullet.getCameraImage(
+        *size, *matrices, **world["lighting"], renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client
+    )
+    return shot
 
 
 def load_object(client: int, item: dict[str, Any]) -> int:

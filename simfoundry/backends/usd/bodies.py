@@ -29,6 +29,13 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 
+VARIANTS = "variant"
+"""The variant set of an object."""
+
+DEFAULT = "default"
+"""The variant that is the object as its document writes it."""
+
+
 @dataclass(frozen=True)
 class Scopes:
     """Where things go in the stage: objects, and the materials they share."""
@@ -47,13 +54,31 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     """Define ``item`` at its pose in the world, its links side by side below it at their joint positions.
 
     An articulation's root is the root link where it is free; where it is fixed, PhysX wants the root on a prim above
-    the link and the joint that holds it, else it falls back to joints in maximal coordinates.
+    the link and the joint that holds it, else it falls back to joints in maximal coordinates. Where it has variants,
+    each holds all of it, in the variant set ``variant``. Labels are of the taxonomy ``class``, which Isaac Sim reads.
     """
+    prim = define(scopes.objects, item.name, "Xform")
+    prim.SetInfo("kind", "component")
+    if not item.variants:
+        _fill_object(scopes, prim, item)
+        return
+    from pxr import Sdf
+
+    every = sorted((item, *item.variants), key=lambda one: one.variant != DEFAULT)
+    prim.variantSetNameList.prependedItems = [VARIANTS]
+    prim.variantSelections[VARIANTS] = item.variant
+    choices = Sdf.VariantSetSpec(prim, VARIANTS)
+    for one in every:
+        _fill_object(scopes, Sdf.VariantSpec(choices, one.variant).primSpec, one)
+
+
+def _fill_object(scopes: Scopes, prim: Sdf.PrimSpec, item: SceneObject) -> None:
+    """What an object, or one variant of it, consists of."""
     from pxr import Vt
 
-    prim = define(scopes.objects, item.name, "Xform", ["SemanticsLabelsAPI:category"])
-    prim.SetInfo("kind", "component")
+    apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
     attribute(prim, "semantics:labels:category", "token[]", Vt.TokenArray([item.category]))
+    attribute(prim, "semantics:labels:class", "token[]", Vt.TokenArray(item.semantics))
     place(prim, item.X_WO)
     X_OL = link_poses(item)
     links = {}
@@ -111,27 +136,55 @@ def _articulate(
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     """State which links do not touch. What cannot move has no body to name: its colliders stand for it."""
-    bodies: dict[str, Sdf.PrimSpec] = {}
+    bodies: dict[str, list[Sdf.PrimSpec]] = {}
     felt: dict[str, list[Sdf.Path]] = {}
-    for item in scene.objects:
-        for tree in trees(item):
-            for link in tree.links:
-                prim = scopes.objects.nameChildren[item.name].nameChildren[link.name]
-                name, static = item.qualified(link.name), is_static(tree)
-                if not static:
-                    bodies[name] = prim
-                if link.colliders:
-                    colliders = prim.path.AppendChild("Colliders")
-                    felt[name] = [colliders.AppendChild(c.name) for c in link.colliders] if static else [prim.path]
-    found: dict[str, list[Sdf.Path]] = {}
-    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
-    for a, b in (*own, *scene.no_contact):
-        mover, other = (a, b) if a in bodies else (b, a)
-        if mover in bodies and mover in felt and other in felt:
-            found.setdefault(mover, []).extend(felt[other])
-    for name, paths in found.items():
-        apply_schemas(bodies[name], ["PhysicsFilteredPairsAPI"])
-        relate(bodies[name], "physics:filteredPairs", paths)
+    found: dict[Sdf.Path, tuple[Sdf.PrimSpec, list[Sdf.Path]]] = {}
+
+    def silence(
+        movers: Mapping[str, list[Sdf.PrimSpec]], touched: Mapping[str, list[Sdf.Path]], a: str, b: str
+    ) -> None:
+        mover, other = (a, b) if a in movers else (b, a)
+        if mover in touched and other in touched:
+            for body in movers.get(mover, ()):
+                found.setdefault(body.path, (body, []))[1].extend(touched[other])
+
+    for each in scene.objects:
+        for item in (each, *each.variants):
+            movers, touched = _touchable(_content(scopes, item), item)
+            for a, b in silent_pairs(item):
+                silence(movers, touched, item.qualified(a), item.qualified(b))
+            for name, prims in movers.items():
+                bodies.setdefault(name, []).extend(prims)
+            for name, paths in touched.items():
+                felt.setdefault(name, []).extend(path.StripAllVariantSelections() for path in paths)
+    for a, b in scene.no_contact:
+        silence(bodies, felt, a, b)
+    for body, paths in found.values():
+        apply_schemas(body, ["PhysicsFilteredPairsAPI"])
+        relate(body, "physics:filteredPairs", list(dict.fromkeys(paths)))
+
+
+def _content(scopes: Scopes, item: SceneObject) -> Sdf.PrimSpec:
+    """The prim below which the links of an object are: its own, or its variant's."""
+    prim = scopes.objects.nameChildren[item.name]
+    return prim.variantSets[VARIANTS].variants[item.variant].primSpec if item.variant else prim
+
+
+def _touchable(
+    parent: Sdf.PrimSpec, item: SceneObject
+) -> tuple[dict[str, list[Sdf.PrimSpec]], dict[str, list[Sdf.Path]]]:
+    """By qualified name, the bodies of an object, and what of each link can be touched."""
+    bodies: dict[str, list[Sdf.PrimSpec]] = {}
+    felt: dict[str, list[Sdf.Path]] = {}
+    for tree in trees(item):
+        for link in tree.links:
+            prim, name = parent.nameChildren[link.name], item.qualified(link.name)
+            if not is_static(tree):
+                bodies[name] = [prim]
+            if link.colliders:
+                colliders = [prim.path.AppendChild("Colliders").AppendChild(c.name) for c in link.colliders]
+                felt[name] = colliders if is_static(tree) else [prim.path]
+    return bodies, felt
 
 
 def _define_link(scopes: Scopes, body: Sdf.PrimSpec, link: Link) -> None:

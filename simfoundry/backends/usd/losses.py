@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Mesh, Scene, SceneObject
@@ -13,15 +14,40 @@ from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64  # PhysX's limit of a convex hull
 
+FEATURES: dict[str, Cell] = {
+    "robots": dropped("not compiled yet"),
+    "mounted_cameras": dropped("not compiled yet"),
+    **exact("gravity", "relations", "cameras", "distant_lights"),
+    "point_lights": approximated("falls off with the square of the distance; as stated at 1 m"),
+    **exact("dome_lights", "background_mesh", "background_splat"),
+    **exact("pose", "fixed", "category", "labels", "variants", "visuals", "texture", "mass", "inertia"),
+    **exact("box", "sphere", "cylinder", "capsule"),
+    "convex_mesh": Cell(reason=f"up to {HULL_VERTICES} vertices, PhysX's limit"),
+    "friction": approximated("exact under PhysX's combine mode, which others do not know"),
+    "restitution": approximated("exact under PhysX's combine mode, which others do not know"),
+    "torsional_friction": dropped("PhysX has no place for it in USD; Newton reads it"),
+    "rolling_friction": dropped("PhysX has no place for it in USD; Newton reads it"),
+    **exact("no_contact"),
+    "fixed_joint": Cell(reason="but in objects that cannot move, which are one body"),
+    **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("joint_damping", "joint_friction", "armature"),
+    "ball": Cell(reason="without damping and friction, which PhysX has not"),
+    **exact("free"),
+    "mimic": Cell(reason="of its own kind: a slide a slide, a hinge a hinge"),
+    **exact("drive"),
+}
+"""What USD keeps of each feature."""
+
 
 def losses(scene: Scene) -> tuple[Loss, ...]:
     """The losses of ``scene`` as a stage, in the order of the scene."""
-    return (*_contacts(scene), *(loss for item in scene.objects for loss in _object(item)), *_lights(scene))
+    every = [item for each in scene.objects for item in (each, *each.variants)]
+    return (*_contacts(every), *dict.fromkeys(loss for item in every for loss in _object(item)), *_lights(scene))
 
 
-def _contacts(scene: Scene) -> Iterator[Loss]:
+def _contacts(objects: Iterable[SceneObject]) -> Iterator[Loss]:
     """Friction and restitution are exact only for readers that know PhysX's combine modes."""
-    colliders = [c for item in scene.objects for link in item.links for c in link.colliders]
+    colliders = [c for item in objects for link in item.links for c in link.colliders]
     for name in ("friction", "restitution"):
         values = [float(getattr(collider, name)) for collider in colliders]
         worst = max(values, key=lambda v: abs(math.sqrt(v) - v), default=0.0)
@@ -49,7 +75,7 @@ def _object(item: SceneObject) -> Iterator[Loss]:
         for visual in link.visuals:
             if isinstance(visual.geometry, Mesh) and visual.geometry.texture and texture_of(visual) is None:
                 reason = "the mesh has no texture coordinates"
-                yield Loss(f"{item.name}.{link.name}.{visual.name}.texture", Fidelity.DROPPED, reason)
+                yield Loss(f"{item.name}.{link.name}.{visual.name}.texture", Fidelity.DROPPED, reason, "texture")
         for collider in link.colliders:
             yield from _hull(f"{item.name}.{link.name}.{collider.name}", collider)
 
@@ -74,7 +100,7 @@ def _joint(path: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[Lo
 def _hull(path: str, collider: Collider) -> Iterator[Loss]:
     if isinstance(collider.geometry, Mesh) and len(collider.geometry.vertices) > HULL_VERTICES:
         reason = f"PhysX keeps {HULL_VERTICES} of the hull's {len(collider.geometry.vertices)} vertices"
-        yield Loss(path, Fidelity.APPROXIMATED, reason)
+        yield Loss(path, Fidelity.APPROXIMATED, reason, "convex_mesh")
 
 
 def _lights(scene: Scene) -> Iterator[Loss]:

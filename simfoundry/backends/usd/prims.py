@@ -57,10 +57,12 @@ def connect(prim: Sdf.PrimSpec, name: str, type_name: str, source: str) -> None:
 
 
 def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
-    """Author a relationship of ``prim`` to the prims at the paths ``targets``."""
+    """Author a relationship of ``prim`` to the prims at the paths ``targets``, as they are called on the stage."""
     from pxr import Sdf
 
-    Sdf.RelationshipSpec(prim, name, custom=name.startswith("simfoundry:")).targetPathList.explicitItems = list(targets)
+    paths = [path.StripAllVariantSelections() for path in targets]
+    custom = name.startswith("simfoundry:")
+    Sdf.RelationshipSpec(prim, name, custom=custom).targetPathList.explicitItems = paths
 
 
 def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) -> None:

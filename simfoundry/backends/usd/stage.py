@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import check_names
+from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
@@ -18,7 +19,7 @@ from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
 from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
-from simfoundry.scene.model import Mesh, Scene, SceneObject
+from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
 
 if TYPE_CHECKING:
     from pxr import Sdf
@@ -28,9 +29,9 @@ def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
-    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's
-    own prims start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there
-    twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
+    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
+    ``Contacts``. The stage's own prims start with a capital, the scene's names do not, so the two never meet. A name
+    that is none, or is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
 
@@ -40,7 +41,7 @@ def compile_usd(scene: Scene) -> Artifact:
         robots = _define_world(layer, scene)
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
     contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes()}
-    contents |= _assets((*scene.objects, *robots.items)) | robots.files
+    contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
     return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
 
 
@@ -65,6 +66,8 @@ def _define_world(layer: Sdf.Layer, scene: Scene) -> RobotsInUsd:
     filter_pairs(scopes, scene)
     robots = define_robots(world, scopes, scene)
     robots.losses.extend(define_mounted(scopes, scene, robots))
+    if scene.background is not None:
+        define_background(world, scopes.looks, scene.background)
     cameras = define(world, "Cameras", "Xform")
     for camera in scene.cameras:
         define_camera(cameras, camera)
@@ -83,16 +86,19 @@ def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
     attribute(prim, "physics:gravityMagnitude", "float", rounded(magnitude))
 
 
-def _assets(objects: Iterable[SceneObject]) -> dict[str, bytes]:
+def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
     """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
     meshes: dict[str, Mesh] = {}
     contents: dict[str, bytes] = {}
-    for link in (link for item in objects for link in item.links):
-        for geometry in [v.geometry for v in link.visuals] + [c.geometry for c in link.colliders]:
-            if isinstance(geometry, Mesh):
-                meshes.setdefault(mesh_path(geometry), geometry)
-        for texture in map(texture_of, link.visuals):
-            if texture is not None:
-                contents[texture_path(texture)] = texture
+    links = [link for each in objects for item in (each, *each.variants) for link in item.links]
+    visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())
+    for geometry in [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]:
+        if isinstance(geometry, Mesh):
+            meshes.setdefault(mesh_path(geometry), geometry)
+    for texture in map(texture_of, visuals):
+        if texture is not None:
+            contents[texture_path(texture)] = texture
+    if around is not None and around.splat is not None:
+        contents[SPLAT] = splat_layer(around.splat)
     contents |= {path: mesh_layer(mesh) for path, mesh in meshes.items()}
     return dict(sorted(contents.items()))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import ValidationError
+
 from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.checks.joints import check_joints, check_pair
@@ -9,7 +11,8 @@ from simfoundry.spec.checks.names import SceneNames
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_description, is_document
 from simfoundry.spec.plausible import volume
 from simfoundry.spec.robot import ROBOTS, RobotFiles, RobotSpec
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
+from simfoundry.spec.variants import variant_of
 
 OF_LINKS = ("scale", "visual", *Body.model_fields)
 """Fields of an object that an asset document decides for its links."""
@@ -21,8 +24,10 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     """Findings of a scene."""
     for name, item in spec.objects.items():
         _object(c, name, item, spec, ("objects", name))
+        _variants(c, name, item, spec)
     c.densities(spec.materials)
-    c.unused(spec.materials, {item.material for item in spec.objects.values()})
+    objects = spec.objects.values()
+    c.unused(spec.materials, {o.material for o in (*objects, *(v for item in objects for v in item.variants.values()))})
     for name, robot in spec.robots.items():
         _robot(c, robot, ("robots", name))
     names = SceneNames(c.loaded, spec)
@@ -62,6 +67,24 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
             c.mass(item, [item.material], spec.materials, path)
         if item.mass is not None or item.density is not None:
             c.density(item, path, volume(item.shape) if item.shape is not None else None)
+
+
+def _variants(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec) -> None:
+    """Each variant is an object of its own; what is wrong with the object itself is said once."""
+    if item.variant is not None and item.variant != DEFAULT_VARIANT:
+        c.name(item.variant, item.variants, ("objects", name, "variant"), f"variant of `{name}`")
+    said = {(d.code, d.message) for d in c.findings}
+    for key in item.variants:
+        path = ("objects", name, "variants", key)
+        try:
+            whole = variant_of(item, key)
+        except ValidationError as error:
+            for wrong in error.errors(include_url=False):
+                c.add("SF107", path, wrong["msg"])
+            continue
+        before = len(c.findings)
+        _object(c, name, whole, spec, path)
+        c.findings[before:] = [d for d in c.findings[before:] if (d.code, d.message) not in said]
 
 
 def _asset(c: Checker, item: ObjectSpec, reference: str, path: Path_) -> None:

@@ -22,6 +22,7 @@ SECTIONS = (
     "joints",
     "frames",
     "subtasks",
+    "variants",
     "place",
     "pose",
 )

@@ -1,0 +1,114 @@
+"""3D Gaussian splats in: the PLY that trainers write, its stored numbers turned into what they mean.
+
+The file holds raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
+function, scales before the exponential, quaternions of any length, and colour as spherical harmonics, channel by
+channel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.faults import MeshError
+
+MAX_GAUSSIANS = 5_000_000
+EXPORT = "export it again from the trainer, as PLY"
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussians:
+    """A splat of n Gaussians, single precision, in the axes of its file.
+
+    ``positions`` [m], shape (n, 3); ``scales`` [m] standard deviations along their own axes, (n, 3); ``rotations`` unit
+    wxyz, (n, 4); ``opacities`` in [0, 1], (n,); ``harmonics`` coefficients of red, green and blue by order, shape
+    (n, (degree + 1)^2, 3).
+    """
+
+    positions: Array
+    scales: Array
+    rotations: Array
+    opacities: Array
+    harmonics: Array
+
+    @property
+    def degree(self) -> int:
+        """The highest degree of the spherical harmonics."""
+        return math.isqrt(self.harmonics.shape[1]) - 1
+
+
+def read_splat(path: Path, scale: float = 1.0) -> Gaussians:
+    """The Gaussians of a PLY file, in metres; raises :class:`MeshError` for a file that holds none."""
+    raw = _vertices(path)
+    names = raw.dtype.names or ()
+    missing = [n for n in (*_XYZ, *_DC, *_SCALE, *_ROTATION, "opacity") if n not in names]
+    if missing:
+        raise MeshError("SF301", f"{path.name} is no Gaussian splat: it has no `{missing[0]}`", EXPORT)
+    if not 0 < len(raw) <= MAX_GAUSSIANS:
+        raise MeshError("SF301", f"{path.name} has {len(raw)} Gaussians; 1 to {MAX_GAUSSIANS} are read", EXPORT)
+    rotations = _columns(raw, _ROTATION)
+    lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
+    turned = lengths != 0
+    with np.errstate(over="ignore"):
+        found = Gaussians(
+            positions=_single(_columns(raw, _XYZ) * scale),
+            scales=_single(np.exp(_columns(raw, _SCALE)) * scale),
+            rotations=_single(np.where(turned, rotations / np.where(turned, lengths, 1.0), [1.0, 0.0, 0.0, 0.0])),
+            opacities=_single(1.0 / (1.0 + np.exp(-_columns(raw, ("opacity",))[:, 0]))),
+            harmonics=_single(_harmonics(path, raw, names)),
+        )
+    for values in (found.positions, found.scales, found.rotations, found.opacities, found.harmonics):
+        if not np.isfinite(values).all():
+            raise MeshError("SF301", f"{path.name} has Gaussians that are not numbers", EXPORT)
+    return found
+
+
+_XYZ = ("x", "y", "z")
+_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SCALE = ("scale_0", "scale_1", "scale_2")
+_ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_RESTS = (0, 9, 24, 45)
+"""How many coefficients there are beyond the first of each channel, at degrees 0 to 3."""
+
+
+def _vertices(path: Path) -> Any:
+    """The vertex element of a PLY as a structured array."""
+    import trimesh
+
+    try:
+        cloud = trimesh.load(path, file_type="ply", process=False)
+        return np.asarray(cloud.metadata["_ply_raw"]["vertex"]["data"])
+    except Exception as error:  # trimesh lets every parser's own exceptions through
+        reason = " ".join(str(error).split())[:120]
+        raise MeshError("SF301", f"{path.name} cannot be read as a splat: {reason}", EXPORT) from None
+
+
+def _columns(raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
+    return np.stack([np.asarray(raw[name], dtype=np.float64).reshape(-1) for name in names], axis=1)
+
+
+def _harmonics(path: Path, raw: Any, names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Coefficients by order, (n, k, 3): the file has the first of each channel, then the others channel by channel."""
+    rest = sum(1 for name in names if name.startswith("f_rest_"))
+    if rest not in _RESTS or any(f"f_rest_{k}" not in names for k in range(rest)):
+        known = ", ".join(map(str, _RESTS))
+        raise MeshError("SF301", f"{path.name} has {rest} of `f_rest`; a splat has one of {known}", EXPORT)
+    first = _columns(raw, _DC)[:, None, :]
+    if not rest:
+        return first
+    others = _columns(raw, tuple(f"f_rest_{k}" for k in range(rest))).reshape(len(raw), 3, rest // 3)
+    return np.concatenate([first, others.transpose(0, 2, 1)], axis=1)
+
+
+def _single(values: NDArray[np.float64]) -> Array:
+    with np.errstate(over="ignore"):
+        out = values.astype(np.float32)
+    out.setflags(write=False)
+    return out

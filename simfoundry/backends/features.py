@@ -1,0 +1,227 @@
+"""What a scene can say, feature by feature, and who says it: the rows of the support matrix and of the loss report.
+
+Each backend has a table of these, :data:`Cells`, that says what it keeps; what a compile reports is held against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.scene.meshfile import has_texture
+from simfoundry.scene.model import (
+    Box,
+    Capsule,
+    Collider,
+    Cylinder,
+    Joint,
+    JointType,
+    LightType,
+    Mesh,
+    Scene,
+    SceneObject,
+    Sphere,
+)
+
+Users = Callable[[Scene], Iterable[str]]
+"""The things of a scene that use a feature, by name; a joint as ``object.joint``."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a target makes of a feature: exactly kept where ``fidelity`` is None; ``reason`` says why not."""
+
+    fidelity: Fidelity | None = None
+    reason: str = ""
+
+
+Cells = Mapping[str, Cell]
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One thing that a spec can say: its group, its words, and what uses it in a scene."""
+
+    group: str
+    words: str
+    users: Users
+
+
+def exact(*features: str) -> dict[str, Cell]:
+    """Cells of features that are kept as they are."""
+    return dict.fromkeys(features, Cell())
+
+
+def approximated(reason: str) -> Cell:
+    """A cell of a feature that is kept, but not exactly."""
+    return Cell(Fidelity.APPROXIMATED, reason)
+
+
+def dropped(reason: str) -> Cell:
+    """A cell of a feature that is left out."""
+    return Cell(Fidelity.DROPPED, reason)
+
+
+def _objects(test: Callable[[SceneObject], object]) -> Users:
+    return lambda scene: [item.name for item in scene.objects if test(item)]
+
+
+def _colliders(test: Callable[[Collider], object]) -> Users:
+    return _objects(lambda item: any(test(c) for link in item.links for c in link.colliders))
+
+
+def _joints(test: Callable[[Joint], object]) -> Users:
+    return lambda scene: [f"{item.name}.{j.name}" for item in scene.objects for j in item.joints if test(j)]
+
+
+def _moving(joint: Joint) -> bool:
+    return joint.type is not JointType.FIXED
+
+
+def _lights(kind: LightType) -> Users:
+    return lambda scene: [light.name for light in scene.lights if light.type is kind]
+
+
+def _textured(item: SceneObject) -> bool:
+    meshes = (v.geometry for link in item.links for v in link.visuals if isinstance(v.geometry, Mesh))
+    return any(has_texture(mesh) for mesh in meshes)
+
+
+def _silent(scene: Scene) -> list[str]:
+    pairs = [item.name for item in scene.objects if item.no_contact]
+    return [*pairs, *(["no_contact"] if scene.no_contact else [])]
+
+
+def _left_out(start: str) -> Users:
+    return lambda scene: [part.path for part in scene.left_out if part.path.startswith(start)]
+
+
+def _always(scene: Scene) -> list[str]:
+    return [scene.name]
+
+
+FEATURES: dict[str, Feature] = {
+    "gravity": Feature("scene", "gravity", _always),
+    "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
+    "robots": Feature("scene", "robots", _left_out("robots.")),
+    "mounted_cameras": Feature("scene", "cameras on robots and objects", _left_out("cameras.")),
+    "cameras": Feature("scene", "cameras: pose and intrinsics", lambda s: [c.name for c in s.cameras]),
+    "distant_lights": Feature("scene", "lights of parallel rays", _lights(LightType.DISTANT)),
+    "point_lights": Feature("scene", "point lights", _lights(LightType.POINT)),
+    "dome_lights": Feature("scene", "dome lights", _lights(LightType.DOME)),
+    "background_mesh": Feature(
+        "scene", "a mesh as background", lambda s: ["background"] * bool(s.background and s.background.visuals)
+    ),
+    "background_splat": Feature(
+        "scene", "a Gaussian splat as background", lambda s: ["background"] * bool(s.background and s.background.splat)
+    ),
+    "pose": Feature("object", "pose in the world", _objects(lambda o: True)),
+    "fixed": Feature("object", "welded to the world", _objects(lambda o: o.fixed)),
+    "category": Feature("object", "category", _objects(lambda o: o.category)),
+    "labels": Feature("object", "semantic labels", _objects(lambda o: o.labels)),
+    "variants": Feature("object", "variants", _objects(lambda o: o.variants)),
+    "visuals": Feature("object", "what is seen, with its colour", _objects(lambda o: any(k.visuals for k in o.links))),
+    "texture": Feature("object", "textures", _objects(_textured)),
+    "mass": Feature("body", "mass", _objects(lambda o: True)),
+    "inertia": Feature("body", "centre of mass and inertia", _objects(lambda o: True)),
+    "box": Feature("body", "boxes that collide", _colliders(lambda c: isinstance(c.geometry, Box))),
+    "sphere": Feature("body", "spheres that collide", _colliders(lambda c: isinstance(c.geometry, Sphere))),
+    "cylinder": Feature("body", "cylinders that collide", _colliders(lambda c: isinstance(c.geometry, Cylinder))),
+    "capsule": Feature("body", "capsules that collide", _colliders(lambda c: isinstance(c.geometry, Capsule))),
+    "convex_mesh": Feature("body", "convex parts that collide", _colliders(lambda c: isinstance(c.geometry, Mesh))),
+    "friction": Feature("body", "friction of a pair (geometric mean)", _colliders(lambda c: True)),
+    "restitution": Feature("body", "restitution of a pair (geometric mean)", _colliders(lambda c: True)),
+    "torsional_friction": Feature(
+        "body", "resistance against spinning", _colliders(lambda c: c.torsional_friction > 0)
+    ),
+    "rolling_friction": Feature("body", "resistance against rolling", _colliders(lambda c: c.rolling_friction > 0)),
+    "no_contact": Feature("body", "pairs that pass through each other", _silent),
+    "fixed_joint": Feature("joint", "fixed joints", _joints(lambda j: j.type is JointType.FIXED)),
+    "revolute": Feature("joint", "revolute joints", _joints(lambda j: j.type is JointType.REVOLUTE)),
+    "continuous": Feature("joint", "continuous joints", _joints(lambda j: j.type is JointType.CONTINUOUS)),
+    "prismatic": Feature("joint", "prismatic joints", _joints(lambda j: j.type is JointType.PRISMATIC)),
+    "ball": Feature("joint", "ball joints", _joints(lambda j: j.type is JointType.BALL)),
+    "free": Feature("joint", "free joints", _joints(lambda j: j.type is JointType.FREE)),
+    "mimic": Feature("joint", "joints that follow others", _joints(lambda j: j.mimic is not None)),
+    "drive": Feature("joint", "motors in joints", _joints(lambda j: j.drive is not None)),
+    "joint_position": Feature("joint", "joint positions", _joints(_moving)),
+    "joint_limits": Feature(
+        "joint", "joint limits", _joints(lambda j: j.limits is not None or j.type is JointType.PRISMATIC)
+    ),
+    "joint_damping": Feature("joint", "viscous damping of joints", _joints(lambda j: j.damping > 0)),
+    "joint_friction": Feature("joint", "Coulomb friction of joints", _joints(lambda j: j.friction > 0)),
+    "armature": Feature("joint", "armature", _joints(lambda j: j.armature > 0)),
+}
+"""Every feature by name, in the order in which reports show them."""
+
+_OF_JOINT = {
+    "limits": "joint_limits",
+    "damping": "joint_damping",
+    "friction": "joint_friction",
+    "armature": "armature",
+    "position": "joint_position",
+    "mimic": "mimic",
+    "drive": "drive",
+}
+_OF_OBJECT = {"colliders": "convex_mesh"}
+_OF_LIGHT = {
+    LightType.DISTANT: "distant_lights",
+    LightType.POINT: "point_lights",
+    LightType.DOME: "dome_lights",
+}
+
+
+def feature_of(loss: Loss, scene: Scene) -> str:
+    """The feature that a loss is about; empty where it is none of the known ones."""
+    if loss.feature:
+        return loss.feature
+    if loss.path in FEATURES:
+        return loss.path
+    owner, *below = loss.path.split(".")
+    if any(part.path == loss.path for part in scene.left_out):
+        return {"robots": "robots", "cameras": "mounted_cameras"}.get(owner, "")
+    word = below[-1] if below else ""
+    item = next((o for o in scene.objects if o.name == owner), None)
+    if item is not None and word:
+        joint = next((j for j in item.joints if j.name == below[0]), None)
+        if joint is not None:
+            return _OF_JOINT.get(below[1], "") if len(below) > 1 else _type_of(joint)
+        return _OF_OBJECT.get(word, word if word in FEATURES else "")
+    light = next((light for light in scene.lights if light.name == owner), None)
+    if light is not None:
+        return _OF_LIGHT[light.type]
+    return "cameras" if any(camera.name == owner for camera in scene.cameras) else ""
+
+
+def _type_of(joint: Joint) -> str:
+    return "fixed_joint" if joint.type is JointType.FIXED else joint.type.value
+
+
+def fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
+    """How many users of each feature in use are ``kept``, ``approximated`` and ``dropped``; what is 0 is left out.
+
+    A loss whose path names no single user is meant of them all.
+    """
+    found: dict[str, dict[str, Fidelity]] = {}
+    users = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
+    for loss in losses:
+        name = feature_of(loss, scene)
+        for user in _meant(loss, users.get(name, [])):
+            worst = found.setdefault(name, {})
+            if worst.get(user) is not Fidelity.DROPPED:
+                worst[user] = loss.fidelity
+    return {name: dict(_count(using, found.get(name, {}))) for name, using in users.items() if using}
+
+
+def _meant(loss: Loss, users: list[str]) -> list[str]:
+    near = [u for u in users if loss.path == u or loss.path.startswith(f"{u}.") or u.startswith(f"{loss.path}.")]
+    owner = loss.path.partition(".")[0]
+    return near or [u for u in users if u.partition(".")[0] == owner] or users
+
+
+def _count(users: list[str], worst: Mapping[str, Fidelity]) -> Iterator[tuple[str, int]]:
+    of = [worst[u].value if u in worst else "kept" for u in users]
+    for fate in ("kept", *(f.value for f in Fidelity)):
+        if fate in of:
+            yield fate, of.count(fate)

@@ -1,0 +1,60 @@
+"""Cylinders as prisms, for readers of MJCF that collide primitives and convex meshes but no cylinders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.scene.frames import frozen_array
+from simfoundry.scene.model import Collider, Cylinder, Link, Mesh, Scene
+
+
+def with_prisms(scene: Scene, sides: int) -> Scene:
+    """The scene with a prism in the place of every cylinder that collides."""
+
+    def link_with(link: Link) -> Link:
+        return replace(link, colliders=tuple(_collider_with(c, sides) for c in link.colliders))
+
+    objects = (replace(o, links=tuple(map(link_with, o.links))) for o in scene.objects)
+    return replace(scene, objects=tuple(objects))
+
+
+def _collider_with(collider: Collider, sides: int) -> Collider:
+    if not isinstance(collider.geometry, Cylinder):
+        return collider
+    return replace(collider, geometry=prism(collider.geometry, sides))
+
+
+def prism(cylinder: Cylinder, sides: int) -> Mesh:
+    """A regular prism of the same height and volume."""
+    turn = 2 * math.pi / sides
+    radius = cylinder.radius * math.sqrt(turn / math.sin(turn))
+    angles = turn * np.arange(sides)
+    ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
+    half = cylinder.height / 2
+    vertices = np.vstack([np.column_stack([ring, np.full(sides, z)]) for z in (-half, half)])
+    nxt = np.roll(np.arange(sides), -1)
+    low = np.arange(sides)
+    walls = [np.column_stack([low, nxt, nxt + sides]), np.column_stack([low, nxt + sides, low + sides])]
+    fan = np.arange(1, sides - 1)
+    zero = np.zeros_like(fan)
+    caps = [np.column_stack([zero, fan + 1, fan]), np.column_stack([zero, fan, fan + 1]) + sides]
+    faces = np.vstack([*walls, *caps]).astype(np.int32)
+    faces.setflags(write=False)
+    return Mesh(frozen_array(vertices), faces)
+
+
+def prism_losses(scene: Scene, sides: int) -> Iterator[Loss]:
+    """One loss for each object with cylinders that collide."""
+    turn = 2 * math.pi / sides
+    share = max(math.sqrt(turn / math.sin(turn)) - 1, 1 - math.cos(turn / 2) * math.sqrt(turn / math.sin(turn)))
+    for item in scene.objects:
+        radii = [c.geometry.radius for k in item.links for c in k.colliders if isinstance(c.geometry, Cylinder)]
+        if radii:
+            off = number(float(format(share * max(radii) * 1000, ".2g")))
+            reason = f"a prism of {sides} sides and the same volume: its surface is up to {off} mm off"
+            yield Loss(f"{item.name}.cylinder", Fidelity.APPROXIMATED, reason, "cylinder")

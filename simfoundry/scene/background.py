@@ -1,0 +1,43 @@
+"""What is seen around a scene, read from its file: a mesh or a splat that nothing touches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import read_parts
+from simfoundry.assets.splat import read_splat
+from simfoundry.scene.bodies import GREY
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import frozen_array as frozen
+from simfoundry.scene.model import Background, Mesh, Visual
+from simfoundry.spec import scene as spec
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.loaded import Loaded
+
+
+def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:
+    """The background of a scene; raises :class:`SpecError` where its file cannot be used."""
+    key = "mesh" if written.mesh is not None else "splat"
+    path = loaded.file(written.mesh or written.splat or "")
+    try:
+        if key == "splat":
+            return Background(X_WB, splat=read_splat(path, written.scale))
+        return Background(X_WB, visuals=tuple(_visuals(path, written.scale)))
+    except MeshError as error:
+        raise SpecError([loaded.finding(error.code, ("background", key), str(error), error.hint)]) from None
+
+
+def _visuals(path: Path, scale: float) -> Iterator[Visual]:
+    """The pieces of a mesh file as they are seen: a texture shows as it is, what has no colour is grey."""
+    pieces = read_parts(path, scale)
+    for k, piece in enumerate(pieces):
+        faces = np.array(piece.faces, dtype=np.int32)
+        faces.setflags(write=False)
+        uv = None if piece.uv is None else frozen(piece.uv)
+        color = piece.rgba or (GREY if piece.texture is None else (1.0, 1.0, 1.0, 1.0))
+        mesh = Mesh(frozen(piece.vertices), faces, uv, piece.texture)
+        yield Visual("mesh" if len(pieces) == 1 else f"mesh_{k}", mesh, frozen(color))

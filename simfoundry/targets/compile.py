@@ -1,0 +1,46 @@
+"""Scene and target to files: those of the backend, the loader of the simulator, and what the two together lose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from simfoundry.backends import compile_scene
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss
+from simfoundry.backends.features import FEATURES, feature_of
+from simfoundry.scene.model import Scene
+from simfoundry.targets.combine import pair_losses
+from simfoundry.targets.find import Target
+from simfoundry.targets.profile import TargetSpec
+from simfoundry.targets.writers import WRITERS
+
+
+def compile_target(scene: Scene, target: Target) -> Artifact:
+    """Compile ``scene`` for ``target``; the losses are those of its backend and of its simulator."""
+    artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
+    profile = target.profile
+    if profile is None:
+        return artifact
+    files = dict(artifact.files)
+    if target.loader is not None:
+        files = {path: data for path, data in files.items() if not path.startswith("load_")}
+        files["load.py"] = target.loader
+    for name in profile.writes:
+        files |= WRITERS[name](scene)
+    return replace(artifact, files=files, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+
+
+def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
+    """Losses of the backend that the loader does not give back."""
+    combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
+    for loss in artifact.losses:
+        if feature_of(loss, scene) not in profile.restores.keys() | combined | profile.gaps.keys():
+            yield loss
+
+
+def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
+    """What the simulator does not keep of what the scene uses."""
+    yield from pair_losses(scene, profile.combines, profile.name)
+    for name, gap in profile.gaps.items():
+        if any(FEATURES[name].users(scene)):
+            yield Loss(name, Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})", name)

@@ -1,0 +1,71 @@
+"""Files that simulators read beside those of a backend."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+
+from simfoundry.backends.artifact import number
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import JointType, Scene, SceneObject
+from simfoundry.targets.omnigibson import omnigibson_files
+
+Writer = Callable[[Scene], Mapping[str, bytes]]
+
+_ENVIRONMENT = """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    subLayers = [@./scene.usda@]
+    upAxis = "Z"
+)
+
+over "World"
+{
+    over "Physics" (
+        active = false
+    )
+    {
+    }
+}
+"""
+
+
+def objects_file(scene: Scene) -> dict[str, bytes]:
+    """``objects.json``: gravity; of each object its prim, its joints, and if it is static, rigid or articulated."""
+    data = {
+        "gravity": _numbers(scene.gravity),
+        "objects": {item.name: _object(item) for item in scene.objects},
+    }
+    return {"objects.json": (json.dumps(data, indent=2) + "\n").encode()}
+
+
+def environment_file(_: Scene) -> dict[str, bytes]:
+    """``environment.usda``: the stage without its physics scene, to be cloned where the simulator brings its own."""
+    return {"environment.usda": _ENVIRONMENT.encode()}
+
+
+def _object(item: SceneObject) -> dict[str, object]:
+    prim = f"/World/Objects/{item.name}"
+    moving = [joint for joint in item.joints if joint.type is not JointType.FIXED]
+    kind = "articulation" if item.joints and (moving or not item.fixed) else "static" if item.fixed else "rigid"
+    return {
+        "prim": prim,
+        "body": f"{prim}/{item.root.name}",
+        "kind": kind,
+        "p": _numbers(item.X_WO.p),
+        "q_wxyz": _numbers(item.X_WO.q),
+        "joints": {joint.name: float(number(joint.position)) for joint in moving},
+    }
+
+
+def _numbers(values: Array) -> list[float]:
+    return [float(number(v)) for v in values]
+
+
+WRITERS: dict[str, Writer] = {
+    "objects": objects_file,
+    "environment": environment_file,
+    "omnigibson": omnigibson_files,
+}
+"""What a profile can ask for under ``writes``."""

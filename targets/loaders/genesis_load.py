@@ -1,0 +1,95 @@
+"""Load this world into Genesis: ``load()`` returns a built scene and its entities by object name.
+
+    scene, entities = load()
+    scene.step()
+
+Poses, frictions, armatures and joint frictions come from ``poses.json`` and ``physics.json``, which URDF has no place
+for. Genesis takes the larger friction of a pair.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import genesis as gs
+
+HERE = Path(__file__).resolve().parent
+TIMESTEP = 1 / 500
+"""Seconds a step."""
+
+
+def load(show_viewer: bool = False, n_envs: int = 0) -> tuple[Any, dict[str, Any]]:
+    """Load every object, build the scene, and put everything in its state; ``gs.init`` is called where it was not."""
+    if not gs._initialized:
+        gs.init(backend=gs.cpu, logging_level="warning")
+    poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
+    physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
+    scene = gs.Scene(
+        sim_options=gs.options.SimOptions(dt=TIMESTEP, gravity=tuple(physics["gravity"])),
+        show_viewer=show_viewer,
+    )
+    entities = {name: add_object(scene, item) for name, item in poses.items()}
+    scene.build(n_envs=n_envs)
+    for name, entity in entities.items():
+        set_surfaces(entity, physics["objects"][name]["links"])
+        set_joints(entity, poses[name]["joints"], physics["objects"][name]["joints"])
+    return scene, entities
+
+
+def add_object(scene: Any, item: dict[str, Any]) -> Any:
+    """Add one object in its pose; its parts are convex already, and its links stay apart."""
+    morph = gs.morphs.URDF(
+        file=str(HERE / item["urdf"]),
+        pos=tuple(item["p"]),
+        quat=tuple(item["q_wxyz"]),
+        fixed=item["fixed"],
+        decimate=False,
+        decompose_object_error_threshold=float("inf"),
+        merge_fixed_links=False,
+        prioritize_urdf_material=True,
+        default_armature=0.0,
+    )
+    return scene.add_entity(morph, material=gs.materials.Rigid())
+
+
+def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> None:
+    """Give each collision shape its friction; a shape that Genesis has split passes its own to its parts."""
+    for link in entity.links:
+        surfaces = [surface["friction"] for surface in links[link.name].values()]
+        if len(link.geoms) == len(surfaces):
+            for geom, mu in zip(link.geoms, surfaces, strict=True):
+                geom.set_friction(mu)
+        elif surfaces:
+            link.set_friction(max(surfaces))
+
+
+def set_joints(entity: Any, positions: dict[str, float], values: dict[str, dict[str, float]]) -> None:
+    """Set position, Coulomb friction and armature of each joint."""
+    for name, position in positions.items():
+        dofs = entity.get_joint(name).dofs_idx_local
+        entity.set_dofs_position([position], dofs)
+        entity.set_dofs_frictionloss([values[name]["friction"]], dofs)
+        entity.set_dofs_armature([values[name]["armature"]], dofs)
+
+
+def has_display() -> bool:
+    """Whether a window can open here."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def main() -> None:
+    """Open the viewer and step; without a display, step for a second and say what was loaded."""
+    scene, entities = load(show_viewer=has_display())
+    steps = 0
+    while steps < 500 or (has_display() and scene.viewer.is_alive()):
+        scene.step()
+        steps += 1
+    print(f"loaded {HERE / 'poses.json'}: {', '.join(entities)}")
+
+
+if __name__ == "__main__":
+    main()

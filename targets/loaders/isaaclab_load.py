@@ -1,0 +1,82 @@
+"""Load this world into Isaac Lab: ``scene_cfg()`` configures an ``InteractiveScene`` with it in each clone.
+
+Start the app first (``AppLauncher``), then:
+
+    from load import scene_cfg, simulation_cfg
+    simulation = SimulationContext(simulation_cfg())
+    scene = InteractiveScene(scene_cfg(num_envs=16))
+    simulation.reset()
+    scene["cup"].data.root_pos_w
+
+``python load.py`` does that for one environment, with the arguments of ``AppLauncher``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+ROOT = "{ENV_REGEX_NS}/World"
+
+
+def description() -> dict[str, Any]:
+    """Gravity and the objects with their prims, as ``objects.json`` has them."""
+    found: dict[str, Any] = json.loads((HERE / "objects.json").read_text(encoding="utf-8"))
+    return found
+
+
+def simulation_cfg(**settings: Any) -> Any:
+    """A ``SimulationCfg`` with the gravity of the scene; ``settings`` are its other fields."""
+    import isaaclab.sim as sim_utils
+
+    return sim_utils.SimulationCfg(gravity=tuple(description()["gravity"]), **settings)
+
+
+def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> Any:
+    """An ``InteractiveSceneCfg``: the stage in each environment, and every object that moves by its name."""
+    import isaaclab.sim as sim_utils
+    from isaaclab.assets import ArticulationCfg, AssetBaseCfg, RigidObjectCfg
+    from isaaclab.scene import InteractiveSceneCfg
+
+    config = InteractiveSceneCfg(num_envs=num_envs, env_spacing=env_spacing, **settings)
+    # The simulation brings a physics scene; `environment.usda` is the stage without its own.
+    spawn = sim_utils.UsdFileCfg(usd_path=str(HERE / "environment.usda"))
+    config.world = AssetBaseCfg(prim_path=ROOT, spawn=spawn)
+    for name, item in description()["objects"].items():
+        prim, body = (path.replace("/World", ROOT, 1) for path in (item["prim"], item["body"]))
+        position, rotation = tuple(item["p"]), tuple(item["q_wxyz"])
+        if item["kind"] == "rigid":
+            state = RigidObjectCfg.InitialStateCfg(pos=position, rot=rotation)
+            setattr(config, name, RigidObjectCfg(prim_path=body, spawn=None, init_state=state))
+        elif item["kind"] == "articulation":
+            state = ArticulationCfg.InitialStateCfg(pos=position, rot=rotation, joint_pos=item["joints"])
+            setattr(config, name, ArticulationCfg(prim_path=prim, spawn=None, init_state=state, actuators={}))
+    return config
+
+
+def main() -> None:
+    """Load one environment, step it for a second, and say what is there."""
+    from isaaclab.app import AppLauncher
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    AppLauncher.add_app_launcher_args(parser)
+    launcher = AppLauncher(parser.parse_args())
+    from isaaclab.scene import InteractiveScene
+    from isaaclab.sim import SimulationContext
+
+    simulation = SimulationContext(simulation_cfg())
+    scene = InteractiveScene(scene_cfg())
+    simulation.reset()
+    for _ in range(60):
+        simulation.step()
+        scene.update(simulation.get_physics_dt())
+    names = [*scene.rigid_objects, *scene.articulations]
+    print(f"loaded {HERE / 'environment.usda'}: {', '.join(names)}")
+    launcher.app.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""Load this world into ManiSkill: importing this file registers the environment ``SimFoundryScene-v1``.
+
+    import gymnasium, load
+    env = gymnasium.make("SimFoundryScene-v1", num_envs=16, robot_uids="panda")
+    env.reset(seed=0)
+    env.unwrapped.things["cup"].pose
+
+Poses, contact materials and joint friction come from ``poses.json`` and ``physics.json``, which URDF has no place for.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import sapien
+import torch
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.utils.registration import register_env
+from mani_skill.utils.structs.types import SceneConfig, SimConfig
+
+HERE = Path(__file__).resolve().parent
+POSES: dict[str, Any] = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
+PHYSICS: dict[str, Any] = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
+
+
+@register_env("SimFoundryScene-v1", max_episode_steps=600)
+class SceneEnv(BaseEnv):
+    """The scene without a task: no success, no reward; things are at their poses after each reset."""
+
+    SUPPORTED_REWARD_MODES = ("none",)
+
+    def __init__(self, *args: Any, robot_uids: str = "none", **kwargs: Any) -> None:
+        self.things: dict[str, Any] = {}
+        super().__init__(*args, robot_uids=robot_uids, **kwargs)
+
+    @property
+    def _default_sim_config(self) -> SimConfig:
+        return SimConfig(scene_config=SceneConfig(gravity=np.array(PHYSICS["gravity"])))
+
+    def _load_agent(self, options: dict[str, Any]) -> None:
+        super()._load_agent(options, sapien.Pose())
+
+    def _load_scene(self, options: dict[str, Any]) -> None:
+        for name, item in POSES.items():
+            self.things[name] = self._load_object(name, item)
+
+    def _load_object(self, name: str, item: dict[str, Any]) -> Any:
+        loader = self.scene.create_urdf_loader()
+        loader.name, loader.fix_root_link = name, item["fixed"]
+        parsed = loader.parse(str(HERE / item["urdf"]))
+        pose = sapien.Pose(item["p"], item["q_wxyz"])
+        surfaces = PHYSICS["objects"][name]["links"]
+        if parsed["actor_builders"]:
+            (builder,) = parsed["actor_builders"]
+            set_surfaces(builder, next(iter(surfaces.values())))
+            builder.initial_pose = pose
+            return builder.build_static(name) if item["fixed"] else builder.build(name)
+        (builder,) = parsed["articulation_builders"]
+        for link in builder.link_builders:
+            set_surfaces(link, surfaces[link.name])
+        builder.initial_pose = pose
+        articulation = builder.build(name, fix_root_link=item["fixed"])
+        for joint in articulation.active_joints:
+            joint.set_friction(PHYSICS["objects"][name]["joints"][joint.name]["friction"])
+        return articulation
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
+        with torch.device(self.device):
+            for name, item in POSES.items():
+                thing, joints = self.things[name], item["joints"]
+                if joints:
+                    order = [joints[joint.name] for joint in thing.active_joints]
+                    thing.set_qpos(torch.tensor([order]).repeat(len(env_idx), 1))
+                if not item["fixed"]:
+                    thing.set_pose(sapien.Pose(item["p"], item["q_wxyz"]))
+
+    def evaluate(self) -> dict[str, Any]:
+        """A scene has no goal."""
+        return {}
+
+
+def set_surfaces(builder: Any, surfaces: dict[str, dict[str, float]]) -> None:
+    """Give each collision shape of a builder its material, in the order of the URDF."""
+    for record, surface in zip(builder.collision_records, surfaces.values(), strict=True):
+        mu = surface["friction"]
+        record.material = sapien.physx.PhysxMaterial(mu, mu, surface["restitution"])
+
+
+def load(num_envs: int = 1, **settings: Any) -> Any:
+    """The environment, reset; ``settings`` go to ``gymnasium.make``."""
+    env = gymnasium.make("SimFoundryScene-v1", num_envs=num_envs, **settings)
+    env.reset(seed=0)
+    return env
+
+
+def main() -> None:
+    """Say what was loaded."""
+    env = load()
+    print(f"loaded {HERE / 'poses.json'}: {', '.join(env.unwrapped.things)}")
+    env.close()
+
+
+if __name__ == "__main__":
+    main()

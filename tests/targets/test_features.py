@@ -1,0 +1,109 @@
+"""What a compile reports is what the tables say, feature by feature and backend by backend."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from simfoundry.backends import BACKENDS, compile_scene, features_of
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.features import FEATURES, fates, feature_of
+from simfoundry.scene.lower import lower_file
+from simfoundry.scene.model import Scene
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import find_target, target_names
+from simfoundry.targets.report import report, table
+from simfoundry.targets.support import cells_of
+from tests.scenes import all_scenes, full_scene
+from tests.targets.everything import LIGHTS, write_everything
+
+APART = (*LIGHTS, "background_mesh", "background_splat")
+"""Features that are looked at one at a time: a picture has one light, a scene one background."""
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
+    """The scene by the feature that is added to it; without any by ``""``."""
+    return {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in ("", *APART)}
+
+
+def test_the_scene_uses_every_feature(scenes: dict[str, Scene]) -> None:
+    unused = [name for name, f in FEATURES.items() if not any(f.users(scenes[name if name in APART else ""]))]
+    assert unused == []
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_decides_on_every_feature(backend: str) -> None:
+    assert set(features_of(backend)) == set(FEATURES)
+    assert all(cell.reason for cell in features_of(backend).values() if cell.fidelity is not None)
+
+
+@pytest.mark.parametrize("feature", FEATURES)
+@pytest.mark.parametrize("target", target_names())
+def test_a_compile_reports_what_the_table_says(target: str, feature: str, scenes: dict[str, Scene]) -> None:
+    scene, chosen = scenes[feature if feature in APART else ""], find_target(target)
+    losses = compile_target(scene, chosen).losses
+    reported = {loss.fidelity for loss in losses if feature_of(loss, scene) == feature}
+    fidelity = cells_of(chosen)[feature].fidelity
+    assert reported == (set() if fidelity is None else {fidelity})
+
+
+@pytest.mark.parametrize("target", target_names())
+def test_every_loss_belongs_to_a_feature(target: str) -> None:
+    for scene in all_scenes().values():
+        for loss in compile_target(scene, find_target(target)).losses:
+            assert feature_of(loss, scene) in FEATURES, loss
+
+
+def test_users_are_counted_once_each_and_the_worst_counts() -> None:
+    scene = full_scene()
+    objects = len(scene.objects)
+    assert fates(scene, [])["mass"] == {"kept": objects}
+    one = Loss("puck.friction", Fidelity.APPROXIMATED, "")
+    assert fates(scene, [one])["friction"] == {"kept": objects - 1, "approximated": 1}
+    worse = Loss("puck.friction", Fidelity.DROPPED, "")
+    assert fates(scene, [one, worse])["friction"] == fates(scene, [worse, one])["friction"]
+    assert fates(scene, [worse])["friction"] == {"kept": objects - 1, "dropped": 1}
+    everywhere = Loss("friction", Fidelity.APPROXIMATED, "")
+    assert fates(scene, [everywhere])["friction"] == {"approximated": objects}
+    hinge = Loss("cabinet.hinge.friction", Fidelity.DROPPED, "")
+    assert fates(scene, [hinge])["joint_friction"] == {"kept": 2, "dropped": 1}
+    assert "friction" in fates(scene, [hinge]) and fates(scene, [hinge])["friction"] == {"kept": objects}
+
+
+def test_counts_of_a_report_add_up_to_the_users(scenes: dict[str, Scene]) -> None:
+    scene = scenes["distant_lights"]
+    data = report(scene, [compile_scene(scene, backend) for backend in BACKENDS])
+    for entry in data.values():
+        counts = {name: sum(found.values()) for name, found in entry["fields"].items()}
+        assert counts == {n: len(list(f.users(scene))) for n, f in FEATURES.items() if any(f.users(scene))}
+    assert json.loads(json.dumps(data)) == data
+    assert data["usd"]["fields"]["variants"] == {"kept": 1}
+    assert data["mjcf"]["fields"]["variants"] == {"dropped": 1}
+
+
+def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]) -> None:
+    scene = scenes[""]
+    lines = table(report(scene, [compile_scene(scene, backend) for backend in ("mjcf", "usd")]))
+    assert lines[0].split() == ["not", "kept", "mjcf", "usd"]
+    assert [line.split()[0] for line in lines[1:-1]] == [
+        "robots",
+        "mounted_cameras",
+        "variants",
+        "friction",
+        "restitution",
+        "torsional_friction",
+        "rolling_friction",
+    ]
+    assert lines[1].split() == ["robots", "-1", "-1"]
+    assert lines[3].split() == ["variants", "-1"]
+    in_use = sum(1 for f in FEATURES.values() if any(f.users(scene)))
+    assert lines[-1] == f"kept by all: {in_use - 7} of the {in_use} fields in use"
+
+
+def test_the_page_is_what_the_tables_say() -> None:
+    from simfoundry.targets.support import PAGE, support_page
+
+    assert (Path(__file__).resolve().parents[2] / PAGE).read_text() == support_page()

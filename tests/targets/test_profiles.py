@@ -1,0 +1,204 @@
+"""Profiles: the project's own are whole, a wrong one is told where and what, and a new target is one new file."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import json
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from simfoundry.backends import BACKENDS, compile_scene
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.targets.combine import RULES
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import UnknownTargetError, find_target, folder, profile_names, read_profile, target_names
+from tests.cli.command import run
+from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid
+from tests.targets.everything import write_everything
+
+ROOT = Path(__file__).resolve().parents[2]
+SIMULATORS = {"mujoco", "mjx", "pybullet", "isaacsim", "isaaclab", "newton", "sapien", "maniskill", "genesis", "drake"}
+SIMULATORS |= {"omnigibson", "usdview"}
+MODULES = {"drake": "pydrake", "usdview": "pxr", "mjx": "mujoco.mjx"}
+"""What to import to know that a simulator is here, where it is called otherwise."""
+
+MINE = """\
+simfoundry: target/1
+name: my_sim
+description: A simulator of my own.
+backend: mjcf
+options: {timestep: 0.001}
+tested: {how: checked}
+loader: my_load.py
+combines: {friction: minimum}
+restores: {restitution: the loader sets it}
+gaps:
+  mass: {fidelity: dropped, kind: never, reason: everything weighs nothing}
+"""
+
+
+def profile(tmp_path: Path, text: str = MINE) -> Path:
+    (tmp_path / "my_load.py").write_text("print('mine')\n")
+    (tmp_path / "my_sim.yaml").write_text(text)
+    return tmp_path / "my_sim.yaml"
+
+
+def test_every_simulator_has_a_profile_and_every_backend_is_a_target() -> None:
+    assert set(profile_names()) == SIMULATORS
+    assert target_names()[: len(BACKENDS)] == list(BACKENDS)
+    assert len(set(target_names())) == len(target_names())
+
+
+@pytest.mark.parametrize("name", sorted(SIMULATORS))
+def test_a_profile_says_how_it_was_tested(name: str) -> None:
+    spec = find_target(name).profile
+    assert spec is not None and spec.name == name
+    assert bool(spec.tested.versions) == (spec.tested.how == "run")
+    assert spec.tested.how == "run" or spec.tested.note
+
+
+@pytest.mark.parametrize("name", sorted(SIMULATORS))
+def test_a_loader_is_code_that_runs_by_itself(name: str) -> None:
+    files = compile_target(full_scene(), find_target(name)).files
+    tree = ast.parse(files["load.py"])
+    functions = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert "main" in functions and functions & {"load", "scene_cfg"}
+    imported = {a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+    imported |= {str(n.module) for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+    assert not any(module.startswith("simfoundry") for module in imported)
+    read = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    named = {word for word in read if word.endswith((".json", ".usda", ".xml")) and "/" not in word and " " not in word}
+    assert named and named <= set(files), "a loader reads files that the build does not have"
+
+
+def _present(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(MODULES.get(name, name)) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("name", sorted(SIMULATORS))
+def test_where_the_simulator_is_its_loader_loads(name: str, tmp_path: Path) -> None:
+    if not _present(name):
+        pytest.skip(f"{name} is not installed")
+    compile_target(primitives_scene(), find_target(name)).write(tmp_path / name)
+    bare = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    command = [sys.executable, str(tmp_path / name / "load.py")]
+    done = subprocess.run(command, cwd=tmp_path, env=bare, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(("loaded ", "scene.usda"))
+
+
+def test_a_new_target_is_a_new_file(tmp_path: Path) -> None:
+    target = read_profile(profile(tmp_path))
+    scene = full_scene()
+    artifact, plain = compile_target(scene, target), compile_scene(scene, "mjcf")
+    assert artifact.target == "my_sim"
+    assert artifact.files["load.py"] == b"print('mine')\n"
+    assert b'timestep="0.001"' in artifact.files["scene.xml"]
+    assert b'timestep="0.002"' in plain.files["scene.xml"]
+    losses = {loss.path: loss.reason for loss in artifact.losses}
+    assert losses["mass"] == "everything weighs nothing (never)"
+    assert losses["friction"] == "my_sim takes the smaller of a pair: 0.1 for 0.1 and 0.8, where 0.283 is meant"
+    assert not any("restitution" in path for path in losses)
+    assert any("restitution" in loss.path for loss in plain.losses)
+
+
+def test_compile_takes_names_and_paths(tmp_path: Path) -> None:
+    scene, mine = write_everything(tmp_path), profile(tmp_path)
+    done = run("compile", scene, "-o", tmp_path / "build", "-t", "sapien", "-t", mine, "-t", "usd", "-t", "usd")
+    assert done.code == 0, done.err
+    built = sorted(p.name for p in (tmp_path / "build").iterdir())
+    assert built == ["loss.json", "my_sim", "sapien", "usd"]
+    report = json.loads((tmp_path / "build" / "loss.json").read_text())
+    assert list(report) == ["sapien", "my_sim", "usd"]
+    assert report["my_sim"]["fields"]["mass"] == {"dropped": 7}
+    assert report["usd"]["fields"]["mass"] == {"kept": 7}
+    strict = run("compile", scene, "-o", tmp_path / "build", "-t", "sapien", "--strict")
+    assert strict.code == 1
+
+
+def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(UnknownTargetError, match="no target is called `isaaclib`; did you mean `isaaclab`"):
+        find_target("isaaclib")
+    done = run("compile", write_everything(tmp_path), "-t", "isaaclib", "-o", tmp_path / "build")
+    assert done.code == 2 and "did you mean `isaaclab`" in done.err
+    assert not (tmp_path / "build").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code", "line", "words"),
+    [
+        ("backend: mjcf", "backend: mjfc", "SF201", 4, "no backend is called `mjfc`"),
+        ("{timestep: 0.001}", "{time_step: 0.001}", "SF201", 5, "option of the backend `mjcf`"),
+        ("{timestep: 0.001}", "{timestep: fast}", "SF103", 5, "expected a number"),
+        ("how: checked", "how: guessed", "SF106", 6, "not valid here"),
+        ("my_load.py", "your_load.py", "SF203", 7, "there is no file `your_load.py`"),
+        ("my_load.py", "../../../etc/passwd", "SF203", 7, "there is no file"),
+        ("restores: {restitution", "restores: {bounciness", "SF201", 9, "no feature is called `bounciness`"),
+        ("  mass:", "  maas:", "SF201", 11, "no feature is called `maas`"),
+        ("kind: never", "kind: maybe", "SF106", 11, "not valid here"),
+        ("name: my_sim", "name: your_sim", "SF106", 2, "its file `my_sim.yaml`"),
+        ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
+        ("description: A simulator of my own.", "", "SF102", 1, "`description` is missing"),
+    ],
+)
+def test_a_wrong_profile_is_told_where_and_what(
+    tmp_path: Path, old: str, new: str, code: str, line: int, words: str
+) -> None:
+    path = profile(tmp_path, MINE.replace(old, new))
+    with pytest.raises(SpecError) as caught:
+        read_profile(path)
+    (finding,) = caught.value.diagnostics
+    assert (finding.code, finding.line, finding.file) == (code, line, str(path))
+    assert words in finding.message
+
+
+def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+    wrong = MINE.replace("backend: mjcf", "backend: mjfc").replace("  mass:", "  maas:")
+    with pytest.raises(SpecError) as caught:
+        read_profile(profile(tmp_path, wrong))
+    assert [d.line for d in caught.value.diagnostics] == [4, 11]
+
+
+def test_rules_for_a_pair_agree_where_both_are_equal() -> None:
+    for words, rule in RULES.values():
+        equal = rule(0.4, 0.4)
+        assert equal == pytest.approx(0.16 if words == "the product" else 0.4)
+
+
+def test_no_loss_where_all_surfaces_are_equal() -> None:
+    alike = scene_of(solid("a", box(1, 1, 1), pose(0, 0, 0)), solid("b", box(1, 1, 1), pose(2, 0, 0)))
+    assert [loss for loss in compile_target(alike, find_target("drake")).losses if loss.path == "friction"] == []
+    other = solid("b", box(1, 1, 1), pose(2, 0, 0), friction=0.8)
+    mixed = scene_of(solid("a", box(1, 1, 1), pose(0, 0, 0), friction=0.3), other)
+    (loss,) = (loss for loss in compile_target(mixed, find_target("drake")).losses if loss.path == "friction")
+    assert loss.reason == "drake takes the harmonic mean of a pair: 0.436 for 0.3 and 0.8, where 0.49 is meant"
+
+
+def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
+    hatchling = pytest.importorskip("hatchling.builders.wheel")
+    builder = hatchling.WheelBuilder(str(ROOT))
+    (wheel,) = builder.build(directory=str(tmp_path), versions=["standard"])
+    names = set(zipfile.ZipFile(wheel).namelist())
+    expected = {p.relative_to(folder()).as_posix() for p in folder().rglob("*") if p.suffix in (".yaml", ".py")}
+    assert {f"simfoundry/targets/profiles/{name}" for name in expected} <= names
+
+
+def test_the_profile_of_the_page_holds(tmp_path: Path) -> None:
+    shown = re.search(
+        r"^```yaml\n(# targets/.*?)^```", (ROOT / "docs/add-a-target.md").read_text(), re.DOTALL | re.MULTILINE
+    )
+    assert shown is not None
+    target = read_profile(profile(tmp_path, shown[1]))
+    losses = {loss.path: loss.reason for loss in compile_target(full_scene(), target).losses}
+    assert "gravity" not in losses and losses["restitution"] == "it has soft contacts (never)"
+    assert losses["friction"].startswith("my_sim takes the average of a pair")
