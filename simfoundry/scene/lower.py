@@ -31,6 +31,7 @@ from simfoundry.scene.model import (
     SceneObject,
 )
 from simfoundry.scene.place import place_all, seen_by_camera
+from simfoundry.scene.source import Source
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
@@ -38,6 +39,7 @@ from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.write import to_data
 
 Progress = Callable[[str, int, int], None]
 
@@ -68,7 +70,14 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
         left_out=tuple(_left_out(spec)),
+        source=Source.of(_file_in_project(loaded), to_data(spec)),
     )
+
+
+def _file_in_project(loaded: Loaded) -> str:
+    """Where a document lies, counted from its project, so that it is the same on every machine."""
+    path = loaded.path.resolve()
+    return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
 
 
 def viewer(spec: SceneSpec) -> Pose | None:

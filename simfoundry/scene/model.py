@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.source import Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +235,8 @@ class LeftOut:
 class Scene:
     """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
 
-    ``left_out`` is what the spec says beyond that; every target reports it as lost.
+    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``source`` is the document itself, for
+    targets that can give it back.
     """
 
     name: str
@@ -244,6 +246,7 @@ class Scene:
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
     left_out: tuple[LeftOut, ...] = ()
+    source: Source | None = None
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""

@@ -16,6 +16,7 @@ from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
 from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
+from simfoundry.backends.usd.source import write_source
 from simfoundry.scene.model import Mesh, Scene
 
 if TYPE_CHECKING:
@@ -27,7 +28,8 @@ def compile_usd(scene: Scene) -> Artifact:
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
-    start with a capital, the scene's names do not, so the two never meet. A name that is none, or is there twice, is an
+    start with a capital, the scene's names do not, so the two never meet. The document behind the scene is kept in
+    metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or is there twice, is an
     :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
@@ -36,6 +38,8 @@ def compile_usd(scene: Scene) -> Artifact:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     with Sdf.ChangeBlock():
         _define_world(layer, scene)
+        if scene.source is not None:
+            write_source(layer, scene.source)
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
     contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes(), **_assets(scene)}
     return Artifact("usd", "scene.usda", contents, losses(scene))
