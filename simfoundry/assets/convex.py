@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache, key_of
+from simfoundry.assets.faults import flat
 from simfoundry.assets.mass import mesh as solid_of
-from simfoundry.assets.mesh import MeshError
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -43,7 +43,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
     try:
         corners = points[np.sort(ConvexHull(points).vertices)]
     except QhullError:
-        raise MeshError("SF301", "the mesh is flat: its points lie in one plane", "give it thickness") from None
+        raise flat() from None
     if len(corners) > limit:
         corners = corners[_spread(corners, limit)]
     result = ConvexHull(corners)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.mesh import MeshError
+from simfoundry.assets.faults import profile_misses_axis, profile_off_axis, shape_crosses_itself
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon
@@ -39,12 +39,12 @@ def checked_profile(profile: Array) -> Array:
     from shapely.geometry import Polygon
 
     if profile[0, 0] != 0 or profile[-1, 0] != 0:
-        raise MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
+        raise profile_misses_axis()
     if (profile[1:-1, 0] <= 0).any():
-        raise MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
+        raise profile_off_axis()
     polygon = Polygon(profile)
     if not polygon.is_valid or polygon.area < 1e-8:
-        raise MeshError("SF301", "the profile crosses itself or has no area", "list its corners in order around it")
+        raise shape_crosses_itself("profile")
     return profile[::-1].copy() if polygon.exterior.is_ccw else profile
 
 

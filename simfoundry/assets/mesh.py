@@ -10,18 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_FACES = 2_000_000
-SMALLEST, LARGEST = 0.001, 20.0  # plausible extents of anything on, around or under a table [m]
+from simfoundry.assets.faults import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
 
 Array = NDArray[np.float64]
-
-
-class MeshError(Exception):
-    """A mesh that cannot be used: a diagnostic code, what is wrong, and what to do."""
-
-    def __init__(self, code: str, message: str, hint: str = "") -> None:
-        super().__init__(message)
-        self.code, self.message, self.hint = code, message, hint
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +35,25 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
 
     Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
     """
+    parts = read_parts(path, scale)
+    wrong = implausible_size(path.name, extent(parts), scale)
+    if wrong is not None:
+        raise wrong
+    return parts
+
+
+def extent(parts: tuple[MeshPart, ...]) -> float:
+    """The longest side of the bounds of a mesh [m]."""
+    return float(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0).max())
+
+
+def read_parts(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
+    """The same as :func:`read_mesh`, of any size."""
     import trimesh
 
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise too_large(path.name, size)
     try:
         scene = trimesh.load_scene(path, process=False)
         meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
@@ -59,7 +67,7 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles whose corners do not exist", "export it again")
     parts = tuple(_part(m, scale, path.suffix.lower() in (".glb", ".gltf")) for m in meshes)
-    _check_size(path.name, np.concatenate([p.vertices for p in parts]), scale)
+    _check_numbers(path.name, np.concatenate([p.vertices for p in parts]))
     return parts
 
 
@@ -110,18 +118,10 @@ def _png(image: Any) -> bytes:
     return stream.getvalue()
 
 
-def _check_size(name: str, vertices: Array, scale: float) -> None:
+def _check_numbers(name: str, vertices: Array) -> None:
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices).all(axis=1)).sum())
         raise MeshError("SF301", f"{name} has {bad} vertices that are not numbers", "repair or export it again")
-    size = float(np.ptp(vertices, axis=0).max())
-    shown = f"{name} is {size:.4g} m across"
-    if size > LARGEST:
-        millimetres = SMALLEST < size / 1000 < LARGEST
-        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
-        raise MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
-    if size < SMALLEST:
-        raise MeshError("SF303", f"{shown}, less than a millimetre", "set `scale`, the metres of one unit of the mesh")
 
 
 def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.mesh import MeshError
+from simfoundry.assets.faults import shape_crosses_itself
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -20,7 +20,7 @@ def checked_outline(outline: Array) -> Array:
 
     polygon = Polygon(outline)
     if not polygon.is_valid or polygon.area < 1e-8:
-        raise MeshError("SF301", "the outline crosses itself or has no area", "list its corners in order around it")
+        raise shape_crosses_itself("outline")
     return _without_straights(outline if polygon.exterior.is_ccw else outline[::-1])
 
 

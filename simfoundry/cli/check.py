@@ -46,6 +46,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     form = "json" if as_json else form
     files = documents(paths or (Path(),))
     _known.clear()
+    _linted.clear()
     with _progress(len(files)) as progress:
         checked = spread(_check, files, progress)
     report = gather(map(str, files), checked)
@@ -65,16 +66,20 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
 _known: dict[Path, Known] = {}
 """What this process has read during a command, by project: documents that many others use are read once."""
 
+_linted: set[Path] = set()
+"""What this process has held to the lints during a command."""
+
 
 def _check(file: Path) -> Checked:
     """What one document gives; also called in other processes."""
+    from simfoundry.lint.run import lint
     from simfoundry.spec.load import load
     from simfoundry.spec.loaded import project_root
     from simfoundry.spec.report.model import Checked
 
     root = project_root(file)
     loaded = load(file, root, _known.setdefault(root, {}))
-    return Checked(tuple(loaded.all_findings()), tuple(map(str, _used(loaded))))
+    return Checked((*loaded.all_findings(), *lint(loaded, _linted)), tuple(map(str, _used(loaded))))
 
 
 def _used(loaded: Loaded) -> Iterator[Path]:

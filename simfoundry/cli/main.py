@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
+import importlib.util
+import os
 import sys
 from itertools import pairwise
 
 import click
 
 from simfoundry import __version__
+
+
+def _postpone(name: str) -> None:
+    """Load a module of the standard library only when something of it is used, not when it is imported."""
+    spec = importlib.util.find_spec(name)
+    if name not in sys.modules and spec is not None and spec.loader is not None:
+        spec.loader = importlib.util.LazyLoader(spec.loader)
+        sys.modules[name] = module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+
+
+# Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+_postpone("importlib.metadata")
+gc.set_threshold(100_000)  # modules and documents are built by the ten thousand and stay; looking for cycles is in vain
 
 COMMANDS = {
     "capture": "Turn a capture folder into a scene.",
@@ -20,7 +38,10 @@ COMMANDS = {
     "explain": "Explain the code of a finding, or list all codes.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
+    "git": "Let git show and merge documents by meaning.",
+    "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
+    "new": "Start a document of any kind, with comments that teach.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
     "settle": "Let a scene come to rest in physics, with a report.",

@@ -7,10 +7,13 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.output import reporting
+from simfoundry.spec.kinds import KINDS
+
+WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
 
 @click.command()
-@click.argument("kind", type=click.Choice(["scene", "asset", "capture"]), required=False)
+@click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Write all of them into a folder.")
 @reporting
 def command(kind: str | None, out: Path | None) -> None:
@@ -25,5 +28,5 @@ def command(kind: str | None, out: Path | None) -> None:
             click.echo(str(out / name))
         return
     if kind is None:
-        raise click.UsageError("say which: scene, asset or capture; or write all of them with -o FOLDER")
+        raise click.UsageError(f"say which: {', '.join(WORDS)}; or write all of them with -o FOLDER")
     click.echo(texts[f"{kind}.schema.json"], nl=False)

@@ -11,8 +11,9 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, convex_parts, hull
+from simfoundry.assets.faults import LEAST_VOLUME, MeshError, no_volume, not_closed
 from simfoundry.assets.lathe import checked_profile, lathe_mesh, lathe_parts
-from simfoundry.assets.mesh import MeshError, MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.frames import frozen_array as frozen
@@ -122,14 +123,13 @@ class BodyBuilder:
             return mass.mesh(*hull(vertices, limit=len(vertices))), outward
         gaps = open_edges(faces)
         if gaps:
-            hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
-            raise MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on one side only", hint)
+            raise not_closed(name, gaps)
         solid = mass.mesh(vertices, faces)
         if solid.volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
             solid = mass.mesh(vertices, faces)
-        if solid.volume < 1e-10:
-            raise MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
+        if solid.volume < LEAST_VOLUME:
+            raise no_volume(name)
         return solid, faces
 
     def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.mesh import MeshError
+from simfoundry.assets.faults import MeshError
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.frames import frozen_array as frozen

@@ -15,7 +15,9 @@ from simfoundry.spec.scene import ObjectSpec, SceneSpec
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:
     """Plain facts: of each object its size [m], mass [kg] and doubt, position [m], joints, and what carries it."""
-    carried_by = {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
+    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
+    carried_by = {name: (place.on or place.inside or "").partition(".")[0] for name, place in places.items()}
+    carried_by |= {r.args[0]: r.args[1] for r in scene.relations if r.predicate == "OnTop"}
     objects = {o.name: _object(o, spec, carried_by.get(o.name)) for o in scene.objects}
     cameras = {c.name: {"size": [c.width, c.height]} for c in scene.cameras}
     return {"name": scene.name, "objects": objects, "cameras": cameras, "relations": [str(r) for r in scene.relations]}

@@ -39,7 +39,7 @@ FileName = Annotated[str, Reference()]
 class Model(BaseModel):
     """A part of a document: immutable, strict, no unknown keys."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
@@ -93,8 +93,10 @@ class CameraPose(Model):
 class Estimate(Model):
     """A number that was estimated, not measured."""
 
-    value: Positive = Field(description="The value to use.")
-    range: tuple[Positive, Positive] | None = Field(None, description="The lowest and highest plausible value.")
+    value: Positive = Field(description="The value to use [kg, or kg/m^3].")
+    range: tuple[Positive, Positive] | None = Field(
+        None, description="The lowest and highest plausible value [kg, or kg/m^3]."
+    )
     by: str = Field("unknown", max_length=64, description="Who or what estimated it.")
 
     @model_validator(mode="after")

@@ -144,9 +144,6 @@ else:
     ]
     """A predicate, or several joined."""
 
-for _model in (AllOf, AnyOf, NoneOf):
-    _model.model_rebuild()
-
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
     """``text``, ``all``, ``any`` or ``not`` of a condition (typed, or plain data), and what stands below it."""

@@ -10,22 +10,23 @@ from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.loaded import Loaded, project_root
-from simfoundry.spec.text import Document, YamlError, read
+from simfoundry.spec.text import Document, YamlError, parse, read
 from simfoundry.spec.validate import sound_part, validate
 
 Known = dict[tuple[str, str], Loaded | None]
 """Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""
 
 
-def load(path: Path, root: Path | None = None, known: Known | None = None) -> Loaded:
+def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
     """Read and check one document; the findings say what is wrong, nothing is raised.
 
-    Documents that it uses are taken from ``known`` where they are, and added to it.
+    Documents that it uses are taken from ``known`` where they are, and added to it. With ``text``, that is checked as
+    if it were what the file holds.
     """
     root = (root or project_root(path)).resolve()
     known = {} if known is None else known
     try:
-        document = read(path)
+        document = read(path) if text is None else parse(text, str(path))
     except YamlError as error:
         return Loaded(path, root, None, (error.diagnostic(str(path)),))
     kind, finding = kind_of(document)

@@ -7,7 +7,7 @@ keys and more than one document are errors. Depth, size and the expansion of ali
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,12 @@ _WORDS: dict[str, Any] = {
     **dict.fromkeys(("-.inf", "-.Inf", "-.INF"), float("-inf")),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan")),
 }
+
+_NUMERIC = frozenset("0123456789+-.")
+"""What a number starts with."""
+
+_NO_KEYS: dict[str, tuple[int, int]] = {}
+"""The keys of all that is no mapping; nobody adds to it."""
 
 Path_ = tuple[str | int, ...]
 
@@ -158,7 +164,8 @@ def parse(text: str, file: str = "<text>") -> Document:
     composer = _Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        for event in yaml.parse(text, Loader=loader):
+        events = loader(text)
+        while type(event := events.get_event()) is not yaml.StreamEndEvent:
             composer.feed(event)
     except yaml.YAMLError as error:
         raise _syntax_error(error, text) from None
@@ -216,42 +223,60 @@ class _Composer:
         self.duplicates: list[Diagnostic] = []
 
     def feed(self, event: Any) -> None:
-        match type(event).__name__:
-            case "ScalarEvent":
-                plain = "" if event.style else event.value
-                self._add(Node(_scalar(event), *_mark(event), plain=plain), event.anchor, event)
-            case "MappingStartEvent" | "SequenceStartEvent" as kind:
-                self._start(event, kind == "MappingStartEvent")
-            case "MappingEndEvent" | "SequenceEndEvent":
-                self._end()
-            case "AliasEvent":
-                self._alias(event)
-            case "DocumentStartEvent":
-                self.documents += 1
-                if self.documents > 1:
-                    message = "a second document starts here; a spec is one document"
-                    raise YamlError("SF004", message, *_mark(event), "write it into a file of its own")
+        """Take the next event."""
+        take = _EVENTS.get(type(event))
+        if take is not None:
+            take(self, event)
 
-    def _start(self, event: Any, mapping: bool) -> None:
+    def _scalar(self, event: Any) -> None:
+        mark = event.start_mark
+        if self.stack and self.stack[-1][1] is None and isinstance(self.stack[-1][0].children, dict):
+            self._key(event, mark.line + 1, mark.column + 1)
+            return
+        plain = "" if event.style else event.value
+        node = Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain)
+        self._add(node, event.anchor)
+
+    def _key(self, event: Any, line: int, column: int) -> None:
+        """A key of the mapping on top of the stack; it counts as a value."""
         if event.tag is not None:
-            raise YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+            raise _tag_error(event)
+        if event.value == "<<" and not event.style:
+            raise YamlError("SF004", "merge keys (<<) are not YAML 1.2", line, column, "write the keys out")
+        self._count(line, column)
+        plain = "" if event.style else event.value
+        if event.anchor is not None:
+            self.anchors[event.anchor] = Node(_value(event), line, column, None, _NO_KEYS, plain)
+        parent, _, start = self.stack[-1]
+        self.stack[-1] = (parent, (event.value, line, column, plain), start)
+
+    def _document(self, event: Any) -> None:
+        self.documents += 1
+        if self.documents > 1:
+            message = "a second document starts here; a spec is one document"
+            raise YamlError("SF004", message, *_mark(event), "write it into a file of its own")
+
+    def _start(self, event: Any) -> None:
+        if event.tag is not None:
+            raise _tag_error(event)
         if len(self.stack) >= MAX_DEPTH:
             raise YamlError("SF005", f"nested more than {MAX_DEPTH} levels deep", *_mark(event))
         if self.stack and isinstance(self.stack[-1][0].children, dict) and self.stack[-1][1] is None:
             raise YamlError("SF004", "a key must be a plain word", *_mark(event))
-        node = Node({} if mapping else (), *_mark(event), {} if mapping else [])
+        mapping = type(event) is yaml.MappingStartEvent
+        node = Node({}, *_mark(event), {}, {}) if mapping else Node((), *_mark(event), [], _NO_KEYS)
         self.stack.append((node, None, event))
 
-    def _end(self) -> None:
+    def _end(self, event: Any) -> None:
         node, _, start = self.stack.pop()
         if isinstance(node.children, dict):
             node.value = {key: child.value for key, child in node.children.items()}
-            node.weight += sum(child.weight for child in node.children.values())
+            node.weight += sum([child.weight for child in node.children.values()])
         else:
             node.children = _rejoined(node.children or []) if start.flow_style else node.children or []
-            node.value = tuple(child.value for child in node.children)
-            node.weight += sum(child.weight for child in node.children)
-        self._add(node, start.anchor, None)
+            node.value = tuple([child.value for child in node.children])
+            node.weight += sum([child.weight for child in node.children])
+        self._add(node, start.anchor)
 
     def _alias(self, event: Any) -> None:
         if event.anchor not in self.anchors:
@@ -259,37 +284,35 @@ class _Composer:
             raise YamlError("SF002", message, *_mark(event), "write the value out")
         node = self.anchors[event.anchor]
         self.nodes += node.weight
-        self._add(node, None, event)
+        self._add(node, None)
 
-    def _add(self, node: Node, anchor: str | None, event: Any) -> None:
+    def _count(self, line: int, column: int) -> None:
         self.nodes += 1
         if self.nodes > MAX_NODES:
-            raise YamlError("SF005", f"more than {MAX_NODES} values", node.line, node.column)
+            raise YamlError("SF005", f"more than {MAX_NODES} values", line, column)
+
+    def _add(self, node: Node, anchor: str | None) -> None:
+        self._count(node.line, node.column)
         if not self.stack:
             self.root = node
         elif isinstance(self.stack[-1][0].children, list):
             self.stack[-1][0].children.append(node)
         else:
-            self._add_to_mapping(node, event)
+            self._add_to_mapping(node)
         if anchor is not None:
             self.anchors[anchor] = node
 
-    def _add_to_mapping(self, node: Node, event: Any) -> None:
+    def _add_to_mapping(self, node: Node) -> None:
         parent, key, start = self.stack[-1]
         assert isinstance(parent.children, dict)
-        if key is None:
-            text = getattr(event, "value", None)
-            if not isinstance(text, str):
-                raise YamlError("SF004", "a key must be a plain word", node.line, node.column)
-            if text == "<<" and not event.style:
-                raise YamlError(
-                    "SF004", "merge keys (<<) are not YAML 1.2", node.line, node.column, "write the keys out"
-                )
-            self.stack[-1] = (parent, (text, node.line, node.column, node.plain), start)
-            return
+        if key is None:  # an alias, or a collection that ends
+            raise YamlError("SF004", "a key must be a plain word", node.line, node.column)
         name, line, column, plain = key
-        last = next(reversed(parent.children.values()), None)
-        if start.flow_style and last is not None and _is_open(last) and plain and node.value is None and not node.plain:
+        if start.flow_style and plain and node.value is None and not node.plain:
+            last = next(reversed(parent.children.values()), None)
+        else:
+            last = None
+        if last is not None and _is_open(last):
             last.value = last.plain = f"{last.plain}, {plain}"  # `{goal: OnTop(cup, desk)}` is one text, as in a list
         elif name in parent.children:
             first = parent.keys[name][0]
@@ -307,6 +330,8 @@ def _rejoined(items: list[Node]) -> list[Node]:
 
     Plain YAML splits such a text at its comma. Only plain scalars carry ``plain``; quoted ones stay as they are.
     """
+    if not any("(" in item.plain for item in items):
+        return items
     out: list[Node] = []
     for item in items:
         last = out[-1] if out else None
@@ -327,14 +352,21 @@ def _mark(event: Any) -> tuple[int, int]:
     return event.start_mark.line + 1, event.start_mark.column + 1
 
 
-def _scalar(event: Any) -> Any:
+def _tag_error(event: Any) -> YamlError:
+    return YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+
+
+def _value(event: Any) -> Any:
+    """The value of a scalar."""
     if event.tag is not None:
-        raise YamlError("SF004", f"the tag {event.tag} is not data", *_mark(event), "remove the tag")
+        raise _tag_error(event)
     text: str = event.value
     if event.style:  # quoted and block scalars are strings, whatever they look like
         return text
     if text in _WORDS:
         return _WORDS[text]
+    if text[0] not in _NUMERIC:
+        return text
     if _INT.match(text):
         return _integer(text, 10, event)
     if _FLOAT.match(text):
@@ -348,3 +380,14 @@ def _integer(text: str, base: int, event: Any) -> int:
     if len(text) > 100:
         raise YamlError("SF104", "a number of more than 100 digits", *_mark(event))
     return int(text, base)
+
+
+_EVENTS: dict[type, Callable[[_Composer, Any], None]] = {
+    yaml.ScalarEvent: _Composer._scalar,
+    yaml.MappingStartEvent: _Composer._start,
+    yaml.SequenceStartEvent: _Composer._start,
+    yaml.MappingEndEvent: _Composer._end,
+    yaml.SequenceEndEvent: _Composer._end,
+    yaml.AliasEvent: _Composer._alias,
+    yaml.DocumentStartEvent: _Composer._document,
+}

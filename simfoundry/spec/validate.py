@@ -45,17 +45,36 @@ _EXPECTED = {
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
     """The typed document, or every finding of its text."""
-    findings = list(document.duplicates)
+    findings = [*document.duplicates, *_without_value(model, document)]
     try:
         spec = model.model_validate(document.data)
     except ValidationError as error:
-        errors = error.errors(include_url=False)
+        errors = [e for e in error.errors(include_url=False) if e["input"] is not None or e["type"] == "missing"]
         findings += [_finding(model, document, e) for e in errors[:MAX_FINDINGS]]
         if len(errors) > MAX_FINDINGS:
             more = f"{len(errors) - MAX_FINDINGS} more errors are not shown"
             findings.append(replace(findings[-1], message=more, hint="mend these first"))
         return None, findings
     return (None if findings else spec), findings
+
+
+def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
+    """A finding for each key and item without a value: null removes what a document extends, and is nothing else."""
+    found: list[tuple[str | int, ...]] = []
+    todo: list[tuple[tuple[str | int, ...], Any]] = [((), document.data)] if isinstance(document.data, dict) else []
+    while todo:
+        path, data = todo.pop()
+        for part, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if value is None:
+                found.append((*path, part))
+            elif isinstance(value, dict | tuple) and part != "conflicts":
+                todo.append(((*path, part), value))
+    findings = []
+    for path in sorted(found, key=str)[:MAX_FINDINGS]:
+        what = f"`{path[-1]}`" if isinstance(path[-1], str) else "an item of the list"
+        hint = _description(model, path) or "write one, or remove the key"
+        findings.append(document.finding("SF103", path, f"{what} has no value", hint))
+    return findings
 
 
 def sound_part(model: type[M], document: Document) -> M | None:

@@ -85,3 +85,17 @@ def test_bounds_turn_with_the_object() -> None:
     low, high = world_bounds(brick, X_WO)
     half = np.abs(X_WO.rotation) @ np.array([0.1, 0.05, 0.02])
     assert np.allclose(low, X_WO.p - half) and np.allclose(high, X_WO.p + half)
+
+
+def test_what_is_placed_hangs_below_what_it_is_placed_on_or_in(tmp_path: Path) -> None:
+    (tmp_path / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n"
+        "  table: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+        "  cup: {shape: {box: [0.1, 0.1, 0.1]}, mass: 1, place: {on: table}}\n"
+        "  lid: {shape: {box: [0.1, 0.1, 0.1]}, mass: 1, place: {on: table, left_of: cup}}\n"
+        "relations: [OnTop(lid, cup)]\n"
+    )
+    loaded = load_scene(tmp_path / "a.scene.yaml")
+    assert isinstance(loaded.spec, SceneSpec)
+    objects = summary(lower(loaded), loaded.spec)["objects"]
+    assert {name: item["on"] for name, item in objects.items()} == {"table": None, "cup": "table", "lid": "cup"}

@@ -189,3 +189,19 @@ def test_a_conflict_is_an_error_until_it_is_decided(tmp_path: Path) -> None:
     (error,) = load(path).errors
     assert (error.code, error.line, error.severity) == ("SF209", 7, Severity.ERROR)
     assert error.message == "`objects.block.density` is left to decide: ours `3`, theirs `4`"
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("objects: {a: {shape: {box: [1, 1, 1]}, mass: }}\n", "objects.a.mass"),
+        ("objects: {a: {shape: {box: [1, 1, 1]}, mass: 1, friction: ~}}\n", "objects.a.friction"),
+        ("objects: {a: }\n", "objects.a"),
+        ("relations: [~]\n", "relations.0"),
+        ("cameras:\n", "cameras"),
+    ],
+)
+def test_a_key_without_a_value_is_an_error(tmp_path: Path, text: str, path: str) -> None:
+    file = tmp_path / "a.scene.yaml"
+    file.write_text(f"simfoundry: scene/1\nname: a\n{text}")
+    assert [(d.code, d.path, d.line) for d in load(file).errors] == [("SF103", path, 3)]

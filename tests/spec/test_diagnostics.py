@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.lint.run import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity, SpecError, render
 from simfoundry.spec.load import load
@@ -39,14 +40,15 @@ MADE: dict[str, Callable[[Path], object]] = {
 
 
 def findings_of(path: Path, root: Path) -> list[Diagnostic]:
-    """What checking and then lowering a document finds."""
+    """What checking, linting and then lowering a document finds."""
     loaded = load(path, root)
+    found = [*loaded.all_findings(), *lint(loaded)]
     if isinstance(loaded.spec, SceneSpec) and not loaded.errors:
         try:
             lower(loaded)
         except SpecError as error:
-            return [*loaded.all_findings(), *error.diagnostics]
-    return loaded.all_findings()
+            return [*found, *error.diagnostics]
+    return found
 
 
 def compare(name: str, findings: list[Diagnostic], root: Path, update: bool) -> None:

@@ -27,9 +27,6 @@ NOT_SHOWN = {
 }
 """Codes whose pages show no example, and why."""
 
-NOT_FOUND = ("SF403", *(f"SF{number}" for number in range(405, 412)))
-"""Codes that neither `check` nor lowering finds yet; what their pages call right is right all the same."""
-
 SHOWN = sorted(set(PAGES) - set(NOT_SHOWN))
 of_each_page = pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 
@@ -93,10 +90,7 @@ def pictures(folder: Path) -> None:
     Image.fromarray(np.full((480, 640), 800, np.uint16)).save(folder / "depth.png")
 
 
-not_yet = pytest.mark.xfail(strict=True, reason="nothing finds it yet")
-
-
-@pytest.mark.parametrize("code", [pytest.param(c, marks=not_yet) if c in NOT_FOUND else c for c in SHOWN])
+@pytest.mark.parametrize("code", SHOWN)
 def test_what_is_wrong_gives_the_code_and_no_other(code: str, tmp_path: Path) -> None:
     pictures(tmp_path)
     found = findings_of(written(PAGES[code], "Wrong", tmp_path))

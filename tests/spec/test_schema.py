@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from hypothesis import given, settings
 
+from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.schema import schema, schemas
+from simfoundry.spec.text import parse
+from simfoundry.spec.write import to_data
 from tests.conftest import REPOSITORY
+from tests.spec.strategies import ASSETS, SCENES
 
 SCENE = """
 simfoundry: scene/1
@@ -58,8 +66,7 @@ def test_no_schema_is_left_over() -> None:
 
 def errors(kind: str, data: Any) -> list[str]:
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema checks what editors check")
-    jsonschema.Draft202012Validator.check_schema(schema(kind))
-    return [e.message for e in jsonschema.Draft202012Validator(schema(kind)).iter_errors(data)]
+    return [e.message for e in jsonschema.Draft202012Validator(_schema(kind)).iter_errors(data)]
 
 
 @pytest.mark.parametrize(
@@ -113,3 +120,95 @@ def test_every_field_is_described() -> None:
 def test_documents_name_the_schema_files() -> None:
     assert set(schemas()) == {f"{kind}.schema.json" for kind in ("scene", "task", "asset", "capture", "cousins")}
     assert Path(REPOSITORY / "schemas").is_dir()
+
+
+@functools.cache
+def _schema(kind: str) -> Any:
+    return schema(kind)
+
+
+def _keys(kind: str) -> list[tuple[str, str, Any]]:
+    """Every key of a schema that documents without `extends` are held against: its part, its name, its schema."""
+    parts = {n: p for n, p in _schema(kind)["$defs"].items() if not n.startswith("Overlay")}
+    return [(part, key, body) for part, model in parts.items() for key, body in model.get("properties", {}).items()]
+
+
+KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1")
+PURE = {
+    *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
+    *("grid", "count", "seed", "together", "names", "invalid", "background", "horizon", "least", "most"),
+}
+"""Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
+
+
+def _numbers(kind: str, body: Any) -> bool:
+    """Whether a number may stand at a place, alone or in a list."""
+    parts = _schema(kind)["$defs"]
+    types = body.get("type", [])
+    if "number" in types or "integer" in types:
+        return True
+    inner = [*body.get("allOf", ()), *body.get("anyOf", ()), *([body["items"]] if "items" in body else [])]
+    inner += body.get("prefixItems", [])
+    inner += [parts[body["$ref"].rpartition("/")[2]]] if "$ref" in body else []
+    return any(_numbers(kind, part) for part in inner if part.get("type") != "object")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_schema_is_one(kind: str) -> None:
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema checks what editors check")
+    jsonschema.Draft202012Validator.check_schema(_schema(kind))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_of_a_number_says_its_unit(kind: str) -> None:
+    units = re.compile(
+        r"\[(m|kg|deg|px|s|Hz|rad or m|kg/m\^3|kg m\^2|m/s\^2|N|kg, or)[^\]]*\]|metres|of one unit|steps"
+    )
+    keys = [(part, key, body) for part, key, body in _keys(kind) if _numbers(kind, body)]
+    assert len(keys) > 3
+    without = {f"{part}.{key}" for part, key, body in keys if not units.search(body["description"]) and key not in PURE}
+    assert without <= {"Document.relations", "Listed.all", "Listed.any", "Condition.all", "Condition.any"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_in_a_whole_document_is_null_and_choices_are_explained(kind: str) -> None:
+    for part, key, body in _keys(kind):
+        cores = [body, *body.get("allOf", ()), *body.get("anyOf", ())]
+        assert not any("null" in core.get("type", []) for core in cores), (part, key)
+        for core in cores:
+            assert len(core.get("enum", ())) == len(core.get("enumDescriptions", ())), (part, key)
+        assert "default" not in body and body["title"] == key
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_key_brings_along_is_valid_there(kind: str) -> None:
+    """Each first value, with its holes filled in as they are offered."""
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema checks what editors check")
+    whole = _schema(kind)
+    tried = 0
+    for part, key, body in _keys(kind):
+        for snippet in body.get("defaultSnippets", ()):
+            value = _filled(snippet["body"])
+            one = {"$defs": whole["$defs"], **body}
+            wrong = [e.message for e in jsonschema.Draft202012Validator(one).iter_errors(value)]
+            assert wrong == [], (part, key, value)
+            tried += 1
+    assert tried > 10
+
+
+def _filled(body: Any) -> Any:
+    """What a person gets who takes a first value as it is."""
+    if isinstance(body, dict):
+        return {str(_filled(key)): _filled(value) for key, value in body.items()}
+    if isinstance(body, list):
+        return [_filled(item) for item in body]
+    return json.loads(json.dumps(parse(re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", body)).data))
+
+
+@given(spec=SCENES | ASSETS)
+@settings(derandomize=True, deadline=None, max_examples=40)
+def test_whatever_the_models_take_the_schema_takes(spec: SceneSpec | AssetSpec) -> None:
+    """But for the texts of relations, of which the models take any."""
+    data = json.loads(json.dumps(to_data(spec)))
+    data.pop("relations", None)
+    assert errors(spec.simfoundry, data) == []

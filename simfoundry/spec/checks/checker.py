@@ -89,7 +89,7 @@ class Checker:
 
     def mass(self, body: Body, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
         """A body has a mass or a density, or else every piece of it is made of something with a density."""
-        if body.mass is not None or body.density is not None:
+        if body.model_fields_set & {"mass", "density"}:  # given, if only without a value, which is a finding itself
             return
         if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
             hint = "give `mass`, `density`, or a `material` with a density"

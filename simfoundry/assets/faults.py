@@ -1,0 +1,71 @@
+"""What can be wrong with a mesh, a profile or an outline, in words; without numpy, so that a check starts at once."""
+
+from __future__ import annotations
+
+MAX_FACES = 2_000_000
+MAX_BYTES = 256 * 2**20
+"""Two million triangles with their pictures fit into this; more would take minutes and the memory of the machine."""
+
+SMALLEST, LARGEST = 0.001, 20.0
+"""Plausible extents of anything on, around or under a table [m]."""
+
+LEAST_VOLUME = 1e-10
+"""A solid of less than this [m^3], a tenth of a cubic millimetre, encloses nothing."""
+
+
+class MeshError(Exception):
+    """A mesh that cannot be used: a diagnostic code, what is wrong, and what to do."""
+
+    def __init__(self, code: str, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.code, self.message, self.hint = code, message, hint
+
+
+def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
+    """What is wrong with a mesh that measures ``size`` [m] in its longest direction, read with ``scale``."""
+    shown = f"{name} is {size:.4g} m across"
+    if size > LARGEST:
+        millimetres = SMALLEST < size / 1000 < LARGEST
+        hint = f"it looks like millimetres: `scale: {0.001 * scale:g}`" if millimetres else "set `scale`"
+        return MeshError("SF303", f"{shown}, more than {LARGEST:g} m", hint)
+    if size < SMALLEST:
+        hint = "set `scale`, the metres of one unit of the mesh"
+        return MeshError("SF303", f"{shown}, less than a millimetre", hint)
+    return None
+
+
+def not_closed(name: str, gaps: int) -> MeshError:
+    """Edges with a face on one side only."""
+    hint = "close it, or write `solid: hull` to give it the volume of its convex hull"
+    return MeshError("SF302", f"{name} is not closed: {gaps} edges have a face on one side only", hint)
+
+
+def no_volume(name: str) -> MeshError:
+    """A closed surface around nothing."""
+    return MeshError("SF301", f"{name} encloses no volume", "give it thickness, or write `solid: hull`")
+
+
+def flat() -> MeshError:
+    """Points without a hull."""
+    return MeshError("SF301", "the mesh is flat: its points lie in one plane", "give it thickness")
+
+
+def too_large(name: str, size: int) -> MeshError:
+    """A file of more bytes than are read."""
+    most = MAX_BYTES // 2**20
+    return MeshError("SF301", f"{name} has {size / 2**20:.0f} MiB; at most {most} are read", "decimate it first")
+
+
+def profile_misses_axis() -> MeshError:
+    """A profile that does not start and end on the axis."""
+    return MeshError("SF301", "a profile starts and ends on the axis", "begin and end it with radius 0")
+
+
+def profile_off_axis() -> MeshError:
+    """A profile that comes back to the axis in between."""
+    return MeshError("SF301", "a profile touches the axis only at its ends", "give the corners between a radius")
+
+
+def shape_crosses_itself(what: str) -> MeshError:
+    """A profile or an outline that is no simple polygon."""
+    return MeshError("SF301", f"the {what} crosses itself or has no area", "list its corners in order around it")

@@ -1,0 +1,205 @@
+"""``simfoundry git``."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.spec.kinds import KINDS, suffix
+
+DRIVER = "simfoundry"
+PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
+"""The files that are documents."""
+LINES = tuple(f"{pattern} diff={DRIVER} merge={DRIVER}" for pattern in PATTERNS)
+
+_scope = (
+    click.option("--global", "everywhere", is_flag=True, help="For every repository of yours."),
+    click.option("--local", "here", is_flag=True, help="For this repository (default)."),
+)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """Where git is told: one repository, or all of a user's."""
+
+    option: str
+    attributes: Path
+
+    @property
+    def words(self) -> str:
+        """For messages."""
+        return "for every repository of yours" if self.option == "--global" else "in this repository"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What git says."""
+
+    code: int
+    out: str
+    err: str
+
+
+@click.group()
+def command() -> None:
+    """Let git show and merge documents by meaning."""
+
+
+@command.command()
+@_scope[0]
+@_scope[1]
+@click.option("--uninstall", is_flag=True, help="Take back what was set.")
+@reporting
+def install(everywhere: bool, here: bool, uninstall: bool) -> int:
+    """Set simfoundry as git's diff and merge driver for documents.
+
+    The settings go into git's own configuration, which is not shared, and the patterns of the files into
+    `.gitattributes`, which is: commit it. Where the settings are missing git treats documents as text, as ever.
+    """
+    scope = _scoped(everywhere, here)
+    undo = f"simfoundry git install{' --global' if everywhere else ''} --uninstall"
+    if uninstall:
+        for section in (f"diff.{DRIVER}", f"merge.{DRIVER}"):
+            if _settings(scope, section):
+                _git("config", scope.option, "--remove-section", section)
+                click.echo(f"removed {section} {scope.words}")
+        if _remove_lines(scope.attributes):
+            click.echo(f"removed the patterns from {scope.attributes}")
+        return DONE
+    for key, value in settings().items():
+        _git("config", scope.option, "--replace-all", key, value)
+        click.echo(f"set {key}")
+    added = _add_lines(scope.attributes)
+    click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {scope.attributes}")
+    click.echo(f"done {scope.words}; to undo: {undo}")
+    if not everywhere:
+        click.echo("commit .gitattributes; each member of the team runs `simfoundry git install` once")
+    return DONE
+
+
+@command.command()
+@json_option
+@reporting
+def status(as_json: bool) -> int:
+    """Say what is set, here and for every repository; exit code 1 where a part is missing."""
+    wanted = settings()
+    found = {key: _output("config", "--get", key) for key in wanted}
+    folder = _top()
+    given = _output("check-attr", "diff", "merge", "--", f"a{PATTERNS[0][1:]}") if folder is not None else ""
+    attributes = [line.rpartition(": ")[2] for line in given.splitlines()] == [DRIVER, DRIVER]
+    if as_json:
+        print_json({"settings": found, "attributes": attributes, "complete": all(found.values()) and attributes})
+    else:
+        for key, value in found.items():
+            other = "" if not value or value == wanted[key] else "  (another installation's; run install to renew it)"
+            click.echo(f"{key} = {value}{other}" if value else f"{key} is not set")
+        if folder is None:
+            click.echo("this is no git repository, so it has no attributes")
+        else:
+            click.echo(f"documents {'have' if attributes else 'do not have'} the attributes diff and merge here")
+        if not (all(found.values()) and attributes):
+            click.echo("to set what is missing: simfoundry git install")
+    return DONE if all(found.values()) and attributes else FINDINGS
+
+
+def settings() -> dict[str, str]:
+    """The settings by key; they name this Python, so that they work where no environment is active.
+
+    -P keeps modules of the repository that git works in from being imported. Where this Python is gone, or simfoundry
+    from it, documents are merged as text.
+    """
+    python = shlex.quote(Path(sys.executable).as_posix())
+    ours = f"{python} -P -m simfoundry.cli.main"
+    there = f"{python} -P -c 'import simfoundry' 2>/dev/null"
+    by_meaning, asked = (text.replace("%", "%%") for text in (f"{ours} merge --git --", there))
+    by_lines = "git merge-file -L ours -L base -L theirs --marker-size=%L %A %O %B"
+    return {
+        f"diff.{DRIVER}.command": f"{ours} diff --git",
+        f"merge.{DRIVER}.name": "documents of SimFoundry, merged by meaning",
+        f"merge.{DRIVER}.driver": f"if {asked}; then {by_meaning} %O %A %B %L %P; else {by_lines}; fi",
+    }
+
+
+def _scoped(everywhere: bool, here: bool) -> Scope:
+    if everywhere and here:
+        raise CannotError("give one of --global and --local")
+    if everywhere:
+        named = _output("config", "--global", "--type=path", "--get", "core.attributesFile")
+        config = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+        return Scope("--global", Path(named) if named else config / "git" / "attributes")
+    top = _top()
+    if top is None:
+        raise CannotError("this is no git repository; start one with `git init`, or say --global")
+    return Scope("--local", top / ".gitattributes")
+
+
+def _top() -> Path | None:
+    """The top folder of the repository here; None where there is none, or one without files."""
+    found = _output("rev-parse", "--show-toplevel")
+    return Path(found) if found else None
+
+
+def _settings(scope: Scope, section: str) -> str:
+    return _output("config", scope.option, "--get-regexp", rf"^{re.escape(section)}\.")
+
+
+def _add_lines(file: Path) -> bool:
+    """Add the patterns that are missing; other lines stay as they are."""
+    text = _read(file)
+    missing = [line for line in LINES if line not in text.splitlines()]
+    if missing:
+        start = text if not text or text.endswith("\n") else f"{text}\n"
+        _write(file, start + "".join(f"{line}\n" for line in missing))
+    return bool(missing)
+
+
+def _remove_lines(file: Path) -> bool:
+    """Remove the patterns, and the file where nothing else is in it."""
+    text = _read(file)
+    kept = [line for line in text.splitlines(keepends=True) if line.rstrip("\r\n") not in LINES]
+    if len(kept) == len(text.splitlines()):
+        return False
+    if kept:
+        _write(file, "".join(kept))
+    else:
+        file.unlink()
+    return True
+
+
+def _read(file: Path) -> str:
+    return file.read_bytes().decode("utf-8", "surrogateescape") if file.exists() else ""
+
+
+def _write(file: Path, text: str) -> None:
+    from simfoundry.files import write_atomically
+
+    write_atomically(file.resolve(), text.encode("utf-8", "surrogateescape"))
+
+
+def _git(*args: str) -> None:
+    done = _run(*args)
+    if done.code:
+        lines = done.err.splitlines()
+        raise CannotError(lines[0] if lines else f"git {args[0]} failed")
+
+
+def _output(*args: str) -> str:
+    """What git prints; empty where it fails."""
+    done = _run(*args)
+    return done.out if done.code == 0 else ""
+
+
+def _run(*args: str) -> Answer:
+    try:
+        done = subprocess.run(["git", *args], capture_output=True, check=False, stdin=subprocess.DEVNULL)
+    except FileNotFoundError:
+        raise CannotError("git is not installed, or not on the path") from None
+    return Answer(done.returncode, *(os.fsdecode(stream).strip() for stream in (done.stdout, done.stderr)))

@@ -1,0 +1,184 @@
+"""``simfoundry merge``."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.spec.diagnostics import Diagnostic, render
+
+if TYPE_CHECKING:
+    from simfoundry.spec.merge.conflict import Conflict
+    from simfoundry.spec.merge.texts import MergedText
+
+
+@click.command()
+@click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file, not to the screen."
+)
+@click.option(
+    "--resolve", "side", type=click.Choice(["ours", "theirs"]), help="Take a side: --resolve ours FILE [PATH]..."
+)
+@click.option("--git", "driver", is_flag=True, help="Answer git, as its merge driver: --git %O %A %B %L %P.")
+@json_option
+@reporting
+def command(
+    args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, as_json: bool
+) -> int:
+    """Merge two edits of a document by meaning, or decide the conflicts that a merge left.
+
+    Edits of different things never conflict, whatever lines they are on. Where both sides changed one value differently
+    the document keeps ours, says so under `conflicts`, and cannot be compiled until that is decided: mend the value and
+    remove the entry, or take a side with --resolve, for all of them or at the paths given. Exit code 1 where there is a
+    conflict, or where the merged document has an error that neither side has.
+    """
+    if driver:
+        return _driver(args)
+    if side is not None:
+        return _resolve(side, args, out, as_json)
+    if len(args) != 3:
+        raise CannotError("name three files: what both started from, ours and theirs")
+    base, ours, theirs = map(Path, args)
+    return _merge(base, ours, theirs, out, as_json)
+
+
+def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, as_json: bool) -> int:
+    from simfoundry.spec.merge.texts import merge_texts, new_errors
+
+    texts = [_text(path) for path in (base, ours, theirs)]
+    merged = merge_texts(*texts)
+    errors = new_errors(out or ours, merged.text, *texts[1:])
+    if out is not None:
+        _write(out, merged.text)
+    if as_json:
+        print_json({"out": str(out) if out else None, **_report(merged, errors), "text": merged.text})
+    else:
+        if out is None:
+            click.echo(merged.text, nl=False)
+        else:
+            click.echo(f"wrote {out}: {_count(merged.conflicts)}")
+        _print(merged, errors, out or ours)
+    return FINDINGS if merged.conflicts or errors else DONE
+
+
+def _driver(args: Sequence[str]) -> int:
+    """Merge the second file in place, as git asks for; what is no document is merged line by line, as git would."""
+    if len(args) != 5:
+        raise CannotError(
+            f"git gives its merge driver 5 arguments, not {len(args)}; `simfoundry git install` sets it up"
+        )
+    base, ours, theirs = map(Path, args[:3])
+    name = args[4]
+    try:
+        from simfoundry.spec.merge.texts import merge_texts, new_errors
+
+        texts = [path.read_bytes().decode("utf-8") for path in (base, ours, theirs)]
+        merged = merge_texts(*texts)
+        errors = new_errors(Path(name), merged.text, *texts[1:])
+        _write(ours, merged.text)
+    except Exception as error:  # whatever it is, the user has at least what git alone would have given
+        reason = str(error) or type(error).__name__
+        click.echo(_printable(f"{name}: merged line by line, because {reason}"), err=True)
+        return _by_lines(args)
+    if merged.conflicts or errors:
+        click.echo(_printable(f"{name}: {_count(merged.conflicts)}"), err=True)
+        _print(merged, errors, Path(name))
+    return FINDINGS if merged.conflicts or errors else DONE
+
+
+def _by_lines(args: Sequence[str]) -> int:
+    """git's own merge of three texts, into the second; where even that fails ours stays, and git keeps theirs."""
+    base, ours, theirs, size, _ = args
+    labels = [word for name in ("ours", "base", "theirs") for word in ("-L", name)]
+    size_option = [f"--marker-size={size}"] if size.isdigit() and int(size) > 0 else []
+    done = subprocess.run(["git", "merge-file", *labels, *size_option, "--", ours, base, theirs], check=False)
+    return FINDINGS if done.returncode else DONE
+
+
+def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, as_json: bool) -> int:
+    from simfoundry.spec.diagnostics import SpecError
+    from simfoundry.spec.kinds import KINDS, model_of
+    from simfoundry.spec.load import load
+    from simfoundry.spec.merge.resolve import resolve
+    from simfoundry.spec.text import YamlError, read
+    from simfoundry.spec.tree import read_tree
+    from simfoundry.spec.write import write_tree
+
+    if not args:
+        raise CannotError("name the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
+    file = Path(args[0])
+    try:
+        document = read(file)
+    except YamlError as error:
+        raise SpecError([error.diagnostic(str(file))]) from None
+    kind = document.data.get("simfoundry") if isinstance(document.data, dict) else None
+    model = model_of(kind) if kind in KINDS else None
+    tree, decided = resolve(read_tree(document), model, side, args[1:])
+    text = write_tree(tree, model)
+    _write(out or file, text)
+    findings = load(out or file).all_findings()
+    if as_json:
+        left = tree.data.get("conflicts", {})
+        findings_ = [d.to_json() for d in findings]
+        print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
+    else:
+        for key in decided:
+            click.echo(_printable(f"{key}: took {side}"))
+        if findings:
+            click.echo(render(findings), err=True)
+    return FINDINGS if any(d.severity == "error" for d in findings) else DONE
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError:
+        raise CannotError(f"{path} is no UTF-8 text") from None
+
+
+def _write(path: Path, text: str) -> None:
+    """Write the file itself, not a link to it, with the rights that it has."""
+    from simfoundry.files import write_atomically
+
+    target = path.resolve()
+    mode = target.stat().st_mode if target.exists() else None
+    write_atomically(target, text.encode())
+    if mode is not None:
+        target.chmod(mode)
+
+
+def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
+    """Each conflict on a line, the errors, and what to do."""
+    for conflict in merged.conflicts:
+        click.echo(_printable(str(conflict)), err=True)
+    if errors:
+        click.echo(render(errors, {str(name): merged.text}), err=True)
+    if merged.conflicts:
+        click.echo(
+            _printable(
+                f"mend {name} and remove its `conflicts`, or take a side: simfoundry merge --resolve ours {name}"
+            ),
+            err=True,
+        )
+
+
+def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
+    from simfoundry.spec.merge.conflict import dotted
+
+    conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
+    return {"conflicts": conflicts, "findings": [d.to_json() for d in errors]}
+
+
+def _count(conflicts: Sequence[Conflict]) -> str:
+    return f"{len(conflicts) or 'no'} conflict{'s' if len(conflicts) != 1 else ''}"
+
+
+def _printable(line: str) -> str:
+    """A line that cannot steer a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

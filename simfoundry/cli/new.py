@@ -1,0 +1,67 @@
+"""``simfoundry new``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+
+NEXT = {
+    "scene": ("simfoundry check {path}", "simfoundry show {path}"),
+    "task": ("simfoundry check {path}",),
+    "asset": ("simfoundry check {path}",),
+    "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
+    "cousins": ("simfoundry check {path}",),
+}
+"""What to do with a new document of each kind."""
+
+
+@click.command()
+@click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
+@click.option("--name", help="What the document is called; default: as its file.")
+@click.option("--from", "source", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="SCENE",
+              help="The scene of a task, or the twin of a recipe; default: the only one beside PATH.")  # fmt: skip
+@click.option("--extends", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="DOCUMENT",
+              help="Make an overlay: a document that says only what differs from another.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace a file that exists.")
+@json_option
+@reporting
+def command(
+    words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
+) -> None:
+    """Start a document: a valid one with comments that say what its keys mean.
+
+    KIND is scene, task, asset, capture or cousins; it may be left out where PATH says it, as desk.scene.yaml does.
+    Where the project has no schemas for editors, they are written into .simfoundry/schemas/.
+    """
+    from simfoundry.files import write_atomically
+    from simfoundry.spec.new import NewError, kind_and_path, make
+
+    try:
+        kind, path = kind_and_path(words)
+        if path.exists() and not force:
+            raise CannotError(f"{path} exists; --force replaces it")
+        new = make(kind, path, name, source, extends)
+    except NewError as error:
+        raise CannotError(str(error)) from None
+    for file, text in {**new.schemas, new.path: new.text}.items():
+        write_atomically(file, text.encode())
+    written = sorted({str(file.parent) for file in new.schemas})
+    steps = [step.format(path=path, folder=path.parent) for step in NEXT[kind]]
+    if as_json:
+        print_json({"file": str(path), "kind": kind, "schemas": written, "next": steps})
+        return
+    click.echo(f"wrote {path}")
+    for folder in written:
+        click.echo(f"wrote {_shown(folder)}/, with which editors complete and check as you type")
+    click.echo("next:")
+    for step in steps:
+        click.echo(f"  {step}")
+
+
+def _shown(folder: str) -> str:
+    """A folder as seen from here, where it lies below."""
+    path, here = Path(folder), Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else folder

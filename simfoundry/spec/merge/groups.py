@@ -1,0 +1,80 @@
+"""Keys that belong together: what two sides made of them is taken as a whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import chain
+
+from simfoundry.spec.base import Model
+from simfoundry.spec.compose import EXCLUSIVE
+from simfoundry.spec.merge.conflict import Path_
+from simfoundry.spec.merge.same import same
+from simfoundry.spec.tree import Tree
+from simfoundry.spec.types import models_at
+
+Members = Mapping[str, Tree]
+
+LED = (("type", ("limits", "limits_deg")),)
+"""A key, and others that mean something with its value alone."""
+
+_RIVALS = frozenset(chain.from_iterable(EXCLUSIVE))
+
+
+def at_odds(
+    model: type[Model] | None,
+    path: Path_,
+    base: Members,
+    sides: tuple[Members, Members],
+    merged: Members,
+) -> set[str]:
+    """The keys of the mapping at ``path`` that both sides together made into something that neither meant."""
+    if model is None:
+        return set()
+    found = set[str]()
+    rivals = _RIVALS & merged.keys()
+    for group in EXCLUSIVE if len(rivals) > 1 else ():
+        if _several(group, rivals) and not any(_several(group, side) for side in sides):
+            found |= set(group)
+    found = found if found and _holds_fields(model, path) else set()
+    for lead, led in LED:
+        if lead in merged and any(key in side for key in led for side in (base, *sides)):
+            changed = [{k for k in (lead, *led) if not same(base.get(k), side.get(k))} for side in sides]
+            leads = any(lead in keys and other - {lead} for keys, other in (changed, changed[::-1]))
+            kept = all(same(merged.get(k), sides[0].get(k)) for k in (lead, *led))
+            agreed = all(same(sides[0].get(k), sides[1].get(k)) for k in (lead, *led))
+            if leads and not kept and not agreed and {lead, *led} <= _fields(model, path):
+                found |= {lead, *led}
+    return found
+
+
+def rivals_at(model: type[Model] | None, path: Path_) -> set[str]:
+    """The keys that stand and fall with the last one of ``path``."""
+    groups = [*EXCLUSIVE, *((lead, *led) for lead, led in LED)]
+    found = set(chain.from_iterable(group for group in groups if path[-1] in group)) - {path[-1]}
+    return found if found and model is not None and _holds_fields(model, path[:-1]) else set()
+
+
+def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iterator[str]:
+    """The names that stand under `pose` and under `place` of a start, of which they may be in one."""
+    place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
+    if model is not None and isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
+        yield from (name for name in place if name in pose)
+
+
+def _several(group: tuple[str, ...], keys: Mapping[str, Tree] | frozenset[str]) -> bool:
+    return sum(key in keys for key in group) > 1
+
+
+def _holds_fields(model: type[Model], path: Path_) -> bool:
+    """Whether the keys of a mapping are fields that exclude each other, and not names."""
+    return bool(models_at(model, path)) and not _is_start(model, path)
+
+
+def _fields(model: type[Model], path: Path_) -> set[str]:
+    return {name for owner in models_at(model, path) for name in owner.model_fields}
+
+
+def _is_start(model: type[Model], path: Path_) -> bool:
+    from simfoundry.spec.task import Start
+
+    return path[-1:] == ("start",) and Start in models_at(model, path)

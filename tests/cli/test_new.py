@@ -1,0 +1,202 @@
+"""``simfoundry new``: what it writes is valid, canonical, and enough to start from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from simfoundry.scene.lower import lower_file
+from simfoundry.spec.format import format_file
+from simfoundry.spec.kinds import KINDS
+from simfoundry.spec.load import load
+from simfoundry.spec.new import WORDS
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.schema import schemas
+from simfoundry.spec.task import TaskSpec
+from simfoundry.worlds import open_world
+from simfoundry.worlds.settle import settle
+from tests.cli.command import run
+
+FILES = {kind: f"a.{kind}.yaml" for kind in ("scene", "task", "asset", "cousins")} | {"capture": "shot/capture.yaml"}
+MODELINE = re.compile(r"# yaml-language-server: \$schema=(\S+)\n")
+
+
+@pytest.fixture(autouse=True)
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty project, with the working folder in it."""
+    (tmp_path / "simfoundry.yaml").touch()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made(*args: str | Path) -> Path:
+    done = run("new", *args, "--json")
+    assert (done.code, done.err) == (0, ""), done
+    return Path(done.json["file"])
+
+
+def assert_clean(path: Path) -> None:
+    """No finding, nothing to format, and a first line that leads to the schema of the kind."""
+    assert [d.message for d in load(path).all_findings()] == []
+    assert not format_file(path).changed
+    named = MODELINE.match(path.read_text())
+    assert named is not None
+    assert (path.parent / named[1]).is_file()
+
+
+def test_there_is_a_start_for_every_kind() -> None:
+    assert set(FILES) == set(WORDS) == {kind.partition("/")[0] for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_what_is_made_is_clean(kind: str) -> None:
+    made("first.scene.yaml")
+    source = ["--from", "first.scene.yaml"] if kind in ("task", "cousins") else []
+    path = made(kind, FILES[kind], *source)
+    for name in ("color.png", "depth.png") if kind == "capture" else ():
+        (path.parent / name).touch()
+    assert_clean(path)
+    schema = MODELINE.match(path.read_text())
+    assert schema is not None and schema[1].endswith(f"/{kind}.schema.json")
+    assert path.read_text().count("#") > 3  # it teaches
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_the_kind_is_read_from_the_path_or_completes_it(kind: str) -> None:
+    made("first.scene.yaml")
+    source = ["--from", "first.scene.yaml"] if kind in ("task", "cousins") else []
+    guessed = made(FILES[kind], *source)
+    completed = made(kind, "b", *source)
+    assert guessed == Path(FILES[kind])
+    assert completed == Path("b/capture.yaml" if kind == "capture" else f"b.{kind}.yaml")
+    assert f"\nname: {'shot' if kind == 'capture' else 'a'}\n" in guessed.read_text()
+    assert "\nname: b\n" in completed.read_text()
+
+
+def test_the_scene_shows_the_common_ways_and_comes_to_rest() -> None:
+    path = made("desk.scene.yaml")
+    spec = load(path).spec
+    assert isinstance(spec, SceneSpec)
+    assert spec.robots and spec.cameras and spec.lights and spec.relations and spec.materials
+    ways = [o.model_fields_set for o in spec.objects.values()]
+    assert any({"fixed", "pose"} <= w for w in ways) and any({"mass", "place", "material", "shape"} <= w for w in ways)
+    assert any("mass" not in w and "place" in w for w in ways)
+    with open_world(lower_file(path), "mujoco") as world:
+        settled = settle(world)
+    assert settled.passed
+
+
+def test_a_task_is_about_the_objects_of_its_scene() -> None:
+    made("desk.scene.yaml")
+    task = load(made("task", "sub/stack.task.yaml", "--from", "desk.scene.yaml", "--name", "stack_it")).spec
+    assert isinstance(task, TaskSpec)
+    assert (task.name, task.scene) == ("stack_it", "../desk.scene.yaml")
+    assert task.instruction == "Put the mug on the plate."
+    assert list(task.reset.objects) == ["mug"] and task.reset.objects["mug"].x == (0.4, 0.5)
+
+
+def test_a_task_with_one_thing_lifts_it(project: Path) -> None:
+    (project / "one.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: one\nobjects:\n"
+        "  red_box: {mass: 1, shape: {box: [0.1, 0.1, 0.1]}, place: {on: t}}\n"
+        "  t: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+    )
+    path = made("one.task.yaml")  # its scene is the only one beside it
+    assert_clean(path)
+    assert "- Lifted(red_box)\n" in path.read_text() and "instruction: Lift the red box." in path.read_text()
+    assert "objects:" not in path.read_text()  # where it is placed is not known before it is solved
+    assert_clean(made("one.cousins.yaml", "--from", "one.task.yaml"))
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_an_overlay_of_every_kind_is_clean(kind: str) -> None:
+    made("first.scene.yaml")
+    source = ["--from", "first.scene.yaml"] if kind in ("task", "cousins") else []
+    base = made(kind, FILES[kind], *source)
+    for name in ("color.png", "depth.png") if kind == "capture" else ():
+        (base.parent / name).touch()
+    over = made(kind, base.parent / f"over.{kind}.yaml", "--extends", base)
+    assert_clean(over)
+    assert f"\nextends: {base.name}\nname: over\n" in over.read_text()
+
+
+def test_an_overlay_changes_one_thing() -> None:
+    made("a.scene.yaml")
+    before, after = load(Path("a.scene.yaml")).spec, load(made("b.scene.yaml", "--extends", "a.scene.yaml")).spec
+    assert isinstance(before, SceneSpec) and isinstance(after, SceneSpec)
+    changed = [n for n in before.objects if before.objects[n] != after.objects[n]]
+    assert changed == ["mug"]
+    assert after.objects["mug"].place is not None and after.objects["mug"].place.yaw_deg == 45
+
+
+def test_schemas_are_written_once_and_those_of_the_project_are_used(project: Path) -> None:
+    first = run("new", "a.scene.yaml")
+    assert first.out.splitlines()[:2] == [
+        "wrote a.scene.yaml",
+        "wrote .simfoundry/schemas/, with which editors complete and check as you type",
+    ]
+    assert {p.name: p.read_text() for p in (project / ".simfoundry" / "schemas").iterdir()} == schemas()
+    assert ".simfoundry" not in run("new", "b.scene.yaml").out
+    (project / "schemas").mkdir()
+    (project / "schemas" / "scene.schema.json").write_text(schemas()["scene.schema.json"])
+    (project / "deep" / "er").mkdir(parents=True)
+    assert MODELINE.match(made("deep/er/c.scene.yaml").read_text())[1] == "../../schemas/scene.schema.json"  # type: ignore[index]
+
+
+def test_the_next_commands_are_said() -> None:
+    assert run("new", "a.scene.yaml").out.splitlines()[-3:] == [
+        "next:",
+        "  simfoundry check a.scene.yaml",
+        "  simfoundry show a.scene.yaml",
+    ]
+    for step in ("check", "show"):
+        assert run(step, "a.scene.yaml").code == 0
+
+
+def test_nothing_is_overwritten_without_force(project: Path) -> None:
+    (project / "a.scene.yaml").write_text("mine")
+    done = run("new", "a.scene.yaml")
+    assert done.code == 2 and "a.scene.yaml exists; --force replaces it" in done.err
+    assert (project / "a.scene.yaml").read_text() == "mine" and not (project / ".simfoundry").exists()
+    assert run("new", "a.scene.yaml", "--force").code == 0
+    assert_clean(Path("a.scene.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["desk"], "does not say its kind"),
+        (["scene", "a.task.yaml"], "a scene is not kept in `a.task.yaml`"),
+        (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins"),
+        (["a.task.yaml"], "there is none"),
+        (["a.cousins.yaml"], "there is none"),
+        (["a.scene.yaml", "--name", "My Desk"], "`My Desk` cannot be a name"),
+        (["123.scene.yaml"], "no name can be made of `123`"),
+        (["a.scene.yaml", "--from", "simfoundry.yaml"], "`--from` is for tasks and recipes"),
+        (["a.task.yaml", "--from", "nowhere.scene.yaml"], "does not exist"),
+    ],
+)
+def test_what_cannot_be_made_is_said_in_a_sentence(args: list[str], words: str, project: Path) -> None:
+    done = run("new", *args)
+    assert done.code == 2 and words in done.err and "Traceback" not in done.err
+    assert [p.name for p in project.iterdir()] == ["simfoundry.yaml"]
+
+
+def test_a_source_with_errors_is_shown(project: Path) -> None:
+    (project / "bad.scene.yaml").write_text("simfoundry: scene/1\nname: bad\nobjets: {}\n")
+    done = run("new", "a.task.yaml", "--from", "bad.scene.yaml")
+    assert done.code == 2
+    done.one_line("bad.scene.yaml:3:1", "SF101", "`objets`")
+    made("fine.scene.yaml")
+    assert "a task extends another task" in run("new", "a.task.yaml", "--extends", "fine.scene.yaml").err
+    assert "there are several" in run("new", "a.task.yaml").err
+
+
+def test_odd_paths_stay_readable() -> None:
+    made("My desk: #1.scene.yaml")
+    path = made("b.scene.yaml", "--extends", "My desk: #1.scene.yaml")
+    assert_clean(path)
+    assert load(Path("My desk: #1.scene.yaml")).spec is not None
+    assert "\nname: my_desk_1\n" in Path("My desk: #1.scene.yaml").read_text()

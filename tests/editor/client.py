@@ -1,0 +1,168 @@
+"""A small client of the language server protocol over standard input and output, as an editor has one."""
+
+from __future__ import annotations
+
+import json
+import queue
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+Message = dict[str, Any]
+PATIENCE = 60.0
+"""Seconds that an answer may take on a loaded machine."""
+
+CAPABILITIES = {
+    "textDocument": {
+        "completion": {"completionItem": {"snippetSupport": True, "documentationFormat": ["markdown", "plaintext"]}},
+        "hover": {"contentFormat": ["markdown", "plaintext"]},
+        "publishDiagnostics": {"relatedInformation": True},
+    },
+    "workspace": {"configuration": True, "workspaceFolders": True},
+}
+"""What VS Code and Neovim say of themselves, as far as the server asks."""
+
+SETTINGS = {
+    "yaml": {
+        "validate": True,
+        "hover": True,
+        "completion": True,
+        "format": {"enable": False},
+        "schemaStore": {"enable": False},  # the schemas of others are on the network, and none is for these files
+    }
+}
+
+
+@dataclass
+class Server:
+    """A running server and what it said; documents are known by their path."""
+
+    process: subprocess.Popen[bytes]
+    folder: Path
+    answers: dict[int, queue.Queue[Message]] = field(default_factory=dict)
+    published: dict[str, queue.Queue[list[Message]]] = field(default_factory=dict)
+    count: int = 0
+    writing: threading.Lock = field(default_factory=threading.Lock)
+
+    def __post_init__(self) -> None:
+        threading.Thread(target=self._listen, daemon=True).start()
+        answer = self.ask(
+            "initialize",
+            processId=None,
+            rootUri=self.folder.as_uri(),
+            workspaceFolders=[{"uri": self.folder.as_uri(), "name": self.folder.name}],
+            capabilities=CAPABILITIES,
+        )
+        self.capabilities: Message = answer["capabilities"]
+        self.tell("initialized")
+        self.tell("workspace/didChangeConfiguration", settings=SETTINGS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        try:
+            self.ask("shutdown")
+            self.tell("exit")
+            self.process.wait(10)
+        finally:
+            self.process.kill()
+            self.process.wait()
+
+    def ask(self, method: str, /, **params: Any) -> Any:
+        """The result of a request."""
+        self.count += 1
+        answer = self.answers[self.count] = queue.Queue()
+        self._send({"id": self.count, "method": method, "params": params})
+        message = answer.get(timeout=PATIENCE)
+        if "error" in message:
+            raise RuntimeError(f"{method}: {message['error']}")
+        return message["result"]
+
+    def tell(self, method: str, /, **params: Any) -> None:
+        """Send a notification."""
+        self._send({"method": method, "params": params})
+
+    def open(self, path: Path, text: str) -> None:
+        """Open a document."""
+        self.published[path.as_uri()] = queue.Queue()
+        document = {"uri": path.as_uri(), "languageId": "yaml", "version": 1, "text": text}
+        self.tell("textDocument/didOpen", textDocument=document)
+
+    def diagnostics(self, path: Path) -> list[Message]:
+        """What the server says of a document that was opened, once it does."""
+        return self.published[path.as_uri()].get(timeout=PATIENCE)
+
+    def completions(self, path: Path, line: int, character: int) -> list[Message]:
+        """What is offered at a place, counted from 0."""
+        answer = self.ask("textDocument/completion", **_place(path, line, character))
+        items: list[Message] = answer if isinstance(answer, list) else (answer or {}).get("items", [])
+        return items
+
+    def hover(self, path: Path, line: int, character: int) -> str:
+        """What is shown at a place, counted from 0, as Markdown; empty where nothing is."""
+        answer = self.ask("textDocument/hover", **_place(path, line, character))
+        return _markdown(answer["contents"]) if answer else ""
+
+    def _send(self, message: Message) -> None:
+        data = json.dumps({"jsonrpc": "2.0", **message}).encode()
+        pipe = self.process.stdin
+        assert pipe is not None
+        with self.writing:
+            pipe.write(b"Content-Length: %d\r\n\r\n%s" % (len(data), data))
+            pipe.flush()
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        for message in _messages(self.process.stdout):
+            match message:
+                case {"id": number, "method": method}:
+                    self._send({"id": number, "result": _settings(method, message.get("params"))})
+                case {"id": number}:
+                    self.answers.pop(number).put(message)
+                case {"method": "textDocument/publishDiagnostics", "params": {"uri": uri, "diagnostics": found}}:
+                    self.published.setdefault(uri, queue.Queue()).put(found)
+
+
+def _place(path: Path, line: int, character: int) -> Message:
+    return {"textDocument": {"uri": path.as_uri()}, "position": {"line": line, "character": character}}
+
+
+def _markdown(contents: Any) -> str:
+    return str(contents["value"] if isinstance(contents, dict) else contents)
+
+
+def _settings(method: str, params: Any) -> Any:
+    """The answer to what a server asks of an editor."""
+    if method == "workspace/configuration":
+        return [SETTINGS.get(item.get("section", "")) for item in params["items"]]
+    return None
+
+
+def _messages(stream: IO[bytes]) -> Iterator[Message]:
+    """Each message of a stream, framed by its length."""
+    while header := stream.readline():
+        length = 0
+        while header.strip():
+            name, _, value = header.partition(b":")
+            if name.lower() == b"content-length":
+                length = int(value)
+            header = stream.readline()
+        yield json.loads(stream.read(length))
+
+
+@contextmanager
+def started(command: Sequence[str], folder: Path) -> Iterator[Server]:
+    """A server that has a folder open."""
+    with (
+        subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        ) as process,
+        Server(process, folder) as server,
+    ):
+        yield server
