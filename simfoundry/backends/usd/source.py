@@ -23,7 +23,10 @@ KEY = "simfoundry"
 SCOPES = {"objects": "Objects", "robots": "Robots", "cameras": "Cameras", "lights": "Lights"}
 """Sections of a document whose members have prims, and the scopes below the default prim in which these lie."""
 
-VIEW_ONLY = ("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:")
+VIEW_ONLY = (
+    *("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:"),
+    *("physics:approximation", "faceVarying", "subdivision", "doubleSided", "orientation"),
+)
 """Starts of attributes that say how a prim is shown or found; ``at`` has what the transforms come to."""
 
 _DIGITS = 9
