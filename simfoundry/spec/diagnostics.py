@@ -53,6 +53,7 @@ CODES = {
     "SF503": "a capture without a support plane",
     "SF504": "a capture without objects",
     "SF505": "an object that could not be fitted",
+    "SF601": "a change of a stage that a spec cannot say",
 }
 
 

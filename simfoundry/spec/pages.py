@@ -17,6 +17,7 @@ GROUPS = {
     "SF3": "Meshes",
     "SF4": "Lints: warnings, which can be silenced with a reason",
     "SF5": "Captures",
+    "SF6": "Scenes in USD",
 }
 """Codes by how they start, in the order in which a document is read."""
 

@@ -1,0 +1,74 @@
+"""A stage wherever a scene document is expected: checked alike, findings placed at prims."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from simfoundry.frontends.usd_spec import Reading, read_stage
+from simfoundry.frontends.usd_stage import StageError
+from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.load import Known, checked
+from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.text import Document, Node
+
+KIND = "scene/1"
+
+
+def load_usd(path: Path, known: Known | None = None) -> Loaded:
+    """Read and check the scene in a stage; the findings say what is wrong, nothing is raised.
+
+    A finding's file names the prim as USD does, ``scene.usda</World/Objects/cup>``. Files that the scene refers to are
+    looked for where its document lies, see :func:`home`.
+    """
+    try:
+        reading = read_stage(path)
+    except StageError as error:
+        message = str(error).removeprefix(f"{path} ")
+        return Loaded(path, project_root(path), None, (Diagnostic("SF001", Severity.ERROR, message, str(path)),))
+    place = home(path, reading.file)
+    loaded = Loaded(place, project_root(place).resolve(), None, (), stage_document(path, reading))
+    loaded = checked(loaded, KIND, {} if known is None else known)
+    notes = tuple(
+        Diagnostic("SF601", Severity.WARNING, note.message, f"{path}<{note.prim}>", hint=note.hint)
+        for note in reading.notes
+    )
+    return Loaded(
+        loaded.path,
+        loaded.root,
+        loaded.spec,
+        (*loaded.findings, *notes),
+        loaded.document,
+        (),
+        loaded.uses,
+        loaded.silenced,
+    )
+
+
+def home(stage: Path, file: str) -> Path:
+    """Where the document of a stage lies: ``file`` below a folder above the stage, or below the current one.
+
+    Beside the stage where it is nowhere: what it refers to is missing then, too.
+    """
+    folders = [*stage.absolute().parents, Path.cwd()]
+    places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
+    found = next((p for p in places if file and p.is_file()), None)
+    return found or stage.absolute().parent / (Path(file).name or stage.name)
+
+
+def stage_document(path: Path, reading: Reading) -> Document:
+    """The document of a stage; its parts stand at their prims, all else in the file as a whole."""
+    files = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
+    root = _node(reading.data, (), str(path), files)
+    return Document(str(path), "", reading.data, root, ())
+
+
+def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[str, str], str]) -> Node:
+    file = files.get(at, file) if len(at) == 2 else file  # type: ignore[call-overload]
+    if isinstance(data, dict):
+        children = {key: _node(value, (*at, key), file, files) for key, value in data.items()}
+        return Node(data, 0, 0, children, dict.fromkeys(data, (0, 0)), file=file)
+    if isinstance(data, tuple):
+        return Node(data, 0, 0, [_node(value, (*at, k), file, files) for k, value in enumerate(data)], file=file)
+    return Node(data, 0, 0, file=file)
