@@ -137,7 +137,7 @@ def _shape(prim: Usd.Prim, scale: Array) -> tuple[dict[str, Any], Pose] | None:
     if abs(a - b) > 1e-6 * a or (kind == "Capsule" and abs(a - along) > 1e-6 * a):
         return None
     radius, height = (float(prim.GetAttribute(n).Get()) for n in ("radius", "height"))
-    frame = np.roll(np.eye(3), k + 1, axis=1)  # its z is the axis, and it stays right-handed
+    frame = np.eye(3)[:, [(k + 1) % 3, (k + 2) % 3, k]]  # its z is the axis, and it stays right-handed
     value = {"radius": short(radius * a), "height": short(height * along)}
     return {kind.lower(): value}, Pose.of(q=quat_from_matrix(frame))
 
@@ -190,7 +190,9 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
     names = ("focalLength", "horizontalAperture", "verticalAperture")
     values = {name: float(prim.GetAttribute(name).Get()) for name in names}
     values |= {name: float(prim.GetAttribute(name).Get() or 0.0) for name in (f"{n}Offset" for n in names[1:])}
-    resolution = prim.GetAttribute("simfoundry:resolution").Get() if prim.HasAttribute("simfoundry:resolution") else None
+    resolution = (
+        prim.GetAttribute("simfoundry:resolution").Get() if prim.HasAttribute("simfoundry:resolution") else None
+    )
     data = lens({**values, "simfoundry:resolution": tuple(resolution or PICTURE)}, {})
     width, height = data["size"]
     for key, middle in (("cx", (width - 1) / 2), ("cy", (height - 1) / 2)):
@@ -202,7 +204,9 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
 def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | Note:
     kind = light_type(str(prim.GetTypeName()))
     if kind is None:
-        return Note(str(prim.GetPath()), f"a {prim.GetTypeName()} is no light of a scene", "use a distant, sphere or dome")
+        return Note(
+            str(prim.GetPath()), f"a {prim.GetTypeName()} is no light of a scene", "use a distant, sphere or dome"
+        )
     bright = float(prim.GetAttribute("inputs:intensity").Get()) * 2.0 ** float(
         prim.GetAttribute("inputs:exposure").Get() or 0
     )

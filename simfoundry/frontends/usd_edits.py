@@ -21,6 +21,8 @@ from simfoundry.spec.write import to_data
 MOVED_M = 1e-4
 """What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""
 
+_PIECES = ("Colliders", "Visuals")
+
 _TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
 """Starts of attributes that, where somebody adds them, are reported unless they say what holds anyway."""
 
@@ -52,8 +54,16 @@ def edited_object(part: Part) -> Edited:
 
 def has_moved(part: Part) -> bool:
     """Whether a part stands elsewhere than where it was written."""
-    old, new = part.X_WP_built, part.X_WP
-    return bool(np.abs(new.p - old.p).max() > MOVED_M or math.degrees(old.angle_to(new)) > UPRIGHT_DEG)
+    return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
+
+
+def _shifted(old: Pose, new: Pose) -> bool:
+    far = max(float(np.abs(old.p).max()), float(np.abs(new.p).max()))  # stages have nine digits
+    return bool(np.abs(new.p - old.p).max() > MOVED_M + 1e-8 * far)
+
+
+def _turned(old: Pose, new: Pose) -> bool:
+    return math.degrees(old.angle_to(new)) > UPRIGHT_DEG
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
@@ -61,10 +71,8 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
     new = to_data(pose_spec(pose))
     if not isinstance(before, dict):
         return new
-    turned = math.degrees(built.angle_to(pose)) > UPRIGHT_DEG
-    shifted = bool(np.abs(pose.p - built.p).max() > MOVED_M)
-    rotation = new if turned else before
-    place = new if shifted else before
+    rotation = new if _turned(built, pose) else before
+    place = new if _shifted(built, pose) else before
     out = {"xyz": place["xyz"]} if "xyz" in place else {}
     return out | {key: value for key, value in rotation.items() if key != "xyz"}
 
@@ -136,19 +144,16 @@ def _pose(part: Part, data: dict[str, Any]) -> None:
 
 
 def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
-    """A thing that was scaled, or a primitive whose collider (or visual) was resized."""
+    """A thing that was scaled, or a primitive that was resized: what touches counts before what is seen."""
     factors = part.scale
     links = links_of(part.built)
     if links and "shape" in data:
-        for place in ("Colliders", "Visuals"):
-            relative = f"{links[0]}/{place}/shape"
-            own = _resized(part, relative)
-            if own is not None:
-                handled |= {(relative, name) for name in ("size", "radius", "height")}
-                if (np.abs(own - 1.0) > 1e-6).any():
-                    handled.add((relative, "at"))
-                    factors = factors * own
-                break
+        pieces = {f"{links[0]}/{place}/shape": _resized(part, f"{links[0]}/{place}/shape") for place in _PIECES}
+        own = next((factor for factor in pieces.values() if factor is not None), np.ones(3))
+        for relative, factor in pieces.items():
+            if factor is not None and (np.abs(own - 1.0) > 1e-6).any() and not differs(factor.tolist(), own.tolist()):
+                handled |= {(relative, name) for name in ("size", "radius", "height", "at")}
+        factors = factors * own
     if (np.abs(factors - 1.0) <= 1e-6).all():
         return
     changed, problem = scaled(data, factors)

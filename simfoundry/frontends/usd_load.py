@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.usd_spec import Reading, read_stage
 from simfoundry.frontends.usd_stage import StageError
+from simfoundry.spec.allow import sift
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
 from simfoundry.spec.loaded import Loaded, project_root
@@ -25,25 +27,22 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
     try:
         reading = read_stage(path)
     except StageError as error:
-        message = str(error).removeprefix(f"{path} ")
-        return Loaded(path, project_root(path), None, (Diagnostic("SF001", Severity.ERROR, message, str(path)),))
+        finding = Diagnostic("SF001", Severity.ERROR, error.reason, str(path))
+        return Loaded(path, project_root(path), None, (finding,))
     place = home(path, reading.file)
     loaded = Loaded(place, project_root(place).resolve(), None, (), stage_document(path, reading))
     loaded = checked(loaded, KIND, {} if known is None else known)
-    notes = tuple(
-        Diagnostic("SF601", Severity.WARNING, note.message, f"{path}<{note.prim}>", hint=note.hint)
-        for note in reading.notes
-    )
-    return Loaded(
-        loaded.path,
-        loaded.root,
-        loaded.spec,
-        (*loaded.findings, *notes),
-        loaded.document,
-        (),
-        loaded.uses,
-        loaded.silenced,
-    )
+    allow = loaded.spec.allow if loaded.spec is not None else {}
+    kept, silenced = sift(_findings(path, reading), allow)
+    return replace(loaded, findings=(*loaded.findings, *kept), silenced=(*loaded.silenced, *silenced))
+
+
+def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
+    """What the document cannot say of the stage."""
+    for note in reading.notes:
+        about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
+        file = f"{path}<{note.prim}>"
+        yield Diagnostic("SF601", Severity.WARNING, note.message, file, path=".".join(about), hint=note.hint)
 
 
 def home(stage: Path, file: str) -> Path:
@@ -59,13 +58,13 @@ def home(stage: Path, file: str) -> Path:
 
 def stage_document(path: Path, reading: Reading) -> Document:
     """The document of a stage; its parts stand at their prims, all else in the file as a whole."""
-    files = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
+    files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)
     return Document(str(path), "", reading.data, root, ())
 
 
-def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[str, str], str]) -> Node:
-    file = files.get(at, file) if len(at) == 2 else file  # type: ignore[call-overload]
+def _node(data: Any, at: tuple[Any, ...], file: str, files: Mapping[tuple[Any, ...], str]) -> Node:
+    file = files.get(at, file)
     if isinstance(data, dict):
         children = {key: _node(value, (*at, key), file, files) for key, value in data.items()}
         return Node(data, 0, 0, children, dict.fromkeys(data, (0, 0)), file=file)

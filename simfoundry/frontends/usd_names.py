@@ -20,7 +20,7 @@ def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
         if isinstance(out.get(section), dict):
             out[section] = {names.get((section, name), name): member for name, member in out[section].items()}
     things = {old: new for (_, old), new in names.items()}
-    if "relations" in out:
+    if isinstance(out.get("relations"), tuple):
         out["relations"] = tuple(_relation(text, things) for text in out["relations"])
     if out.get("viewpoint") in things:
         out["viewpoint"] = things[out["viewpoint"]]
@@ -41,7 +41,7 @@ def without(data: Data, gone: Set[str]) -> Data:
     Places and mounts on them stay: what becomes of those is for the caller to say.
     """
     out = dict(data)
-    if "relations" in out:
+    if isinstance(out.get("relations"), tuple):
         out["relations"] = tuple(text for text in out["relations"] if not _about(text, gone))
     if out.get("viewpoint") in gone:
         del out["viewpoint"]

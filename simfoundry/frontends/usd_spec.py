@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from simfoundry.backends.usd.source import SCOPES
 from simfoundry.frontends.usd_added import Added, added
-from simfoundry.frontends.usd_edits import MOVED_M, Edited, differs, edited_object, has_moved, pose_data
+from simfoundry.frontends.usd_edits import MOVED_M, Edited, edited_object, has_moved, pose_data
 from simfoundry.frontends.usd_names import anchors, renamed, without
 from simfoundry.frontends.usd_stage import Part, StageError, carrier, document, open_stage, parts
 from simfoundry.frontends.usd_views import edited_camera, edited_light
@@ -49,7 +50,7 @@ def read_stage(path: Path) -> Reading:
     stage = open_stage(path)
     reading = read_spec(stage)
     if reading is None:
-        raise StageError(f"{path} holds no spec; `simfoundry import` makes one of any stage")
+        raise StageError("the stage holds no spec; `simfoundry import` makes one of any stage", path)
     return reading
 
 
@@ -65,11 +66,13 @@ def read_spec(stage: Usd.Stage) -> Reading | None:
     members, names, copies = _identified(found, written)
     edited = {key: _edited(part) for key, part in members.items()}
     before = _compiled(written, members)
-    data = renamed(_joined(written, names, edited, copies), names)
-    gone = {n for s in ("objects", "cameras") for n in before.get(s, {}) if (s, n) not in members and _had(written, s, n)}
+    data = renamed(_joined(written, edited, copies), names)
+    gone = {
+        n for s in ("objects", "cameras") for n in before.get(s, {}) if (s, n) not in members and _had(written, s, n)
+    }
     data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
     notes = [note for each in edited.values() for note in each.notes]
-    notes += _world(prim, data)
+    _gravity(prim, data)
     new = added(stage, prim, {part.path for part in found}, data)
     _add(data, new)
     prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
@@ -88,7 +91,7 @@ Members = dict[tuple[str, str], Part]
 def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[str, str], str], dict[str, Part]]:
     """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
     members: Members = {}
-    for part in sorted(found, key=lambda p: p.prim.GetName() != p.name):  # those that kept their name come first
+    for part in sorted(found, key=_strangeness):
         members.setdefault((part.section, part.name), part)
     taken = {name for section in written.values() if isinstance(section, dict) for name in section}
     names: dict[tuple[str, str], str] = {}
@@ -96,7 +99,7 @@ def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[s
     for part in found:
         key = (part.section, part.name)
         original, name = members[key] is part, part.prim.GetName()
-        if original and name == part.name:
+        if original and part.name in (name, as_name(name, ())):
             continue
         new = as_name(name, taken)
         taken.add(new)
@@ -105,6 +108,11 @@ def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[s
         else:
             copies[new] = part
     return members, names, copies
+
+
+def _strangeness(part: Part) -> tuple[bool, bool]:
+    """What kept its name, and its place in the stage, is what was compiled; what did not may be a copy of it."""
+    return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
 def _edited(part: Part) -> Edited:
@@ -126,13 +134,17 @@ def _compiled(written: Data, members: Members) -> Data:
 
 
 def _joined(
-    written: Data, names: Mapping[tuple[str, str], str], edited: Mapping[tuple[str, str], Edited], copies: dict[str, Part]
+    written: Data,
+    edited: Mapping[tuple[str, str], Edited],
+    copies: dict[str, Part],
 ) -> Data:
     """The document with what its parts say, in its order, copies behind; what was deleted is not there."""
     out = dict(written)
     for section, members in written.items():
         if isinstance(members, dict) and None in members.values():
-            said = {n: edited[section, n].data if v is None and (section, n) in edited else v for n, v in members.items()}
+            said = {
+                n: edited[section, n].data if v is None and (section, n) in edited else v for n, v in members.items()
+            }
             out[section] = {n: v for n, v in said.items() if v is not None}
     for name, part in copies.items():
         out[part.section] = {**out.get(part.section, {}), name: _edited(part).data}
@@ -186,29 +198,20 @@ def _only_along(part: Part, data: Data) -> bool:
     return not resized and level and bool(up > 1.0 - 1e-6)
 
 
-def _world(prim: Usd.Prim, data: Data) -> list[Note]:
-    """Gravity, and the relations as the metadata list them, where somebody changed these; both into ``data``."""
+def _gravity(prim: Usd.Prim, data: Data) -> None:
+    """Gravity into ``data`` where somebody changed it."""
     physics = prim.GetChild("Physics")
-    if not physics:
-        return []
-    direction = physics.GetAttribute("physics:gravityDirection").Get()
-    magnitude = physics.GetAttribute("physics:gravityMagnitude").Get()
+    direction, magnitude = (
+        physics.GetAttribute(f"physics:gravity{name}").Get() if physics else None for name in ("Direction", "Magnitude")
+    )
     if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
-        return []
+        return
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)
     old = data.get("gravity", (0.0, 0.0, -9.81))
     if np.abs(gravity - np.array(old)).max() > 1e-5 * max(1.0, float(np.abs(old).max())):
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
-    return []
 
 
 def _add(data: Data, new: Added) -> None:
     for section, members in new.members.items():
         data[section] = {**data.get(section, {}), **members}
-
-
-def spec_differs(a: Data, b: Data) -> bool:
-    """Whether two documents differ, numbers compared as single precision has them."""
-    if isinstance(a, dict) and isinstance(b, dict):
-        return a.keys() != b.keys() or any(spec_differs(a[k], b[k]) for k in a)
-    return differs(a, b)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,11 @@ Values = dict[str, dict[str, Any]]
 
 
 class StageError(SimfoundryError):
-    """A file that holds no stage, or none that can be read as a document."""
+    """A file that holds no stage, or none that can be read as a document; ``reason`` does not name the file."""
+
+    def __init__(self, reason: str, file: Path | None = None) -> None:
+        super().__init__(reason if file is None else f"{file}: {reason}")
+        self.reason = reason
 
 
 @dataclass(frozen=True)
@@ -64,12 +68,12 @@ def open_stage(path: Path) -> Usd.Stage:
     from pxr import Tf, Usd
 
     if not path.is_file():
-        raise StageError(f"there is no file {path}")
+        raise StageError("the file cannot be read: there is none", path)
     try:
         return Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         reason = str(error).strip().splitlines()[-1].partition(": ")[2].strip(" '\"")
-        raise StageError(f"{path} is no stage that USD can read: {reason}") from None
+        raise StageError(f"this is no stage that USD can read: {reason}", path) from None
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:

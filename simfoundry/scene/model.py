@@ -235,8 +235,8 @@ class LeftOut:
 class Scene:
     """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
 
-    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``source`` is the document itself, for
-    targets that can give it back.
+    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``source`` is the document itself,
+    for targets that can give it back.
     """
 
     name: str

@@ -85,6 +85,11 @@ class Diagnostic:
     hint: str = ""
     about: tuple[str, ...] = ()
 
+    @property
+    def document(self) -> str:
+        """The file alone where ``file`` names a place in it in another way than by lines, as ``a.usda</World/cup>``."""
+        return self.file.partition("</")[0]
+
     def to_json(self) -> dict[str, Any]:
         """A plain mapping for ``--json``."""
         return {key: value for key, value in asdict(self).items() if key != "about"}
