@@ -48,7 +48,10 @@ class Reading:
 def read_stage(path: Path) -> Reading:
     """Read a stage; raises :class:`StageError` where there is none, or none that was compiled from a document."""
     stage = open_stage(path)
-    reading = read_spec(stage)
+    try:
+        reading = read_spec(stage)
+    except StageError as error:
+        raise StageError(error.reason, path) from None
     if reading is None:
         raise StageError("the stage holds no spec; `simfoundry import` makes one of any stage", path)
     return reading
@@ -92,13 +95,14 @@ def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[s
     """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
     members: Members = {}
     for part in sorted(found, key=_strangeness):
-        members.setdefault((part.section, part.name), part)
+        if written.get(part.section, {}).get(part.name, part) is None:
+            members.setdefault((part.section, part.name), part)
     taken = {name for section in written.values() if isinstance(section, dict) for name in section}
     names: dict[tuple[str, str], str] = {}
     copies: dict[str, Part] = {}
     for part in found:
         key = (part.section, part.name)
-        original, name = members[key] is part, part.prim.GetName()
+        original, name = members.get(key) is part, part.prim.GetName()  # a part of another stage is like a copy
         if original and part.name in (name, as_name(name, ())):
             continue
         new = as_name(name, taken)

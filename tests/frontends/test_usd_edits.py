@@ -79,7 +79,8 @@ def test_a_person_edits_a_stage_and_gets_these_changes_and_no_others(desk: Proje
         .replace("drawer: 0.05", "drawer: 0.12")
         .replace(
             "\n\nrobots:",
-            "\n  cube:\n    shape: {box: [0.06, 0.06, 0.06]}\n    mass: 0.25\n    pose: {xyz: [0.5, -0.2, 0.03]}\n\nrobots:",
+            "\n  cube:\n    shape: {box: [0.06, 0.06, 0.06]}\n    mass: 0.25\n    pose: {xyz: [0.5, -0.2, 0.03]}"
+            "\n\nrobots:",
         )
     )
     assert imported.text == expected
@@ -144,7 +145,11 @@ Edit = Callable[["Usd.Stage"], None]
 def material_of(stage: Usd.Stage, shape: str, purpose: str = "") -> Usd.Prim:
     from pxr import UsdShade
 
-    return UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"{OBJECTS}/{shape}")).ComputeBoundMaterial(purpose)[0].GetPrim()
+    return (
+        UsdShade.MaterialBindingAPI(stage.GetPrimAtPath(f"{OBJECTS}/{shape}"))
+        .ComputeBoundMaterial(purpose)[0]
+        .GetPrim()
+    )
 
 
 def paint(stage: Usd.Stage) -> None:
@@ -311,6 +316,15 @@ def test_a_copy_is_a_thing_of_its_own(desk: Project) -> None:
         **{k: v for k, v in objects["plate"].items() if k != "place"},
         "pose": {"xyz": (0.2, 0.0, 0.01)},
     }
+
+
+def test_a_part_of_another_stage_is_a_thing_of_its_own(desk: Project, tuesday: Project) -> None:
+    from pxr import Sdf
+
+    stage, other = desk.edit(), tuesday.edit()
+    Sdf.CopySpec(other.GetRootLayer(), f"{OBJECTS}/bowl", stage.GetRootLayer(), f"{OBJECTS}/bowl")
+    objects = desk.read(stage).data["objects"]
+    assert list(objects)[-1] == "bowl" and objects["bowl"]["material"] == "ceramic" and "place" not in objects["bowl"]
 
 
 def test_what_speaks_of_a_deleted_thing_goes_and_what_stood_by_it_stays(desk: Project) -> None:
