@@ -9,7 +9,6 @@ from typing import Any
 
 from simfoundry.frontends.usd_spec import Reading, read_stage
 from simfoundry.frontends.usd_stage import StageError
-from simfoundry.spec.allow import sift
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
 from simfoundry.spec.loaded import Loaded, project_root
@@ -32,9 +31,7 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
     place = home(path, reading.file)
     loaded = Loaded(place, project_root(place).resolve(), None, (), stage_document(path, reading))
     loaded = checked(loaded, KIND, {} if known is None else known)
-    allow = loaded.spec.allow if loaded.spec is not None else {}
-    kept, silenced = sift(_findings(path, reading), allow)
-    return replace(loaded, findings=(*loaded.findings, *kept), silenced=(*loaded.silenced, *silenced))
+    return replace(loaded, findings=(*loaded.findings, *_findings(path, reading)))
 
 
 def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
@@ -42,7 +39,7 @@ def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
         file = f"{path}<{note.prim}>"
-        yield Diagnostic("SF601", Severity.WARNING, note.message, file, path=".".join(about), hint=note.hint)
+        yield Diagnostic("SF421", Severity.WARNING, note.message, file, path=".".join(about), hint=note.hint)
 
 
 def home(stage: Path, file: str) -> Path:

@@ -133,7 +133,7 @@ def _part(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Part:
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
     X_WP, scale = factored(cache.GetLocalToWorldTransform(root or prim))
-    return Part(section, name, prim, spec, built, _now(prim, cache), X_WP, scale)
+    return Part(section, name, prim, spec, built, _now(prim, built, cache), X_WP, scale)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
@@ -177,7 +177,7 @@ def _tuples(data: Any) -> Any:
     return tuple(_tuples(value) for value in data) if isinstance(data, list) else data
 
 
-def _now(part: Usd.Prim, cache: UsdGeom.XformCache) -> Values:
+def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
     """What the prims of a part say, in the terms of :func:`simfoundry.backends.usd.source.built`."""
     from pxr import Usd, UsdGeom
 
@@ -185,7 +185,7 @@ def _now(part: Usd.Prim, cache: UsdGeom.XformCache) -> Values:
     for prim in Usd.PrimRange(part):
         relative = "" if prim == part else str(prim.GetPath().MakeRelativePath(part.GetPath()))
         said = observed(_attributes(prim))
-        said |= _bound(prim)
+        said |= _bound(prim, built.get(relative, {}))
         if prim.IsA(UsdGeom.Xformable):
             pose, scale = factored(cache.GetLocalTransformation(prim)[0])
             said["at"] = (*pose.p.tolist(), *pose.q.tolist(), *scale.tolist())
@@ -205,21 +205,20 @@ def fallback(prim: Usd.Prim, name: str) -> Any:
     return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
 
 
-def _bound(prim: Usd.Prim) -> dict[str, Any]:
-    """How a shape looks and touches."""
-    from pxr import UsdGeom, UsdShade
+def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
+    """How a shape looks and touches, as far as it was ``built`` to."""
+    from pxr import UsdShade
 
     said: dict[str, Any] = {}
-    if not prim.IsA(UsdGeom.Gprim):
-        return said
     api = UsdShade.MaterialBindingAPI(prim)
-    seen, _ = api.ComputeBoundMaterial()
-    if seen and not _is_guide(prim):
-        said["look"] = look({"": {}, **{c.GetName(): _attributes(c) for c in seen.GetPrim().GetChildren()}})
-    touched, _ = api.ComputeBoundMaterial("physics")
-    if touched and touched.GetPrim().HasAttribute("physics:dynamicFriction"):
-        values = _attributes(touched.GetPrim())
-        said["contact"] = contact(_with_own(values))
+    if "look" in built:
+        seen, _ = api.ComputeBoundMaterial()
+        shaders = seen.GetPrim().GetChildren() if seen else []
+        said["look"] = look({child.GetName(): _attributes(child) for child in shaders})
+    if "contact" in built:
+        touched, _ = api.ComputeBoundMaterial("physics")
+        values = _attributes(touched.GetPrim()) if touched else {}
+        said["contact"] = contact(_with_own(values)) if "physics:dynamicFriction" in values else None
     return said
 
 
@@ -232,9 +231,3 @@ def _with_own(material: dict[str, Any]) -> dict[str, Any]:
         own = value * value if material.get(f"physxMaterial:{mode}") == "multiply" else value
         out.setdefault(f"{KEY}:{name}", own)
     return out
-
-
-def _is_guide(prim: Usd.Prim) -> bool:
-    from pxr import UsdGeom
-
-    return bool(UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide)

@@ -48,12 +48,12 @@ CODES = {
     "SF409": "a thing out of every camera's view",
     "SF410": "things that overlap",
     "SF411": "a thing that nothing carries",
+    "SF421": "a change of a stage that a spec cannot say",
     "SF501": "a capture whose files do not fit together",
     "SF502": "a capture without usable depth",
     "SF503": "a capture without a support plane",
     "SF504": "a capture without objects",
     "SF505": "an object that could not be fitted",
-    "SF601": "a change of a stage that a spec cannot say",
 }
 
 

@@ -17,7 +17,6 @@ GROUPS = {
     "SF3": "Meshes",
     "SF4": "Lints: warnings, which can be silenced with a reason",
     "SF5": "Captures",
-    "SF6": "Scenes in USD",
 }
 """Codes by how they start, in the order in which a document is read."""
 

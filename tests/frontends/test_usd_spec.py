@@ -162,11 +162,11 @@ def test_findings_stand_at_prims(desk: Project) -> None:
     assert found == {
         ("SF402", f"{path}</World/Objects/plate>", 0),
         ("SF411", f"{path}</World/Objects/ball>", 0),
-        ("SF601", f"{path}</World/Objects/cabinet/leaf>", 0),
+        ("SF421", f"{path}</World/Objects/cabinet/leaf>", 0),
     }
     assert done.code == 1
     text = run("check", path)
-    assert text.one_line(f"{path}</World/Objects/cabinet/leaf>: warning[SF601] `physics:mass` was ")
+    assert text.one_line(f"{path}</World/Objects/cabinet/leaf>: warning[SF421] `physics:mass` was ")
     assert "3 warnings in 1 of 2 documents" in text.out
 
 

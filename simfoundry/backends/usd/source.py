@@ -77,7 +77,10 @@ def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """A value of USD as plain data: numbers to nine digits, vectors and quaternions (w first) as lists; else None."""
+    """A value of USD as plain data: numbers to nine digits, vectors and quaternions (w first) as lists.
+
+    None for all else, arrays among it.
+    """
     match value:
         case bool() | int():
             return value
@@ -85,11 +88,12 @@ def plain(value: Any) -> Any:
             return float(format(value, f".{_DIGITS}g"))
         case str():
             return str(value)
-    if type(value).__name__.startswith("Quat"):
+    kind = type(value).__name__
+    if kind.endswith("Array"):
+        return None
+    if kind.startswith("Quat"):
         return [plain(float(v)) for v in (value.GetReal(), *value.GetImaginary())]
-    if type(value).__name__.startswith("Vec"):
-        return [plain(v) for v in value]
-    return None
+    return [plain(v) for v in value] if kind.startswith("Vec") else None
 
 
 def _subtree(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
