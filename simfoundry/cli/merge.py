@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_findings, print_json, reporting
 from simfoundry.spec.diagnostics import Diagnostic, render
 
 if TYPE_CHECKING:
@@ -130,8 +130,7 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     else:
         for key in decided:
             click.echo(_printable(f"{key}: took {side}"))
-        if findings:
-            click.echo(render(findings), err=True)
+        print_findings(findings)
     return FINDINGS if any(d.severity == "error" for d in findings) else DONE
 
 
@@ -158,7 +157,7 @@ def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
     for conflict in merged.conflicts:
         click.echo(_printable(str(conflict)), err=True)
     if errors:
-        click.echo(render(errors, {str(name): merged.text}), err=True)
+        click.echo(render(errors, texts={str(name): merged.text}), err=True)
     if merged.conflicts:
         click.echo(
             _printable(

@@ -124,12 +124,15 @@ def carries(thing: Thing, other: Thing) -> bool:
 
 
 def _meets(p: Piece, q: Piece) -> bool:
-    """Whether p meets q on its way down; q is under p if p would rather have to be lowered than raised to pass it."""
+    """Whether p meets q on its way down, and q is no lid: p would rather have to be lowered than raised to pass it.
+
+    What is stuck in q is not said to fall: that the two overlap is finding enough.
+    """
     raised = lift(p, q)
     if raised is None or raised < -HOVERING - CLOSE:
         return False
     below = lift(p, q, -1.0)
-    return below is not None and below + raised < 0
+    return (below is not None and below + raised < 0) or penetration(p, q, DEEP) > DEEP
 
 
 class _Carriers:

@@ -11,6 +11,9 @@ from simfoundry.lint.frames import Frame, Vec, cross, dot, minus, unit
 CLOSE = 5e-5
 """Depths and heights are found to within this [m]: far below every threshold that they are held against."""
 
+STEEP = 1e-9
+"""A triangle whose normal rises by less than this is seen edge on from above, and says nothing of a height."""
+
 ROUNDS = 80
 """Support points that are looked at for one pair; round shapes need about twenty."""
 
@@ -205,12 +208,11 @@ def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:
     p, q, r = triangle
     height = -math.inf
     for _ in range(ROUNDS):
-        n = cross(minus(q, p), minus(r, p))
+        n = unit(cross(minus(q, p), minus(r, p)))
+        if abs(n[2]) < STEEP:
+            break
         if n[2] * sign < 0:
             n = (-n[0], -n[1], -n[2])
-        if abs(n[2]) < 1e-16:
-            break
-        n = unit(n)
         height = dot(n, p) / n[2]
         w = _difference(a, b, n)
         if dot(n, minus(w, p)) < CLOSE * abs(n[2]):
@@ -222,7 +224,8 @@ def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:
 def _around_the_line(a: Piece, b: Piece) -> tuple[Vec, Vec, Vec] | None:
     """Three points of the difference around the vertical line through the origin; None where it does not meet it."""
     middle = [(b.low[k] + b.high[k] - a.low[k] - a.high[k]) / 2 for k in range(2)]
-    n: Vec = (-middle[0], -middle[1], 0.0) if math.hypot(*middle) > 1e-12 else (1.0, 0.0, 0.0)
+    x, y = middle if math.hypot(*middle) > 1e-12 else (1.0, 0.0)
+    n: Vec = (0.6 * y - 0.8 * x, -0.6 * x - 0.8 * y, 0.0)  # askew, or else the origin lies on a side of the triangle
     p = _difference(a, b, n)
     if p[0] * n[0] + p[1] * n[1] < 0:
         return None
@@ -256,12 +259,22 @@ def _beyond(p: Vec, q: Vec, inside: Vec) -> bool:
 
 def _higher(p: Vec, q: Vec, r: Vec, w: Vec, sign: float) -> tuple[Vec, Vec, Vec]:
     """Of the triangles that ``w`` makes with two of the corners, the highest over the origin of those around it."""
-    best, highest = (p, q, w), -math.inf
-    for s, t in ((p, q), (q, r), (r, p)):
-        n = cross(minus(s, w), minus(t, w))
-        if abs(n[2]) < 1e-18 or _beyond(s, t, w) or _beyond(t, w, s) or _beyond(w, s, t):
-            continue
-        height = sign * dot(n, w) / n[2]
-        if height > highest:
-            best, highest = (s, t, w), height
-    return best
+    found = [(_share(s, t, w), s, t) for s, t in ((p, q), (q, r), (r, p))]
+    around = [item for item in found if item[0] > -1e-9] or [max(found)]
+    _, s, t = max(around, key=lambda item: sign * _height(item[1], item[2], w))
+    return s, t, w
+
+
+def _height(p: Vec, q: Vec, r: Vec) -> float:
+    """Where the plane through three points meets the vertical line through the origin."""
+    n = unit(cross(minus(q, p), minus(r, p)))
+    return dot(n, p) / n[2] if abs(n[2]) > STEEP else 0.0
+
+
+def _share(p: Vec, q: Vec, r: Vec) -> float:
+    """The least barycentric coordinate of the origin in a triangle seen from above: negative outside."""
+    area = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+    if abs(area) < 1e-15:
+        return -math.inf
+    shares = (q[0] * r[1] - q[1] * r[0], r[0] * p[1] - r[1] * p[0], p[0] * q[1] - p[1] * q[0])
+    return min(share / area for share in shares)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from simfoundry.assets.faults import (
     MeshError,
@@ -14,12 +15,14 @@ from simfoundry.assets.faults import (
     profile_off_axis,
     shape_crosses_itself,
 )
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.base import Body, LatheShape, PrismShape, Shape
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec
 
 SMALLEST_AREA = 1e-8
 """A profile or outline of less than this [m^2] has no area; as in lowering."""

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.assets.faults import MeshError
 from simfoundry.lint.frames import WORLD, Frame, about, frame_of, looking, turned
 from simfoundry.lint.placing import place_all
 from simfoundry.lint.solids import Solid, hull_of_points, solid_of
 from simfoundry.lint.things import Limb, Thing, Turn
-from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.base import Body
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
@@ -25,22 +23,21 @@ from simfoundry.spec.place import Place
 from simfoundry.spec.scene import CameraSpec, Degrees, ObjectSpec, SceneSpec
 
 if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec, JointSpec
     from simfoundry.spec.task import Start
 
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull; as in :mod:`simfoundry.assets.convex`."""
 
 
-@dataclass(frozen=True)
-class Eye:
+class Eye(NamedTuple):
     """A camera: its spec and its pose in the world (x right, y down, z forward)."""
 
     spec: CameraSpec
     X_WC: Frame
 
 
-@dataclass(frozen=True)
-class Sketch:
+class Sketch(NamedTuple):
     """What is where: things by name, and the cameras that no robot carries."""
 
     spec: SceneSpec
@@ -49,8 +46,7 @@ class Sketch:
     viewer: Frame
 
 
-@dataclass(frozen=True)
-class Changes:
+class Changes(NamedTuple):
     """Where objects are other than the scene says."""
 
     place: Mapping[str, Place]
@@ -146,9 +142,12 @@ def _limbs(
         return {"base": Limb(WORLD, ((solid_of(item.shape), WORLD),), item.collision != "none")}, {}
     reference = item.asset or ""
     used = loaded.used(reference) if is_document(reference) else None
-    if used is None or not isinstance(used.spec, AssetSpec):
-        mesh = () if is_document(reference) else _mesh(loaded.file(reference), item.scale, item)
+    if used is None:
+        mesh = _mesh(loaded.file(reference), item.scale, item)
         return {"base": Limb(WORLD, tuple((solid, WORLD) for solid in mesh), item.collision != "none")}, {}
+    from simfoundry.spec.asset import AssetSpec
+
+    assert isinstance(used.spec, AssetSpec)
     given = {**item.joints, **start}
     joints = {n: _turn(j, given.get(n, 0.0)) for n, j in used.spec.joints.items()}
     key = (str(used.path), tuple((n, turn.position) for n, turn in joints.items()))

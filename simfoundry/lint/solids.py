@@ -108,6 +108,20 @@ def _crossings(edges: list[tuple[Point, Point]], low: float, high: float) -> Ite
             yield at_middle, max(0.0, at_low), max(0.0, at_high)
 
 
+def thinnest_wall(shape: LatheShape) -> float:
+    """The least horizontal thickness of the walls of a hollow body of revolution [m]; infinite where it has none."""
+    profile = shape.lathe.profile
+    heights = sorted({round(z, 7) for _, z in profile})
+    edges = list(zip(profile, (*profile[1:], profile[0]), strict=True))
+    least = math.inf
+    for low, high in pairwise(heights):
+        crossing = sorted(_crossings(edges, low, high))
+        for (_, a, b), (_, c, d) in zip(crossing[::2], crossing[1::2], strict=False):
+            if max(a, b) > THINNEST:
+                least = min(least, c - a, d - b)
+    return least
+
+
 def convex_polygons(outline: tuple[Point, ...]) -> list[list[Point]]:
     """Convex polygons that tile an outline: itself where it is convex, else triangles cut off ear by ear."""
     doubled = sum(a[0] * b[1] - a[1] * b[0] for a, b in zip(outline, (*outline[1:], outline[0]), strict=True))

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from simfoundry.lint.frames import frame_of
 from simfoundry.lint.report import Path_, length, number, warning
@@ -47,8 +46,8 @@ def lint_task(loaded: Loaded, spec: TaskSpec, scene: Loaded) -> Iterator[Diagnos
     if robots:
         yield from _too_wide(loaded, drawn, robots, to_do)
         yield from _too_far(loaded, spec, drawn, robots, to_do)
-    moved = {name: ("start", key, name) for key in ("place", "pose") for name in getattr(spec.start, key)}
-    yield from unseen_of(loaded, drawn, ((drawn.things[name], path) for name, path in moved.items()))
+    moved: dict[str, Path_] = {n: ("start", key, n) for key in ("place", "pose") for n in getattr(spec.start, key)}
+    yield from unseen_of(loaded, drawn, [drawn.things[name] for name in moved], moved.__getitem__)
 
 
 def _goals(spec: TaskSpec) -> Iterator[tuple[Any, Path_]]:
@@ -129,8 +128,7 @@ def _opening(robot: RobotSpec) -> float | None:
     return robot.opening or (known.opening if known is not None else None)
 
 
-@dataclass(frozen=True)
-class _Base:
+class _Base(NamedTuple):
     """Where a robot stands along the ground [m], and how far from there it can grasp [m]."""
 
     name: str

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
 from simfoundry.lint.frames import Frame, Vec
@@ -15,8 +16,7 @@ FARTHEST = 1e6
 """What lies farther from the origin than this [m], or is larger, is not judged: numbers lose their meaning there."""
 
 
-@dataclass(frozen=True, eq=False)
-class Limb:
+class Limb(NamedTuple):
     """A link of a thing: its frame in the thing, and its solids with their poses in it."""
 
     X_OL: Frame
@@ -24,8 +24,7 @@ class Limb:
     touches: bool = True
 
 
-@dataclass(frozen=True)
-class Turn:
+class Turn(NamedTuple):
     """A joint at its position, with its limits [m or rad]; a continuous joint has none."""
 
     position: float
@@ -83,12 +82,12 @@ class Thing:
             for piece in posed(solid, self.X_WO @ limb.X_OL @ X)
         )
 
-    @property
+    @cached_property
     def sure(self) -> bool:
         """Whether the pieces are all that there is, not bounds of something hollow."""
         return all(solid.sure for limb in self.limbs.values() for solid, _ in limb.solids)
 
-    @property
+    @cached_property
     def solid(self) -> bool:
         """Whether anything of it touches others."""
         return any(limb.touches and limb.solids for limb in self.limbs.values())
@@ -108,7 +107,7 @@ class Thing:
         """The middle of its bounds in the world [m]."""
         return middle(self.low, self.high)
 
-    @property
+    @cached_property
     def usable(self) -> bool:
         """Whether it has a shape of a size that can be reckoned with."""
         return bool(self.hulls) and all(abs(v) < FARTHEST for v in (*self.low, *self.high))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from simfoundry.lint.frames import Vec
 from simfoundry.lint.report import MOST, Path_, warning, where
@@ -15,16 +15,18 @@ from simfoundry.spec.loaded import Loaded
 
 def unseen(loaded: Loaded, drawn: Sketch) -> Iterator[Diagnostic]:
     """SF409 in a scene: free things of which no camera sees anything, even if nothing hides them."""
-    free = (thing for thing in drawn.things.values() if not thing.fixed)
-    yield from unseen_of(loaded, drawn, ((thing, where(loaded, thing.name)) for thing in free))
+    free = [thing for thing in drawn.things.values() if not thing.fixed]
+    yield from unseen_of(loaded, drawn, free, lambda name: where(loaded, name))
 
 
-def unseen_of(loaded: Loaded, drawn: Sketch, things: Iterable[tuple[Thing, Path_]]) -> Iterator[Diagnostic]:
-    """SF409 of some things, each reported at a path; cameras that a robot carries look elsewhere in time."""
+def unseen_of(
+    loaded: Loaded, drawn: Sketch, things: Iterable[Thing], path_of: Callable[[str], Path_]
+) -> Iterator[Diagnostic]:
+    """SF409 of some things, each at its path; cameras that a robot carries look elsewhere in time."""
     if not drawn.eyes:
         return
     found = 0
-    for thing, path in things:
+    for thing in things:
         if not thing.usable or found >= MOST or any(sees(eye, thing) for eye in drawn.eyes.values()):
             continue
         found += 1
@@ -32,7 +34,9 @@ def unseen_of(loaded: Loaded, drawn: Sketch, things: Iterable[tuple[Thing, Path_
         only = len(drawn.eyes) == 1
         message = f"`{thing.name}` is out of the view of " + (f"`{name}`" if only else "every camera")
         hint = f"it is {angle:.0f} deg off the axis of `{name}`, which sees {half_angle(drawn.eyes[name]):.0f} deg"
-        yield warning(loaded, "SF409", path, message, f"{hint} to the corners of its picture; move one of the two")
+        yield warning(
+            loaded, "SF409", path_of(thing.name), message, f"{hint} to the corners of its picture; move one of the two"
+        )
 
 
 def sees(eye: Eye, thing: Thing) -> bool:

@@ -6,7 +6,9 @@ import math
 
 from simfoundry.lint.convex import Piece
 from simfoundry.lint.frames import Vec
+from simfoundry.lint.solids import thinnest_wall
 from simfoundry.lint.things import Thing
+from simfoundry.spec.base import LatheShape
 
 STEPS = 36
 """Directions in which a piece with round faces is measured: every 5 degrees."""
@@ -14,7 +16,9 @@ STEPS = 36
 
 def grasp_width(thing: Thing) -> float:
     """The smallest horizontal width of any piece of a thing as it stands [m]: of a bowl that of its rim."""
-    return min(map(piece_width, thing.touching), default=0.0)
+    shapes = [solid.shape for limb in thing.limbs.values() for solid, _ in limb.solids]
+    walls = [thinnest_wall(shape) for shape in shapes if isinstance(shape, LatheShape)]
+    return min([*walls, *map(piece_width, thing.touching)], default=0.0)
 
 
 def piece_width(piece: Piece) -> float:

@@ -1,7 +1,5 @@
 """``asset/1``: a thing with parts, links and joints, used by scenes."""
 
-from __future__ import annotations
-
 from typing import Literal, Self
 
 from pydantic import Field, model_validator

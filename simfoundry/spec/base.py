@@ -1,6 +1,6 @@
 """Types that every document shares: names, numbers with units, poses, shapes, quantities with doubt."""
 
-from __future__ import annotations
+# Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
 
 import math
 from dataclasses import dataclass

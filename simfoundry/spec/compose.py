@@ -141,12 +141,13 @@ class _Joining:
         return _mapping(over, children, {key: keys[key] for key in children})
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
-        """The keys that ``key`` replaces; none in a mapping by name, where keys are names."""
+        """The keys that ``key`` replaces; none in a mapping by name, where keys are names, nor of one by name."""
         rivals = sorted(_RIVALS.get(key, set()) & children.keys())
         if rivals:
-            from simfoundry.spec.types import models_at
+            from simfoundry.spec.types import is_mapping, models_at
 
-            return rivals if models_at(model_of(self.kind), path) else []
+            models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
+            return rivals if any(not is_mapping(m, key) for m in models) else []
         return rivals
 
     def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...]) -> None:

@@ -1,7 +1,5 @@
 """Where a thing stands, said as people say it: on the desk, left of the plate, inside the bowl."""
 
-from __future__ import annotations
-
 from typing import Self
 
 from pydantic import Field, model_validator

@@ -19,7 +19,15 @@ def implausible(density: float) -> str:
 
 
 def volume(shape: Shape) -> float:
-    """Volume of a primitive [m^3]."""
+    """Volume of a primitive [m^3]; infinite where it is beyond all numbers."""
+    try:
+        value = _volume(shape)
+    except OverflowError:
+        return math.inf
+    return value if math.isfinite(value) else math.inf
+
+
+def _volume(shape: Shape) -> float:
     match shape:
         case BoxShape():
             return math.prod(shape.box)

@@ -1,7 +1,5 @@
 """Robots in a scene: which model, where, and in which posture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Literal, Self

@@ -1,7 +1,5 @@
 """``scene/1``: objects, materials, cameras, lights and what should hold among them."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, Literal, Self
 

@@ -40,6 +40,11 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
         yield typing.get_args(kind)[0]
 
 
+def is_mapping(model: type[BaseModel], key: str) -> bool:
+    """Whether a field holds a mapping by name."""
+    return typing.get_origin(model.model_fields[key].annotation) is dict
+
+
 def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
     """The plain types of a type, each with its union tag."""
     origin = typing.get_origin(kind)

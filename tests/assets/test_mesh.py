@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, convex_parts, hull
-from simfoundry.assets.mesh import MeshError, MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from tests.assets.meshes import blob, block, obj
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-# LINT
+from simfoundry.lint.run import lint
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.kinds import is_document
 from simfoundry.spec.load import load
@@ -359,7 +359,7 @@ class Tally:
 def findings(path: Path) -> tuple[Loaded, list[Diagnostic]]:
     """What `simfoundry check` finds in a document."""
     loaded = load(path)
-    return loaded, [*loaded.all_findings()]
+    return loaded, [*loaded.all_findings(), *lint(loaded)]
 
 
 def corrupt(count: int, seed: int = 0, root: Path = REPOSITORY / "specs") -> tuple[dict[str, Tally], Counter[str]]:

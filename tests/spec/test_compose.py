@@ -10,6 +10,7 @@ from simfoundry.spec.diagnostics import render
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.task import TaskSpec
 
 TWIN = """\
 simfoundry: scene/1
@@ -141,3 +142,14 @@ def test_a_chain_has_an_end(project: Path) -> None:
     (project / "c30.scene.yaml").write_text(TWIN)
     assert [d.code for d in load(project / "c0.scene.yaml").all_findings()] == ["SF005"]
     assert load(project / "c20.scene.yaml").all_findings() == []
+
+
+def test_starts_by_place_and_by_pose_do_not_exclude_each_other(project: Path) -> None:
+    head = "simfoundry: task/1\nname: a\nscene: twin.scene.yaml\ninstruction: go\ngoal: Lifted(cup)\n"
+    (project / "a.task.yaml").write_text(f"{head}start: {{place: {{cup: {{on: desk}}}}}}\n")
+    (project / "b.task.yaml").write_text(
+        "simfoundry: task/1\nextends: a.task.yaml\nstart: {pose: {plate: {xyz: [0.5, 0, 0.01]}}}\ngoal: {any: []}\n"
+    )
+    spec = load(project / "b.task.yaml").spec
+    assert isinstance(spec, TaskSpec)
+    assert list(spec.start.place) == ["cup"] and list(spec.start.pose) == ["plate"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -22,3 +24,20 @@ def test_lowering_itself_loads_only_numpy() -> None:
     code = f"import sys, simfoundry.scene.lower; print(*(m for m in {HEAVY!r} if m in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["numpy"]
+
+
+def test_a_check_from_the_shell_waits_for_nothing_it_does_not_use(tmp_path: Path) -> None:
+    """Pydantic's search for plugins alone would add a tenth; nothing is an asset here, and nothing a task."""
+    path = tmp_path / "desk.scene.yaml"
+    path.write_text("simfoundry: scene/1\nname: desk\nobjects:\n  cup: {shape: {sphere: 0.04}, mass: 0.2}\n")
+    code = (
+        "import sys; from simfoundry.cli.main import app; import importlib\n"
+        f"app(['check', {str(path)!r}], standalone_mode=False)\n"
+        "idle = ('email', 'socket', 'importlib.resources', 'simfoundry.spec.asset', 'simfoundry.spec.task')\n"
+        "print(*(m for m in idle if m in sys.modules))\n"
+        "found = importlib.metadata.version('click')\n"  # what waited is there as soon as somebody asks
+        "from importlib.metadata import entry_points\n"
+        "print(found, len(list(entry_points(group='console_scripts'))) > 0, 'email' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["no findings in 1 document", "", f"{version('click')} True True"]

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.scene import Degrees
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec
 
 
 def check_joints(

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.expressions import ExpressionError, parse_call, texts
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.place import DEPTHS, SIDES, Place
 from simfoundry.spec.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec
 
 EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
@@ -28,7 +30,11 @@ class SceneNames:
         """The asset document that the object ``name`` is made from, if it is one and is sound."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
-        return used.spec if used is not None and isinstance(used.spec, AssetSpec) else None
+        if used is None:
+            return None
+        from simfoundry.spec.asset import AssetSpec
+
+        return used.spec if isinstance(used.spec, AssetSpec) else None
 
     def is_known(self, name: str) -> bool:
         """Whether it is certain which parts the object ``name`` has."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.checks.joints import check_joints
@@ -72,7 +71,11 @@ def _asset(c: Checker, item: ObjectSpec, reference: str, path: Path_) -> None:
             message = f"`{field}` has no effect here: the links of `{reference}` have their own"
             c.add("SF107", (*path, field), message, "write it in that document")
     used = c.use(reference, place, ("asset/1",), (ASSET_SUFFIX,))
-    if used is not None and isinstance(used.spec, AssetSpec):
+    if used is None:
+        return
+    from simfoundry.spec.asset import AssetSpec
+
+    if isinstance(used.spec, AssetSpec):
         check_joints(c, used.spec, item.joints, (*path, "joints"))
 
 

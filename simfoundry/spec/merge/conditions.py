@@ -17,7 +17,9 @@ _JOINED = ("all", "any")
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
     """Whether lists at ``path`` are sets of conditions."""
-    return path[-1:] != () and path[-1] in EXPRESSION_LISTS and all(isinstance(v, tuple) for v in values)
+    if not path or path[-1] not in EXPRESSION_LISTS:
+        return False
+    return all(isinstance(value, tuple) and all(map(_is_condition, value)) for value in values)
 
 
 def matched(items: tuple[Tree, ...], base: dict[str, Tree] | None = None) -> dict[str, Tree]:
@@ -41,6 +43,16 @@ def matched(items: tuple[Tree, ...], base: dict[str, Tree] | None = None) -> dic
 def spelled(condition: Any) -> str:
     """A condition as one text, however it is spaced."""
     return expression(_spelled(condition))
+
+
+def _is_condition(tree: Tree) -> bool:
+    value = tree.value
+    if isinstance(value, dict) and len(value) == 1:
+        key, below = next(iter(value.items()))
+        if key in _JOINED:
+            return isinstance(below.value, tuple) and all(map(_is_condition, below.value))
+        return key == "not" and _is_condition(below)
+    return isinstance(value, str)
 
 
 def _spelled(condition: Any) -> Any:

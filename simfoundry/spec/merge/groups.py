@@ -20,30 +20,28 @@ LED = (("type", ("limits", "limits_deg")),)
 _RIVALS = frozenset(chain.from_iterable(EXCLUSIVE))
 
 
-def at_odds(
-    model: type[Model] | None,
-    path: Path_,
-    base: Members,
-    sides: tuple[Members, Members],
-    merged: Members,
-) -> set[str]:
-    """The keys of the mapping at ``path`` that both sides together made into something that neither meant."""
-    if model is None:
-        return set()
-    found = set[str]()
+def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
+    """The keys of the mapping at ``path`` that exclude each other, and that only both sides together have."""
     rivals = _RIVALS & merged.keys()
+    found = set[str]()
     for group in EXCLUSIVE if len(rivals) > 1 else ():
         if _several(group, rivals) and not any(_several(group, side) for side in sides):
             found |= set(group)
-    found = found if found and _holds_fields(model, path) else set()
+    return found if found and model is not None and _holds_fields(model, path) else set()
+
+
+def torn(model: type[Model] | None, path: Path_, base: Members, sides: tuple[Members, Members]) -> set[str]:
+    """The keys of the mapping at ``path`` of which one side changed what leads and the other what follows from it."""
+    found = set[str]()
     for lead, led in LED:
-        if lead in merged and any(key in side for key in led for side in (base, *sides)):
-            changed = [{k for k in (lead, *led) if not same(base.get(k), side.get(k))} for side in sides]
-            leads = any(lead in keys and other - {lead} for keys, other in (changed, changed[::-1]))
-            kept = all(same(merged.get(k), sides[0].get(k)) for k in (lead, *led))
-            agreed = all(same(sides[0].get(k), sides[1].get(k)) for k in (lead, *led))
-            if leads and not kept and not agreed and {lead, *led} <= _fields(model, path):
-                found |= {lead, *led}
+        keys = (lead, *led)
+        if not any(lead in side for side in sides) or not any(k in side for k in led for side in (base, *sides)):
+            continue
+        a, b = ({k for k in keys if not same(base.get(k), side.get(k))} for side in sides)
+        differ = any(not same(sides[0].get(k), sides[1].get(k)) for k in keys)
+        crossed = (lead in a and b - {lead}) or (lead in b and a - {lead})
+        if crossed and differ and model is not None and set(keys) <= _fields(model, path):
+            found |= set(keys)
     return found
 
 

@@ -36,8 +36,8 @@ def resolve(tree: Tree, model: type[Model] | None, side: Side, chosen: Iterable[
     names = dict[tuple[Path_, str], str]()
     for key in keys:
         path, entry = parts(key), entries[key]
-        if not isinstance(entry, dict):
-            raise ResolveError(f"the entry `{key}` does not say what the sides have")
+        if not isinstance(entry, dict) or not path:
+            raise ResolveError(f"the entry `{key}` does not say what the sides have, and where")
         _take(data, path, entry, entry.get(side, ABSENT), names)
         if side == "theirs":
             tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
@@ -78,19 +78,25 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
         place = place.get(part) if isinstance(place, dict) else None
         if not isinstance(place, dict):
             raise ResolveError(f"there is no `{dotted(path[: k + 1])}` any more; remove the entry `{dotted(path)}`")
-    key = path[-1]
+    key, here = path[-1], entry.get("ours")
     if value is ABSENT:
         place.pop(key, None)
-    elif isinstance(place.get(key), dict) and isinstance(value, tuple) and set(value) & place[key].keys():
+    elif isinstance(place.get(key), dict) and _is_order(value, place[key]):
         place[key] = {name: place[key][name] for name in reordered(place[key], value)}
-    elif key not in place and entry.get("base") == key and entry.get("ours") in place:
-        if value in place and value != entry["ours"]:
+    elif key not in place and entry.get("base") == key and isinstance(here, str) and here in place:
+        if value in place and value != here:
             raise ResolveError(
                 f"`{dotted((*path[:-1], value))}` is another one; give one of the two a new name by hand"
             )
-        names[path[:-1], entry["ours"]] = value  # both sides gave the member at `path` another name
+        names[path[:-1], here] = value  # both sides gave the member at `path` another name
     else:
         place[key] = value
+
+
+def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
+    """Whether a value is the order of a mapping, not another value for it."""
+    names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
+    return any(name in members for name in names)
 
 
 def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:

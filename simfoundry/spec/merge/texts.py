@@ -15,6 +15,9 @@ from simfoundry.spec.text import YamlError, parse
 from simfoundry.spec.tree import KIND, Tree, read_tree
 from simfoundry.spec.write import write_tree
 
+_UNREADABLE = ("SF002", "SF004", "SF005")
+"""Codes of texts that are no documents at all."""
+
 
 class UnmergeableError(SimfoundryError):
     """Texts that are not documents of one kind, so that they can only be merged line by line."""
@@ -50,11 +53,14 @@ def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnost
     """Errors of a merged text at ``path`` that neither side has: what each side meant does not hold together.
 
     Open conflicts are not among them. Files that the other side adds may not be there yet; they are missing in its own
-    text, too.
+    text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: both together may be too large.
     """
     found = _errors(path, merged)
     if not found:
         return []
+    for d in found:
+        if d.code in _UNREADABLE:
+            raise UnmergeableError(f"both together cannot be read: {d.message}")
     known = {(d.code, d.path, d.message) for text in (ours, theirs) for d in _errors(path, text)}
     return [d for d in found if (d.code, d.path, d.message) not in known]
 

@@ -16,7 +16,7 @@ from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.merge.comments import commented, rescued, united
 from simfoundry.spec.merge.conditions import is_list_of_conditions, matched, spelled
 from simfoundry.spec.merge.conflict import ABSENT, Conflict, Path_, dotted, numbered
-from simfoundry.spec.merge.groups import at_odds, named_twice
+from simfoundry.spec.merge.groups import at_odds, named_twice, torn
 from simfoundry.spec.merge.names import same_names
 from simfoundry.spec.merge.order import merged_order
 from simfoundry.spec.merge.same import identical, same
@@ -150,7 +150,9 @@ class _Merging:
             tree = self.value(before.get(key), ours.value.get(key), theirs.value.get(key), (*path, key))
             if tree is not None:
                 merged[key] = tree
-        while odd := at_odds(self.model, path, before, sides, merged):
+        if odd := torn(self.model, path, before, sides):
+            self.keep_ours(odd, before, sides, merged, path)
+        while odd := at_odds(self.model, path, sides, merged):
             self.keep_ours(odd, before, sides, merged, path)
         self.keep_ours_of_start(before, sides, merged, path)
         if path == (CONFLICTS,):
