@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd_import import import_usd
-from simfoundry.frontends.usd_load import load_usd
-from simfoundry.frontends.usd_spec import read_stage
+from simfoundry.frontends.usd_spec.importing import import_usd
+from simfoundry.frontends.usd_spec.loading import load_usd
+from simfoundry.frontends.usd_spec.reading import read_stage
 from simfoundry.scene.lower import lower, lower_file
 from tests.specs.documents import SCENES, name_of
 

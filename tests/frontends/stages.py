@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd_import import Imported, import_usd
-from simfoundry.frontends.usd_spec import Reading, read_spec
+from simfoundry.frontends.usd_spec.importing import Imported, import_usd
+from simfoundry.frontends.usd_spec.reading import Reading, read_spec
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 

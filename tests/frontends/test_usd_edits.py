@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from simfoundry.frontends.usd_import import import_usd
-from simfoundry.frontends.usd_stage import StageError
+from simfoundry.errors import OutputError
+from simfoundry.frontends.usd_spec.importing import import_stage, import_usd
+from simfoundry.frontends.usd_spec.stage import StageError
+from simfoundry.spec.load import load
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse
 from simfoundry.spec.write import to_data
@@ -430,3 +432,23 @@ def test_another_document_is_refused(desk: Project, tmp_path: Path) -> None:
     original.write_text(DESK.replace("name: desk", "name: other"))
     with pytest.raises(StageError, match=r"was compiled from `desk`, and .*other.scene.yaml is `other`"):
         import_usd(desk.save(desk.edit()), original)
+
+
+def test_a_document_is_edited_in_place_or_written_where_its_files_are_found(desk: Project, tmp_path: Path) -> None:
+    stage = desk.edit()
+    put(stage, f"{OBJECTS}/ball/base", "physics:mass", 0.3)
+    path = desk.save(stage)
+    out = desk.document.with_name("again.scene.yaml")
+    import_stage(path, out, desk.document)
+    assert out.read_text() == DESK.replace("mass: 0.1", "mass: 0.3")
+    out.write_text(DESK)
+    import_stage(path, out)
+    assert out.read_text() == DESK.replace("mass: 0.1", "mass: 0.3")
+    import_stage(path, out, force=True)
+    assert "#" not in out.read_text() and "mass: 0.3" in out.read_text()
+    elsewhere = desk.document.parent / "sub" / "desk.scene.yaml"
+    import_stage(path, elsewhere)
+    assert "asset: ../cabinet.asset.yaml" in elsewhere.read_text()
+    assert not load(elsewhere).errors
+    with pytest.raises(OutputError, match=r"write desk\.scene\.yaml beside"):
+        import_stage(path, tmp_path / "desk.scene.yaml", desk.document)

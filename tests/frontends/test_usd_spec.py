@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd_import import import_usd
-from simfoundry.frontends.usd_load import load_usd
-from simfoundry.frontends.usd_spec import read_spec, read_stage
-from simfoundry.frontends.usd_stage import StageError, open_stage
+from simfoundry.frontends.usd_spec.importing import import_usd
+from simfoundry.frontends.usd_spec.loading import load_usd
+from simfoundry.frontends.usd_spec.reading import read_spec, read_stage
+from simfoundry.frontends.usd_spec.stage import StageError, open_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load, load_scene

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.frontends.onto import written_into
-from simfoundry.frontends.usd_load import home, stage_document
-from simfoundry.frontends.usd_spec import read_stage
-from simfoundry.frontends.usd_stage import StageError
-from simfoundry.frontends.usd_words import Note
+from simfoundry.errors import OutputError
+from simfoundry.files import write_atomically
+from simfoundry.frontends.usd_spec.loading import home, stage_document
+from simfoundry.frontends.usd_spec.onto import written_into
+from simfoundry.frontends.usd_spec.reading import read_stage
+from simfoundry.frontends.usd_spec.stage import StageError
+from simfoundry.frontends.usd_spec.words import Note
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.flatten import relocated
 from simfoundry.spec.scene import SceneSpec
@@ -49,3 +51,18 @@ def import_usd(path: Path, original: Path | None = None, into: Path | None = Non
     if written.name != reading.data["name"]:
         raise StageError(f"{path} was compiled from `{reading.data['name']}`, and {original} is `{written.name}`")
     return Imported(written.text, reading.notes, written.disputed)
+
+
+def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = False) -> Imported:
+    """Write the document of the stage at ``path`` to ``out``: ``onto`` with what was edited, or one that stands alone.
+
+    Where ``out`` is there, it is what the edits go into, unless ``force``. Raises :class:`OutputError` where a document
+    would be written away from the files that it refers to.
+    """
+    original = onto or (out if out.exists() and not force else None)
+    if original is not None and original.absolute().parent != out.absolute().parent:
+        raise OutputError(f"write {out.name} beside {original}: what that refers to is relative to its folder")
+    imported = import_usd(path, original, out.parent)
+    if original is None or not out.exists() or out.read_text(encoding="utf-8") != imported.text:
+        write_atomically(out, imported.text.encode())
+    return imported

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.usd_edits import differs
-from simfoundry.frontends.usd_names import renamed
+from simfoundry.frontends.usd_spec.edits import differs
+from simfoundry.frontends.usd_spec.names import renamed
 from simfoundry.spec.compose import EXCLUSIVE, compose
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import project_root

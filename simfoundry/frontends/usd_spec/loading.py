@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.usd_spec import Reading, read_stage
-from simfoundry.frontends.usd_stage import StageError
+from simfoundry.frontends.usd_spec.reading import Reading, read_stage
+from simfoundry.frontends.usd_spec.stage import StageError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
 from simfoundry.spec.loaded import Loaded, project_root

@@ -10,10 +10,10 @@ import numpy as np
 
 from simfoundry.backends.usd.cameras import X_CU
 from simfoundry.backends.usd.lights import FULL
-from simfoundry.frontends.usd_edits import pose_data
-from simfoundry.frontends.usd_stage import factored
-from simfoundry.frontends.usd_views import camera_pose, lens, light_place, light_type
-from simfoundry.frontends.usd_words import Note, as_name, short, srgb
+from simfoundry.frontends.usd_spec.edits import pose_data
+from simfoundry.frontends.usd_spec.stage import factored
+from simfoundry.frontends.usd_spec.views import camera_pose, lens, light_place, light_type
+from simfoundry.frontends.usd_spec.words import Note, as_name, short, srgb
 from simfoundry.scene.frames import Array, Pose, quat_from_matrix
 
 if TYPE_CHECKING:

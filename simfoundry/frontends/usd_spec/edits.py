@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd_joints import edited_joints
-from simfoundry.frontends.usd_shapes import scaled
-from simfoundry.frontends.usd_stage import Part, fallback, links_of
-from simfoundry.frontends.usd_words import Note, short, srgb
+from simfoundry.frontends.usd_spec.joints import edited_joints
+from simfoundry.frontends.usd_spec.shapes import scaled
+from simfoundry.frontends.usd_spec.stage import Part, fallback, links_of
+from simfoundry.frontends.usd_spec.words import Note, short, srgb
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document

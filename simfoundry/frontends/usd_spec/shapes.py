@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from simfoundry.frontends.usd_words import short
+from simfoundry.frontends.usd_spec.words import short
 from simfoundry.scene.frames import Array
 
 _EVEN = 1e-6

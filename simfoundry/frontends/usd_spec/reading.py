@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.backends.usd.source import SCOPES
-from simfoundry.frontends.usd_added import Added, added
-from simfoundry.frontends.usd_edits import MOVED_M, Edited, edited_object, has_moved, pose_data
-from simfoundry.frontends.usd_names import anchors, renamed, without
-from simfoundry.frontends.usd_stage import Part, StageError, carrier, document, open_stage, parts
-from simfoundry.frontends.usd_views import edited_camera, edited_light
-from simfoundry.frontends.usd_words import Note, as_name, short
+from simfoundry.frontends.usd_spec.added import Added, added
+from simfoundry.frontends.usd_spec.edits import MOVED_M, Edited, edited_object, has_moved, pose_data
+from simfoundry.frontends.usd_spec.names import anchors, renamed, without
+from simfoundry.frontends.usd_spec.stage import Part, StageError, carrier, document, open_stage, parts
+from simfoundry.frontends.usd_spec.views import edited_camera, edited_light
+from simfoundry.frontends.usd_spec.words import Note, as_name, short
 
 if TYPE_CHECKING:
     from pxr import Usd

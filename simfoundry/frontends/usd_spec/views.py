@@ -9,9 +9,9 @@ import numpy as np
 
 from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
 from simfoundry.backends.usd.lights import FULL
-from simfoundry.frontends.usd_edits import Edited, differs, has_moved, rest
-from simfoundry.frontends.usd_stage import Part
-from simfoundry.frontends.usd_words import Note, short, srgb
+from simfoundry.frontends.usd_spec.edits import Edited, differs, has_moved, rest
+from simfoundry.frontends.usd_spec.stage import Part
+from simfoundry.frontends.usd_spec.words import Note, short, srgb
 from simfoundry.scene.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd_stage import Part, Values, placed
-from simfoundry.frontends.usd_words import Note
+from simfoundry.frontends.usd_spec.stage import Part, Values, placed
+from simfoundry.frontends.usd_spec.words import Note
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import STILL
 
