@@ -9,9 +9,10 @@ them along. ``built`` is what the backend wrote, so that a reader knows what a p
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from simfoundry.backends.usd.prims import Written
 from simfoundry.scene.source import Source
 
 if TYPE_CHECKING:
@@ -29,20 +30,21 @@ VIEW_ONLY = (
 )
 """Starts of attributes that say how a prim is shown or found; ``at`` has what the transforms come to."""
 
-_DIGITS = 9
+_NUMBER = "%.9g"
 
 
-def write_source(layer: Sdf.Layer, source: Source) -> None:
-    """Write ``source`` into the prims of a finished ``layer``, whose default prim is there."""
+def write_source(layer: Sdf.Layer, source: Source, written: Written) -> None:
+    """Write ``source`` into the prims of a finished ``layer``, of which ``written`` has the values."""
     world = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
     document = dict(source.data)
+    below = _by_part(written, f"{world.path}/")
     for section, scope in SCOPES.items():
         members = dict(document.get(section, {}))
         for name, data in members.items():
             prim = layer.GetPrimAtPath(f"{world.path}/{scope}/{name}")
             if prim:
-                part = {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(built(prim))}
-                _add(prim, part)
+                said = _built(below.get(f"{scope}/{name}", {}), written)
+                _add(prim, {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
                 members[name] = None
         if members:
             document[section] = members
@@ -51,19 +53,26 @@ def write_source(layer: Sdf.Layer, source: Source) -> None:
     layer.pseudoRoot.SetInfo("customLayerData", {KEY: about})
 
 
-def built(part: Sdf.PrimSpec) -> dict[str, dict[str, Any]]:
-    """What ``part`` and the prims below it say, by path relative to it; of itself by the empty path."""
-    values = {}
-    for prim in _subtree(part):
-        relative = str(prim.path.MakeRelativePath(part.path)) if prim != part else ""
-        said = observed({name: attribute.default for name, attribute in prim.attributes.items()})
-        said |= _bound(prim)
-        at = _transform(prim)
-        if at is not None:
-            said["at"] = at
+def _by_part(written: Written, above: str) -> dict[str, Written]:
+    """What was written, by scope and name below ``above``, and there by path relative to that prim."""
+    found: dict[str, Written] = {}
+    for path, values in written.items():
+        scope, _, rest = path.removeprefix(above).partition("/")
+        name, _, relative = rest.partition("/")
+        found.setdefault(f"{scope}/{name}", {})[relative] = values
+    return found
+
+
+def _built(part: Written, written: Written) -> Written:
+    """What a part and the prims below it say, by path relative to it; of itself by the empty path."""
+    said_by = {}
+    for relative, values in part.items():
+        said = {**observed(values), **_bound(values, written)}
+        if "xformOpOrder" in values:
+            said["at"] = _transform(values)
         if said:
-            values[relative] = said
-    return values
+            said_by[relative] = said
+    return said_by
 
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,48 +94,38 @@ def plain(value: Any) -> Any:
         case bool() | int():
             return value
         case float():
-            return float(format(value, f".{_DIGITS}g"))
+            return float(_NUMBER % value)
         case str():
             return str(value)
     kind = type(value).__name__
     if kind.endswith("Array"):
         return None
     if kind.startswith("Quat"):
-        return [plain(float(v)) for v in (value.GetReal(), *value.GetImaginary())]
-    return [plain(v) for v in value] if kind.startswith("Vec") else None
+        return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
+    if kind.startswith("Vec"):
+        return [v if type(v) is int else float(_NUMBER % v) for v in value]
+    return None
 
 
-def _subtree(prim: Sdf.PrimSpec) -> Iterator[Sdf.PrimSpec]:
-    yield prim
-    for child in prim.nameChildren:
-        yield from _subtree(child)
-
-
-def _transform(prim: Sdf.PrimSpec) -> list[float] | None:
-    """Position, quaternion and scale of a prim in its parent; None where it is the identity."""
-    found = [
-        [0.0, 0.0, 0.0] if (p := prim.attributes.get("xformOp:translate")) is None else plain(p.default),
-        [1.0, 0.0, 0.0, 0.0] if (q := prim.attributes.get("xformOp:orient")) is None else plain(q.default),
-        [1.0, 1.0, 1.0] if (s := prim.attributes.get("xformOp:scale")) is None else plain(s.default),
+def _transform(values: Mapping[str, Any]) -> list[float]:
+    """Position, quaternion and scale of a prim in its parent."""
+    position, turn, scale = (values.get(f"xformOp:{name}") for name in ("translate", "orient", "scale"))
+    return [
+        *([0.0, 0.0, 0.0] if position is None else plain(position)),
+        *([1.0, 0.0, 0.0, 0.0] if turn is None else plain(turn)),
+        *([1.0, 1.0, 1.0] if scale is None else plain(scale)),
     ]
-    return None if p is None and q is None and s is None else [v for values in found for v in values]
 
 
-def _bound(prim: Sdf.PrimSpec) -> dict[str, Any]:
+def _bound(values: Mapping[str, Any], written: Written) -> dict[str, Any]:
     """How a shape looks and touches: values of the materials that are bound to it."""
     said: dict[str, Any] = {}
-    for relationship, key in (("material:binding", "look"), ("material:binding:physics", "contact")):
-        bound = prim.relationships.get(relationship)
-        if bound is not None:
-            material = prim.layer.GetPrimAtPath(bound.targetPathList.explicitItems[0])
-            said[key] = look(_values(material)) if key == "look" else contact(_values(material)[""])
+    if "material:binding" in values:
+        path = str(values["material:binding"])
+        said["look"] = look({name: written.get(f"{path}/{name}", {}) for name in ("Surface", "Texture")})
+    if "material:binding:physics" in values:
+        said["contact"] = contact(written[str(values["material:binding:physics"])])
     return said
-
-
-def _values(material: Sdf.PrimSpec) -> dict[str, dict[str, Any]]:
-    """The attributes of a material and of its shaders, by name."""
-    prims = {"": material, **{child.name: child for child in material.nameChildren}}
-    return {name: {key: a.default for key, a in prim.attributes.items()} for name, prim in prims.items()}
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:

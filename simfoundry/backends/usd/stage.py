@@ -15,7 +15,7 @@ from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
+from simfoundry.backends.usd.prims import attribute, define, recorded, rounded, vec3f
 from simfoundry.backends.usd.source import write_source
 from simfoundry.scene.model import Mesh, Scene
 
@@ -36,10 +36,10 @@ def compile_usd(scene: Scene) -> Artifact:
 
     check_names(scene)
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    with Sdf.ChangeBlock():
+    with Sdf.ChangeBlock(), recorded() as written:
         _define_world(layer, scene)
         if scene.source is not None:
-            write_source(layer, scene.source)
+            write_source(layer, scene.source, written)
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
     contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes(), **_assets(scene)}
     return Artifact("usd", "scene.usda", contents, losses(scene))

@@ -21,6 +21,9 @@ from simfoundry.spec.write import to_data
 MOVED_M = 1e-4
 """What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""
 
+SINGLE = 3.4e38
+"""Larger numbers have no place in single precision."""
+
 _PIECES = ("Colliders", "Visuals")
 
 _TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
@@ -83,6 +86,7 @@ def differs(a: Any, b: Any) -> bool:
         return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
         return bool(a != b)
+    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # what is more is infinite in a stage
     return not math.isclose(a, b, rel_tol=2e-6, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 

@@ -178,7 +178,7 @@ def _tuples(data: Any) -> Any:
 
 
 def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
-    """What the prims of a part say, in the terms of :func:`simfoundry.backends.usd.source.built`."""
+    """What the prims of a part say, in the terms of :mod:`simfoundry.backends.usd.source`."""
     from pxr import Usd, UsdGeom
 
     values: Values = {}
