@@ -16,9 +16,10 @@ class InvalidSceneError(ValueError):
 
 def check_names(scene: Scene) -> None:
     """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique among its kind."""
+    both = [*(o.name for o in scene.objects), *(r.name for r in scene.robots)]
     _check("the scene", "scene", [scene.name])
-    _check("the scene", "object", (o.name for o in scene.objects))
-    _check("the scene", "camera", (c.name for c in scene.cameras))
+    _check("the scene", "object" if not scene.robots else "object or robot", both)
+    _check("the scene", "camera", (c.name for c in (*scene.cameras, *(m.camera for m in scene.mounted))))
     _check("the scene", "light", (light.name for light in scene.lights))
     for item in scene.objects:
         _check_object(item)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,25 @@ import numpy as np
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
+from simfoundry.backends.resistance import Resistance, resistance
+from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
+from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.urdf import Dialect, Parts, joint_losses, placement, urdf_files, whole
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Camera, Collider, Geometry, JointType, Link, Mesh, Scene, SceneObject
+from simfoundry.scene.model import (
+    Camera,
+    Collider,
+    Drive,
+    Geometry,
+    JointType,
+    Link,
+    Mesh,
+    Mimic,
+    Scene,
+    SceneObject,
+)
+from simfoundry.scene.touching import silent_pairs, touching_pairs
+from simfoundry.scene.trees import Tree, trees
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
@@ -36,16 +53,75 @@ _LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
 def compile_pybullet(scene: Scene) -> Artifact:
     """Compile a scene for PyBullet. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, Dialect(shown=whole, felt=_under_skin()))
-    world = {
+    dialect = Dialect(shown=whole, felt=_under_skin(), ball="spherical")
+    files = urdf_files(scene, dialect)
+    robots, lost = bullet_robots(scene, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
+    for robot in robots.values():
+        files.update(robot.files)
+    resistances = _resistances(scene)
+    parts = [tree for item in scene.objects for tree in trees(item)]
+    world: dict[str, object] = {
         "gravity": _numbers(scene.gravity),
         "timestep": TIMESTEP,
-        "objects": {item.name: _object(item) for item in scene.objects},
+        "objects": {tree.name: _object(tree, resistances) for tree in parts},
         "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
     }
+    if robots:
+        world["robots"] = {name: _robot(robot) for name, robot in robots.items()}
+    if between := _silent_between(scene, parts):
+        world["no_contact"] = between
     files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, tuple(_losses(scene)))
+    return Artifact("pybullet", "load.py", files, (*_losses(scene), *lost))
+
+
+def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
+    """The robots of a scene as URDF by name, and what is lost with them and with the cameras that ride on links."""
+    robots, losses = {}, []
+    for robot in scene.robots:
+        found = robot_urdf(robot, write)
+        if found is None:
+            reason = "it has no model in URDF or MJCF, and USD is not converted"
+            losses.append(Loss(robot.name, Fidelity.DROPPED, reason))
+            continue
+        robots[robot.name] = found
+        losses.extend(found.losses)
+        reason = "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's"
+        losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
+    for mounted in scene.mounted:
+        reason = f"it rides on `{mounted.carrier}`, and cameras in the files of PyBullet stand still"
+        losses.append(Loss(mounted.camera.name, Fidelity.DROPPED, reason))
+    return robots, losses
+
+
+def _robot(robot: RobotUrdf) -> dict[str, object]:
+    """A robot in ``world.json``: where it stands, what its motors hold, and which joints follow others."""
+    motors = {
+        name: {"target": _number(position), "force": _number(robot.efforts[name])}
+        for name, position in robot.positions.items()
+        if name in robot.efforts and name not in robot.follow
+    }
+    follow = {
+        name: {"joint": leader.joint, "multiplier": _number(leader.multiplier), "offset": _number(leader.offset)}
+        for name, leader in robot.follow.items()
+    }
+    links = robot.item.links if robot.item is not None else ()
+    surfaces = {k.name: {"lateral_friction": _number(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
+    return {
+        "urdf": robot.path,
+        "p": _numbers(robot.X_WB.p),
+        "q_wxyz": _numbers(robot.X_WB.q),
+        "joints": {name: _number(position) for name, position in robot.positions.items()},
+        "motors": motors,
+        "follow": follow,
+        "links": surfaces,
+        "arm": dict(robot.joints),
+        "gripper": {name: [_number(v) for v in pair] for name, pair in robot.gripper.items()},
+        "frames": {
+            name: {"link": frame.link, "p": _numbers(frame.X_LF.p), "q_wxyz": _numbers(frame.X_LF.q)}
+            for name, frame in robot.frames.items()
+        },
+    }
 
 
 def link_friction(link: Link) -> float:
@@ -79,18 +155,72 @@ def _under_skin() -> Parts:
     return parts
 
 
-def _object(item: SceneObject) -> dict[str, object]:
-    links = {
-        link.name: {
-            "lateral_friction": _number(math.sqrt(link_friction(link))),
-            "restitution": _number(math.sqrt(link_restitution(link))),
-        }
-        for link in item.links
+def _resistances(scene: Scene) -> dict[str, Resistance]:
+    """What is written for the links' resistance against spinning and rolling."""
+
+    def of(field: str) -> Resistance:
+        return resistance(
+            scene,
+            lambda link: math.sqrt(link_friction(link)),
+            lambda link: max(getattr(c, field) for c in link.colliders),
+        )
+
+    return {"torsional_friction": of("torsional_friction"), "rolling_friction": of("rolling_friction")}
+
+
+def _object(tree: Tree, resistances: Mapping[str, Resistance]) -> dict[str, object]:
+    """One body of Bullet: an object, or a part of one that moves freely; keys that say nothing are left out."""
+    item = tree.owner
+    links = {link.name: _surface(item, link, resistances) for link in tree.links}
+    moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
+    rest: dict[str, object] = {
+        "links": links,
+        "joint_friction": {joint.name: _number(joint.friction) for joint in moving},
+        "joint_damping": {joint.name: _number(joint.damping) for joint in moving},
     }
-    friction = {joint.name: _number(joint.friction) for joint in item.joints if joint.type is not JointType.FIXED}
-    damping = {joint.name: _number(joint.damping) for joint in item.joints if joint.type is not JointType.FIXED}
-    rest = {"links": links, "joint_friction": friction, "joint_damping": damping}
-    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item) | rest
+    names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
+    more: dict[str, object] = {
+        "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
+        "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
+        "drives": {
+            name: _drive(drive) for name, drive in stable_drives(item, TIMESTEP, False).items() if name in joints
+        },
+        "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
+    }
+    if more["self_collision"]:
+        more["no_contact"] = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
+    rest |= {key: value for key, value in more.items() if value}
+    return {"urdf": f"{tree.name}.urdf", "category": item.category} | placement(tree) | rest
+
+
+def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:
+    surface = {
+        "lateral_friction": _number(math.sqrt(link_friction(link))),
+        "restitution": _number(math.sqrt(link_restitution(link))),
+    }
+    for key, found in resistances.items():  # Bullet calls the first one spinning friction
+        if value := found.written.get(item.qualified(link.name)):
+            surface[key.replace("torsional", "spinning")] = _number(value)
+    return surface
+
+
+def _mimic(mimic: Mimic) -> dict[str, object]:
+    return {"joint": mimic.joint, "multiplier": _number(mimic.multiplier), "offset": _number(mimic.offset)}
+
+
+def _drive(drive: Drive) -> dict[str, float]:
+    found = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
+    if drive.force_limit is not None:
+        found["force_limit"] = drive.force_limit
+    return {key: _number(value) for key, value in found.items()}
+
+
+def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]]:
+    """Pairs of links of different bodies that do not touch, each link as its body and its own name."""
+    home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
+    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
+    pairs = ((home[a], home[b]) for a, b in (*own, *scene.no_contact))
+    return [[a, b] for a, b in pairs if a[0] != b[0]]
 
 
 def _camera(camera: Camera) -> dict[str, object]:
@@ -134,6 +264,10 @@ def _losses(scene: Scene) -> Iterator[Loss]:
     if any(collider.restitution > 0 for collider in _colliders(scene)):
         reason = "Bullet acts on an impact at whole steps: a rebound differs from the coefficient by up to 0.15"
         yield Loss("restitution", Fidelity.APPROXIMATED, reason)
+    for key, found in _resistances(scene).items():
+        if found.error > 1e-9:
+            reason = f"Bullet mixes it with the sliding friction, one number a link: some pair is {found.error:.0%} off"
+            yield Loss(key, Fidelity.APPROXIMATED, reason)
     for item in scene.objects:
         for link in item.links:
             yield from _surface_losses(item, link)
@@ -141,6 +275,7 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
+    yield from stiffness_losses(scene, TIMESTEP, implicit_damping=False)
     for light in scene.lights:
         reason = "a PyBullet world holds no lights: each picture brings its own"
         yield Loss(light.name, Fidelity.DROPPED, reason)

@@ -1,5 +1,7 @@
 """URDF: one file an object, and ``poses.json`` for what URDF has no place for: the poses and joint positions.
 
+``physics.json`` holds the rest that simulators know and URDF does not; ``load_drake.py`` and ``load_sapien.py`` use it.
+
 A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
 them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
 Link, joint and collider names are the scene's own; the robot's name is the object's.
@@ -10,11 +12,13 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.names import check_names
+from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
+from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.scene.frames import Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
@@ -32,12 +36,15 @@ from simfoundry.scene.model import (
     Visual,
     principal_inertia,
 )
+from simfoundry.scene.touching import touching_pairs
+from simfoundry.scene.trees import Tree, trees
 
 Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
-_LOADER = Path(__file__).parent / "templates" / "urdf_load.py"
+_TEMPLATES = Path(__file__).parent / "templates"
+_LOADERS = {"load.py": "urdf_load.py", "load_drake.py": "drake_load.py", "load_sapien.py": "sapien_load.py"}
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,8 @@ class Dialect:
 
     shown: Parts
     felt: Parts
+    ball: str | None = None
+    """What it calls a ball joint; None where it knows none, so that the link is welded where it is."""
 
 
 _EFFORT, _VELOCITY = "1000", "100"
@@ -58,24 +67,44 @@ _FAR = 1000.0
 def compile_urdf(scene: Scene) -> Artifact:
     """Compile a scene to URDFs. Raises :class:`InvalidSceneError` for unusable names."""
     check_names(scene)
-    files = urdf_files(scene, Dialect(shown=capsule_parts, felt=capsule_parts))
-    poses = {item.name: _manifest(item) for item in scene.objects}
+    dialect = Dialect(shown=capsule_parts, felt=capsule_parts)
+    files = urdf_files(scene, dialect)
+    poses = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
+    lost: list[Loss] = []
+    for robot in scene.robots:
+        found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
+        if found is None:
+            lost.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in URDF or MJCF, and USD is not converted"))
+            continue
+        files |= found.files
+        lost.extend(found.losses)
+        poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
-    files["load.py"] = _LOADER.read_bytes()
-    return Artifact("urdf", "poses.json", files, tuple(_losses(scene)))
+    files["physics.json"] = physics_manifest(scene, capsule_parts)
+    files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
+    return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
+
+
+def _robot_placement(robot: RobotUrdf) -> dict[str, object]:
+    return {
+        "fixed": True,
+        "p": [_rounded(v) for v in robot.X_WB.p],
+        "q_wxyz": [_rounded(v) for v in robot.X_WB.q],
+        "joints": {name: _rounded(position) for name, position in robot.positions.items()},
+    }
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
-    """The URDF of every object and the assets that they share, by path."""
+    """The URDF of every object, one for each part that moves freely, and the assets that they share, by path."""
     files: dict[str, bytes] = {}
-    for item in scene.objects:
-        root = ET.Element("robot", name=item.name)
-        for link in item.links:
+    for tree in (tree for item in scene.objects for tree in trees(item)):
+        root = ET.Element("robot", name=tree.name)
+        for link in tree.links:
             _add_link(root, link, dialect, files)
-        for joint in item.joints:
-            _add_joint(root, joint)
+        for joint in tree.joints:
+            _add_joint(root, joint, dialect)
         ET.indent(root)
-        files[f"{item.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+        files[f"{tree.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
     return files
 
 
@@ -150,23 +179,37 @@ def _add_material(parent: ET.Element, visual: Visual) -> None:
         ET.SubElement(material, "texture", filename=f"assets/{texture_name(png)}")
 
 
-def _add_joint(root: ET.Element, joint: Joint) -> None:
-    kind = joint.type
-    if kind is JointType.REVOLUTE and joint.limits is None:
-        kind = JointType.CONTINUOUS
-    element = ET.SubElement(root, "joint", name=joint.name, type=kind.value)
-    _add_origin(element, joint.X_PC)
+def _add_joint(root: ET.Element, joint: Joint, dialect: Dialect) -> None:
+    welded = joint.type is JointType.BALL and dialect.ball is None
+    element = ET.SubElement(root, "joint", name=joint.name, type=_joint_type(joint, dialect))
+    _add_origin(element, joint.X_PC @ joint.motion if welded else joint.X_PC)
     ET.SubElement(element, "parent", link=joint.parent)
     ET.SubElement(element, "child", link=joint.child)
-    if joint.type is JointType.FIXED:
+    if joint.type is JointType.FIXED or welded:
         return
-    ET.SubElement(element, "axis", xyz=numbers(joint.axis))
-    limit = {"effort": _EFFORT, "velocity": _VELOCITY}
-    if limits := _urdf_limits(joint):
-        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
-    ET.SubElement(element, "limit", limit)
+    if joint.has_axis:
+        ET.SubElement(element, "axis", xyz=numbers(joint.axis))
+        ET.SubElement(element, "limit", _limit(joint))
     if joint.damping or joint.friction:
         ET.SubElement(element, "dynamics", damping=number(joint.damping), friction=number(joint.friction))
+    if joint.mimic is not None:
+        law = {"multiplier": number(joint.mimic.multiplier), "offset": number(joint.mimic.offset)}
+        ET.SubElement(element, "mimic", {"joint": joint.mimic.joint} | law)
+
+
+def _joint_type(joint: Joint, dialect: Dialect) -> str:
+    if joint.type is JointType.BALL:
+        return dialect.ball or JointType.FIXED.value
+    unlimited = joint.type is JointType.REVOLUTE and joint.limits is None
+    return JointType.CONTINUOUS.value if unlimited else joint.type.value
+
+
+def _limit(joint: Joint) -> dict[str, str]:
+    strength = joint.drive.force_limit if joint.drive is not None else None
+    limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
+    if limits := _urdf_limits(joint):
+        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
+    return limit
 
 
 def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
@@ -178,13 +221,13 @@ def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
     return joint.limits
 
 
-def placement(item: SceneObject) -> dict[str, object]:
-    """What URDF does not hold: whether an object is fixed, its pose in the world and its joint positions."""
+def placement(tree: Tree) -> dict[str, object]:
+    """What URDF does not hold: whether a part of an object is fixed, its pose in the world and its joint positions."""
     return {
-        "fixed": item.fixed,
-        "p": [_rounded(v) for v in item.X_WO.p],
-        "q_wxyz": [_rounded(v) for v in item.X_WO.q],
-        "joints": {j.name: _rounded(j.position) for j in item.joints if j.type is not JointType.FIXED},
+        "fixed": tree.fixed,
+        "p": [_rounded(v) for v in tree.X_WT.p],
+        "q_wxyz": [_rounded(v) for v in tree.X_WT.q],
+        "joints": {j.name: _rounded(j.position) for j in tree.joints if j.has_axis},
     }
 
 
@@ -192,8 +235,8 @@ def _rounded(value: float) -> float:
     return float(number(value))
 
 
-def _manifest(item: SceneObject) -> dict[str, object]:
-    return {"urdf": f"{item.name}.urdf", "category": item.category} | placement(item)
+def _manifest(tree: Tree) -> dict[str, object]:
+    return {"urdf": f"{tree.name}.urdf", "category": tree.owner.category} | placement(tree)
 
 
 def _losses(scene: Scene) -> Iterator[Loss]:
@@ -207,9 +250,25 @@ def _losses(scene: Scene) -> Iterator[Loss]:
             yield dropped(f"{item.name}.friction", "URDF has no contact friction: the simulator's default applies")
         if any(collider.restitution > 0 for collider in colliders):
             yield dropped(f"{item.name}.restitution", "URDF has no restitution: the simulator's default applies")
+        for field in ("torsional_friction", "rolling_friction"):
+            if any(getattr(collider, field) > 0 for collider in colliders):
+                yield dropped(f"{item.name}.{field}", "URDF has no contact friction: the simulator's default applies")
         yield from joint_losses(item)
+        for joint in item.joints:
+            path = f"{item.name}.{joint.name}"
+            if joint.type is JointType.BALL:
+                yield dropped(path, "URDF has no ball joints: the link is welded where the scene has it")
+            if joint.drive is not None:
+                yield dropped(f"{path}.drive", "URDF has no motors; its force limit stands as the joint's effort")
+        if touching_pairs(item) or item.no_contact:
+            reason = "URDF does not say which links touch: the simulator decides whether those of one object do"
+            yield dropped(f"{item.name}.no_contact", reason)
+    if scene.no_contact:
+        yield dropped("no_contact", "URDF does not say which objects pass through each other")
     for camera in scene.cameras:
         yield dropped(camera.name, "URDF has no cameras")
+    for mounted in scene.mounted:
+        yield dropped(mounted.camera.name, "URDF has no cameras")
     for light in scene.lights:
         yield dropped(light.name, "URDF has no lights")
 

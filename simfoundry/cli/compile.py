@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -37,6 +38,21 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, forc
             count = len(artifact.losses)
             lost = f"{count} loss{'es' if count != 1 else ''}" if count else "nothing lost"
             click.echo(f"{artifact.target:<9} {out / artifact.target / artifact.entry}  ({lost})")
+            for line in dropped(losses[artifact.target]):
+                click.echo(f"{'':<9} {line}")
         if any(losses.values()):
             click.echo(f"what each target cannot keep: {out / 'loss.json'}")
     return FINDINGS if strict and any(losses.values()) else DONE
+
+
+def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
+    """A line for each reason for which something is not there at all: ``no robots.arm: robots are ...``."""
+    by_reason: dict[str, list[str]] = {}
+    for loss in losses:
+        if loss["fidelity"] == "dropped":
+            by_reason.setdefault(loss["reason"], []).append(loss["path"])
+    lines = []
+    for reason, paths in by_reason.items():
+        more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+        lines.append(f"no {', '.join(paths[:3])}{more}: {reason}")
+    return lines

@@ -120,4 +120,5 @@ def _report(
 
 def _summary(files: int, changed: int, check: bool) -> str:
     count = f"{files} document{'s' if files != 1 else ''}"
-    return f"{count}: {changed or 'none'} {'would change' if check else 'changed'}"
+    seen = "; `--diff` shows how" if check and changed else ""
+    return f"{count}: {changed or 'none'} {'would change' if check else 'changed'}{seen}"

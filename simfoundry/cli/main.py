@@ -68,6 +68,7 @@ COMMANDS = {
     "settle": "Let a scene come to rest in physics, with a report.",
     "show": "Show a scene as a tree with sizes and masses.",
     "synthesize": "Render a scene to a capture with sensor noise.",
+    "verify": "Load builds in real simulators and compare them with the scene.",
 }
 
 

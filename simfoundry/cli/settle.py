@@ -50,7 +50,15 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
         click.echo(settle_table(settled.to_json()["objects"]))
         if not settled.at_rest:
             click.echo("the scene did not come to rest in time")
+        elif out is None and not settled.passed:
+            click.echo(f"keep where things came to rest: simfoundry settle {scene} -o {_beside(scene)}")
     return DONE if settled.passed else FINDINGS
+
+
+def _beside(scene: Path) -> Path:
+    """A name for the settled scene: ``desk_settled.scene.yaml``."""
+    stem, _, rest = scene.name.partition(".")
+    return scene.with_name(f"{stem}_settled.{rest}")
 
 
 def settle_table(objects: list[dict[str, object]]) -> str:

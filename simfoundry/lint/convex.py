@@ -124,7 +124,7 @@ def penetration(a: Piece, b: Piece, ignored: float = 0.0) -> float:
         least = min(least, reached)
         if least <= ignored or reached - distance < CLOSE:
             return least
-        faces = _grown(corners, faces, w)
+        faces = _grown(corners, faces, nearest, w)
     return least
 
 
@@ -140,12 +140,13 @@ def _difference(a: Piece, b: Piece, n: Vec) -> Vec:
     return (p[0] - q[0], p[1] - q[1], p[2] - q[2])
 
 
-def _face(corners: list[Vec], i: int, j: int, k: int) -> _Face | None:
+def _face(corners: list[Vec], i: int, j: int, k: int) -> _Face:
+    """A face with its outward normal and its distance from the origin; one without an area is infinitely far."""
     a = corners[i]
     n = cross(minus(corners[j], a), minus(corners[k], a))
     length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     if length < 1e-18:
-        return None
+        return (i, j, k, (0.0, 0.0, 0.0), math.inf)
     n = (n[0] / length, n[1] / length, n[2] / length)
     return (i, j, k, n, dot(n, a))
 
@@ -165,30 +166,37 @@ def _tetrahedron(a: Piece, b: Piece) -> tuple[list[Vec], list[_Face]]:
         return corners, []
     if height > 0:
         corners[0], corners[1] = corners[1], corners[0]
-    faces = [_face(corners, *ijk) for ijk in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]
-    return corners, [f for f in faces if f is not None]
+    return corners, [_face(corners, *ijk) for ijk in ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))]
 
 
-def _grown(corners: list[Vec], faces: list[_Face], w: Vec) -> list[_Face]:
-    """The faces of the hull with one more corner, which is added to ``corners``."""
+def _grown(corners: list[Vec], faces: list[_Face], nearest: _Face, w: Vec) -> list[_Face]:
+    """The faces of the hull with one more corner, beyond the ``nearest`` of them; it is added to ``corners``.
+
+    What ``w`` sees is followed from face to neighbour: judged each for itself, faces in one plane could leave a hole.
+    """
     corners.append(w)
     last = len(corners) - 1
     wx, wy, wz = w
-    kept: list[_Face] = []
-    rim: dict[tuple[int, int], None] = {}
+    beside = {}
     for face in faces:
-        n = face[3]
-        if n[0] * wx + n[1] * wy + n[2] * wz - face[4] <= 1e-10:
-            kept.append(face)
-            continue
         i, j, k = face[:3]
+        beside[i, j] = beside[j, k] = beside[k, i] = face
+    seen, todo = {nearest[:3]}, [nearest]
+    rim: list[tuple[int, int]] = []
+    while todo:
+        i, j, k = todo.pop()[:3]
         for edge in ((i, j), (j, k), (k, i)):
-            if edge[::-1] in rim:
-                del rim[edge[::-1]]
+            other = beside[edge[::-1]]
+            if other[:3] in seen:
+                continue
+            n = other[3]
+            if n[0] * wx + n[1] * wy + n[2] * wz - other[4] > 1e-10:
+                seen.add(other[:3])
+                todo.append(other)
             else:
-                rim[edge] = None
-    kept += [f for f in (_face(corners, i, j, last) for i, j in rim) if f is not None]
-    return kept
+                rim.append(edge)
+    kept = [face for face in faces if face[:3] not in seen]
+    return kept + [_face(corners, i, j, last) for i, j in rim]
 
 
 def lift(a: Piece, b: Piece, sign: float = 1.0) -> float | None:

@@ -51,12 +51,13 @@ def _of_shapes(loaded: Loaded) -> Iterator[Diagnostic]:
     if not isinstance(loaded.spec, SceneSpec) or any(d.severity is Severity.ERROR for d in faults):
         return
     from simfoundry.lint.contacts import overlaps, unsupported
+    from simfoundry.lint.places import misplaced
     from simfoundry.lint.relations import broken
     from simfoundry.lint.sketch import sketch
     from simfoundry.lint.views import unseen
 
     drawn = sketch(loaded)
-    for findings in (overlaps, unsupported, unseen, broken):
+    for findings in (misplaced, overlaps, unsupported, unseen, broken):
         yield from findings(loaded, drawn)
 
 

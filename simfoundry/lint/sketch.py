@@ -16,11 +16,12 @@ from simfoundry.lint.frames import WORLD, Frame, about, frame_of, looking, turne
 from simfoundry.lint.placing import place_all
 from simfoundry.lint.solids import Solid, hull_of_points, solid_of
 from simfoundry.lint.things import Limb, Thing, Turn
-from simfoundry.spec.base import Body
+from simfoundry.spec.base import Body, Pose
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.place import Place
-from simfoundry.spec.scene import CameraSpec, Degrees, ObjectSpec, SceneSpec
+from simfoundry.spec.positions import Written, position
+from simfoundry.spec.scene import CameraSpec, ObjectSpec, SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.spec.asset import AssetSpec, JointSpec
@@ -51,12 +52,12 @@ class Changes(NamedTuple):
 
     place: Mapping[str, Place]
     pose: Mapping[str, Frame]
-    joints: Mapping[str, Mapping[str, float | Degrees]]
+    joints: Mapping[str, Mapping[str, Written]]
 
     @classmethod
     def of(cls, *starts: Start | None) -> Changes:
         """What starts say, the later on top of the earlier."""
-        place, pose, joints = dict[str, Place](), dict[str, Frame](), dict[str, dict[str, float | Degrees]]()
+        place, pose, joints = dict[str, Place](), dict[str, Frame](), dict[str, dict[str, Written]]()
         for start in starts:
             if start is None:
                 continue
@@ -79,7 +80,7 @@ def sketch(loaded: Loaded, changes: Changes = UNCHANGED) -> Sketch:
     assert isinstance(spec, SceneSpec)
     standing: dict[str, Thing] = {}
     places: dict[str, Place] = {}
-    assets: dict[tuple[str, tuple[tuple[str, float], ...]], dict[str, Limb]] = {}
+    assets: dict[tuple[str, tuple[tuple[str, float, Frame], ...]], dict[str, Limb]] = {}
     for name, item in spec.objects.items():
         X_WO = changes.pose.get(name)
         place = changes.place.get(name, item.place if X_WO is None else None)
@@ -134,8 +135,8 @@ def _viewer(spec: SceneSpec, things: Mapping[str, Thing]) -> Frame:
 def _limbs(
     loaded: Loaded,
     item: ObjectSpec,
-    start: Mapping[str, float | Degrees],
-    assets: dict[tuple[str, tuple[tuple[str, float], ...]], dict[str, Limb]],
+    start: Mapping[str, Written],
+    assets: dict[tuple[str, tuple[tuple[str, float, Frame], ...]], dict[str, Limb]],
 ) -> tuple[Mapping[str, Limb], Mapping[str, Turn]]:
     """The links of an object by name, and its joints; many objects may be made of one asset."""
     if item.shape is not None:
@@ -149,19 +150,18 @@ def _limbs(
 
     assert isinstance(used.spec, AssetSpec)
     given = {**item.joints, **start}
-    joints = {n: _turn(j, given.get(n, 0.0)) for n, j in used.spec.joints.items()}
-    key = (str(used.path), tuple((n, turn.position) for n, turn in joints.items()))
+    joints = {n: _turn(j, position(used.spec, n, given), given.get(n)) for n, j in used.spec.joints.items()}
+    key = (str(used.path), tuple((n, turn.position, turn.motion) for n, turn in joints.items()))
     if key not in assets:
         assets[key] = dict(_links(used, used.spec, joints))
     return assets[key], {n: turn for n, turn in joints.items() if used.spec.joints[n].type != "fixed"}
 
 
-def _turn(joint: JointSpec, position: float | Degrees) -> Turn:
-    value = math.radians(position.deg) if isinstance(position, Degrees) else position
+def _turn(joint: JointSpec, value: float, written: Written | None) -> Turn:
     limits = joint.limits
     if joint.limits_deg is not None:
         limits = (math.radians(joint.limits_deg[0]), math.radians(joint.limits_deg[1]))
-    return Turn(value, limits, joint.child)
+    return Turn(value, limits, joint.child, frame_of(written) if isinstance(written, Pose) else WORLD)
 
 
 def _links(asset: Loaded, spec: AssetSpec, joints: Mapping[str, Turn]) -> Iterator[tuple[str, Limb]]:
@@ -181,7 +181,7 @@ def _links(asset: Loaded, spec: AssetSpec, joints: Mapping[str, Turn]) -> Iterat
         yield name, Limb(frames[name], tuple(solids), link.collision != "none")
         for joint_name, joint in spec.joints.items():
             if joint.parent == name and joint.child not in frames:
-                moved = _motion(joint, joints[joint_name].position)
+                moved = joints[joint_name].motion @ _motion(joint, joints[joint_name].position)
                 frames[joint.child] = frames[name] @ frame_of(joint.pose) @ moved
                 todo.append(joint.child)
 

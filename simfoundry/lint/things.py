@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
-from simfoundry.lint.frames import Frame, Vec
+from simfoundry.lint.frames import WORLD, Frame, Vec
 from simfoundry.lint.solids import Solid, posed
 
 FARTHEST = 1e6
@@ -25,11 +25,12 @@ class Limb(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """A joint at its position, with its limits [m or rad]; a continuous joint has none."""
+    """A joint at its position, with its limits [m or rad]; a continuous joint has none, a ball or free one a motion."""
 
     position: float
     limits: tuple[float, float] | None
     child: str
+    motion: Frame = WORLD
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,11 +155,11 @@ def extent(pieces: tuple[Piece, ...], n: Vec) -> tuple[float, float]:
 
 def close_pairs(a: tuple[Piece, ...], b: tuple[Piece, ...], gap: float) -> Iterator[tuple[Piece, Piece]]:
     """Pairs of pieces whose bounds are at most ``gap`` apart, or with a negative one overlap by at least that."""
-    low, high = bounds(b)
-    around = Piece((), low=low, high=high)
+    around_a, around_b = (Piece((), low=low, high=high) for low, high in map(bounds, (a, b)))
+    near = [q for q in b if not apart(q, around_a, gap)]
     for p in a:
-        if not apart(p, around, gap):
-            for q in b:
+        if not apart(p, around_b, gap):
+            for q in near:
                 if not apart(p, q, gap):
                     yield p, q
 

@@ -17,6 +17,7 @@ from simfoundry.spec.files import FileError
 from simfoundry.spec.kinds import model_of
 from simfoundry.spec.load import kind_of, load
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.place import Place
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.validate import sound_part
 from simfoundry.spec.write import to_data
@@ -63,6 +64,18 @@ class Comparison:
         """The errors of both sides."""
         return tuple(d for side in (self.old, self.new) if side is not None for d in side.findings)
 
+    @property
+    def along(self) -> tuple[str, ...]:
+        """The objects that say the same as before and stand elsewhere, as their places name what moved."""
+        if self.new is None or not isinstance(self.new.spec, SceneSpec):
+            return ()
+        named = {e.name for e in self.entries if e.section == "objects"}
+        gone = {e.name for e in self.entries if e.section == "objects" and "moved" in e.marks}
+        places = {name: item.place for name, item in self.new.spec.objects.items() if item.place is not None}
+        while found := {name for name, place in places.items() if name not in gone and gone & _anchors(place)}:
+            gone |= found
+        return tuple(name for name in places if name in gone - named)
+
     def lines(self) -> list[str]:
         """What changed, and a line that counts it."""
         if self.obstacle:
@@ -70,10 +83,21 @@ class Comparison:
         if self.old is None or self.new is None:
             return [f"{'added' if self.old is None else 'removed'}: {_content(self.new or self.old)}"]
         if self.entries:
-            return [*text(self.entries), summary(self.entries)]
+            along = self.along
+            whose = "its place names" if len(along) == 1 else "their places name"
+            lines = [f"{', '.join(along)} moved with what {whose}"] if along else []
+            return [*text(self.entries), *lines, summary(self.entries)]
         if self.changes:
             return ["the same, in another order"]
         return ["the same, written otherwise" if self.old.text != self.new.text else "no difference"]
+
+
+def _anchors(place: Place) -> set[str]:
+    """The objects by which a place says where in the plane something stands."""
+    if place.xy is not None:
+        return set()
+    beside = {n for n in (place.left_of, place.right_of, place.in_front_of, place.behind) if n is not None}
+    return beside or {(place.on or place.inside or "").partition(".")[0]}
 
 
 def side(path: Path, label: str, root: Path | None = None) -> Side:

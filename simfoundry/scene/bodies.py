@@ -139,7 +139,8 @@ class BodyBuilder:
         material = self._material(part)
         friction = material.friction if self.body.friction is None else self.body.friction
         restitution = material.restitution if self.body.restitution is None else self.body.restitution
-        self.colliders.append(Collider(name, geometry, friction, restitution, X_LG))
+        spinning, rolling = material.torsional_friction, material.rolling_friction
+        self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling))
 
     def _material(self, part: Part | None) -> Material:
         name = part.material if part is not None and part.material is not None else self.body.material

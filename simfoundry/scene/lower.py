@@ -6,8 +6,9 @@ The same documents give the same scene on every machine. A finding in a mesh is 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +17,38 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
+from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import (
     Camera,
+    Drive,
     Joint,
     JointType,
     LeftOut,
     Light,
     LightType,
     Link,
+    Mimic,
+    MountedCamera,
     Relation,
     Scene,
     SceneObject,
 )
 from simfoundry.scene.place import place_all, seen_by_camera
+from simfoundry.scene.poses import pose as pose
+from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot_files import NoModelError
+from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.source import Source
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.asset import Drive as DriveSpec
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.positions import Written, position
+from simfoundry.spec.scene import CameraSpec, LightSpec, ObjectSpec, SceneSpec
 from simfoundry.spec.write import to_data
 
 Progress = Callable[[str, int, int], None]
@@ -62,14 +72,20 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         objects.append(lowering.object(name, item, spec))
     if lowering.findings:
         raise SpecError(lowering.findings)
+    robots, no_models = _robots(loaded, spec)
+    mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
+    lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
-        objects=_placed(loaded, spec, [o for o in objects if o is not None]),
+        objects=_placed(loaded, spec, lowered),
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=tuple(_left_out(spec)),
+        left_out=(*no_models, *_left_out(spec)),
+        robots=robots,
+        mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
+        no_contact=no_contact,
         source=Source.of(_file_in_project(loaded), to_data(spec)),
     )
 
@@ -105,13 +121,26 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     return tuple(solved.values())
 
 
+def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[LeftOut]]:
+    """The robots whose models are there, and what is left out with those that are not."""
+    found, lost = [], []
+    for name, item in spec.robots.items():
+        try:
+            found.append(lower_robot(name, item, loaded.path))
+        except NoModelError as error:
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
+            carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
+            lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
+    return tuple(found), lost
+
+
+def _mounted(name: str, spec: CameraSpec, mount: str) -> MountedCamera:
+    carrier, _, link = mount.partition(".")
+    return MountedCamera(carrier, link, camera(name, spec))
+
+
 def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
     """What the language can say and the lowered scene cannot hold."""
-    for name in spec.robots:
-        yield LeftOut(f"robots.{name}", "robots are not compiled yet")
-    for name, item in spec.cameras.items():
-        if item.mount is not None:
-            yield LeftOut(f"cameras.{name}", f"it rides on `{item.mount}`, and mounted cameras are not compiled yet")
     if spec.background is not None:
         yield LeftOut("background", "backgrounds are not compiled yet")
 
@@ -119,14 +148,6 @@ def _left_out(spec: SceneSpec) -> Iterator[LeftOut]:
 def _relation(text: str) -> Relation:
     call = parse_call(text)
     return Relation(call.predicate, call.args)
-
-
-def pose(spec: base.Pose) -> Pose:
-    """The pose that a document writes."""
-    if spec.quat_wxyz is not None:
-        return Pose.of(spec.xyz, spec.quat_wxyz)
-    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
-    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
 def camera(name: str, spec: CameraSpec) -> Camera:
@@ -162,16 +183,18 @@ class _Lowering:
         before = len(self.findings)
         category = item.category or name
         joints: tuple[Joint, ...] = ()
+        silent: tuple[tuple[str, str], ...] = ()
         if item.asset is not None and is_document(item.asset):
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
             links, joints = self.articulated(asset, asset.spec, item)
+            silent = asset.spec.no_contact
         else:
             links = self.rigid(name, item, spec)
         if len(self.findings) > before:
             return None
-        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints)
+        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent)
 
     def rigid(self, name: str, item: ObjectSpec, spec: SceneSpec) -> list[Link]:
         """The one link of a primitive or of a mesh."""
@@ -203,8 +226,7 @@ class _Lowering:
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
             links += self._built(builder, link, asset, ("links", name), False, before)
-        joints = tuple(_joint(name, joint, item.joints.get(name, 0.0)) for name, joint in spec.joints.items())
-        return links, joints
+        return links, lower_joints(spec, item.joints)
 
     def _built(
         self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool, before: int
@@ -226,7 +248,14 @@ def _topological(spec: AssetSpec) -> Iterator[str]:
         todo += [j.child for j in spec.joints.values() if j.parent == link]
 
 
-def _joint(name: str, spec: JointSpec, position: float | Degrees) -> Joint:
+def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
+    """The joints of an asset at the positions ``given``, by name; one that follows another is where that leads it."""
+    return tuple(
+        _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
+    )
+
+
+def _joint(name: str, spec: JointSpec, position: float, written: Written | None) -> Joint:
     limits = spec.limits
     if spec.limits_deg is not None:
         limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
@@ -242,8 +271,40 @@ def _joint(name: str, spec: JointSpec, position: float | Degrees) -> Joint:
         damping=spec.damping,
         friction=spec.friction,
         armature=spec.armature,
-        position=math.radians(position.deg) if isinstance(position, Degrees) else position,
+        position=position,
+        motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
+        mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
+        drive=None if spec.drive is None else _drive(spec.drive, position),
     )
+
+
+def _drive(spec: DriveSpec, position: float) -> Drive:
+    return Drive(spec.stiffness, spec.damping, position if spec.target is None else spec.target, spec.force_limit)
+
+
+def _silenced(spec: SceneSpec, objects: Iterable[SceneObject]) -> tuple[list[SceneObject], tuple[tuple[str, str], ...]]:
+    """The objects with the pairs of their own links that the scene keeps from touching, and its pairs between objects.
+
+    Those between objects are of links by qualified name, each once.
+    """
+    by_name = {item.name: item for item in objects}
+
+    def links(part: str) -> tuple[SceneObject, list[str]]:
+        name, _, link = part.partition(".")
+        item = by_name[name]
+        carried = {joint.name: joint.child for joint in item.joints}
+        return item, [carried.get(link, link)] if link else [k.name for k in item.links]
+
+    between: dict[tuple[str, str], None] = {}
+    for (a, links_a), (b, links_b) in ((links(a), links(b)) for a, b in spec.no_contact):
+        if a.name == b.name:
+            own = (*a.no_contact, *((one, other) for one, other in product(links_a, links_b) if one != other))
+            by_name[a.name] = replace(a, no_contact=own)
+            continue
+        for one, other in product(links_a, links_b):
+            first, second = sorted((a.qualified(one), b.qualified(other)))
+            between[first, second] = None
+    return list(by_name.values()), tuple(between)
 
 
 @dataclass

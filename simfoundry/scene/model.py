@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.robot import Robot
 from simfoundry.scene.source import Source
 
 
@@ -93,7 +94,9 @@ class Collider:
     """What a contact feels: a primitive or a *convex* mesh posed in its link.
 
     ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
-    (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way.
+    (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way. ``torsional_friction`` and
+    ``rolling_friction`` [m] are the greatest torques against spinning and rolling over the normal force; a pair has the
+    larger of its two.
     """
 
     name: str
@@ -101,6 +104,8 @@ class Collider:
     friction: float
     restitution: float
     X_LG: Pose = IDENTITY
+    torsional_friction: float = 0.0
+    rolling_friction: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +131,35 @@ class JointType(StrEnum):
     REVOLUTE = "revolute"
     PRISMATIC = "prismatic"
     CONTINUOUS = "continuous"
+    BALL = "ball"
+    FREE = "free"
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint follows ``joint`` of the same object: its position is ``multiplier`` times that one's plus ``offset``."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+    def position(self, leader: float) -> float:
+        """Position of the follower [rad or m] where its leader is at ``leader`` [rad or m]."""
+        return self.multiplier * leader + self.offset
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A motor in a joint: ``stiffness * (target - position) - damping * velocity``, at most ``force_limit``.
+
+    ``stiffness`` [N m/rad or N/m], ``damping`` [N m s/rad or N s/m], ``target`` [rad or m]; ``force_limit`` [N m or N]
+    is None where there is none.
+    """
+
+    stiffness: float
+    damping: float
+    target: float = 0.0
+    force_limit: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +169,9 @@ class Joint:
     ``X_PC`` is the pose of the child link's frame in the parent's at position zero; the joint acts at the child's
     origin along ``axis`` (unit, child frame, shape (3,)). ``limits`` [rad or m] is None where there are none;
     ``damping`` [N m s/rad or N s/m]; ``friction`` the Coulomb friction torque or force [N m or N]; ``armature``
-    [kg m^2 or kg]; ``position`` [rad or m] the state in the spec.
+    [kg m^2 or kg]; ``position`` [rad or m] the state in the spec of a joint with one axis. The state of a ball or free
+    joint is ``motion``: the pose of the child's frame in where it is at position zero. A free joint holds nothing: its
+    child is a body of its own, posed relative to the parent.
     """
 
     name: str
@@ -149,6 +185,14 @@ class Joint:
     friction: float = 0.0
     armature: float = 0.0
     position: float = 0.0
+    motion: Pose = IDENTITY
+    mimic: Mimic | None = None
+    drive: Drive | None = None
+
+    @property
+    def has_axis(self) -> bool:
+        """Whether one number is its state: it turns about its axis or slides along it."""
+        return self.type in (JointType.REVOLUTE, JointType.PRISMATIC, JointType.CONTINUOUS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +200,8 @@ class SceneObject:
     """A named thing: one link, or a tree of links and joints whose first link is the root.
 
     ``X_WO`` is the pose of the root link's frame in the world. A ``fixed`` object is welded to the world; any other
-    has a free root. Links are in topological order: a parent comes before its children.
+    has a free root. Links are in topological order: a parent comes before its children. ``no_contact`` are pairs of
+    links that pass through each other, besides those that joints connect.
     """
 
     name: str
@@ -165,6 +210,7 @@ class SceneObject:
     X_WO: Pose
     links: tuple[Link, ...]
     joints: tuple[Joint, ...] = ()
+    no_contact: tuple[tuple[str, str], ...] = ()
 
     @property
     def root(self) -> Link:
@@ -188,6 +234,18 @@ class Camera:
     cx: float
     cy: float
     X_WC: Pose
+
+
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera that rides on a link: ``camera.X_WC`` is its pose in that link's frame.
+
+    ``carrier`` is a robot or an object; ``link`` one of its frames or links, empty for its base or root.
+    """
+
+    carrier: str
+    link: str
+    camera: Camera
 
 
 class LightType(StrEnum):
@@ -235,8 +293,9 @@ class LeftOut:
 class Scene:
     """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
 
-    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``source`` is the document itself,
-    for targets that can give it back.
+    ``left_out`` is what the spec says beyond that; every target reports it as lost. ``no_contact`` are pairs of links
+    of different objects, by qualified name, that pass through each other. ``source`` is the document itself, for
+    targets that can give it back.
     """
 
     name: str
@@ -246,6 +305,9 @@ class Scene:
     lights: tuple[Light, ...] = ()
     relations: tuple[Relation, ...] = field(default=())
     left_out: tuple[LeftOut, ...] = ()
+    robots: tuple[Robot, ...] = ()
+    mounted: tuple[MountedCamera, ...] = ()
+    no_contact: tuple[tuple[str, str], ...] = ()
     source: Source | None = None
 
     def object(self, name: str) -> SceneObject:
@@ -254,6 +316,13 @@ class Scene:
             if item.name == name:
                 return item
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
+
+    def robot(self, name: str) -> Robot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        for item in self.robots:
+            if item.name == name:
+                return item
+        raise KeyError(f"no robot {name!r}; there are: {', '.join(r.name for r in self.robots) or 'none'}")
 
 
 def pair_friction(a: float, b: float) -> float:
@@ -264,6 +333,11 @@ def pair_friction(a: float, b: float) -> float:
 def pair_restitution(a: float, b: float) -> float:
     """Restitution of a contact between two surfaces: the geometric mean."""
     return float(np.sqrt(a * b))
+
+
+def pair_resistance(a: float, b: float) -> float:
+    """Torsional or rolling friction [m] of a contact between two surfaces: the larger, as one soft surface suffices."""
+    return max(a, b)
 
 
 def principal_inertia(inertia: Array) -> tuple[Array, Array]:

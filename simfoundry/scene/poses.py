@@ -1,12 +1,14 @@
-"""Poses back into the words of a spec, and settled poses into a spec."""
+"""Poses from the words of a spec and back into them, and settled poses into a spec."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 
-from simfoundry.scene.frames import Pose, rpy_from_quat
-from simfoundry.scene.model import Scene
+import numpy as np
+
+from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.base import Pose as PoseSpec
 from simfoundry.spec.scene import SceneSpec
@@ -16,6 +18,14 @@ UPRIGHT_DEG = 0.05
 
 STILL = 1e-4
 """A joint that moved less than this [rad or m] stays as it is written."""
+
+
+def pose(spec: PoseSpec) -> Pose:
+    """The pose that a document writes."""
+    if spec.quat_wxyz is not None:
+        return Pose.of(spec.xyz, spec.quat_wxyz)
+    roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
+    return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 
 
 def pose_spec(X_WO: Pose) -> PoseSpec:
@@ -35,6 +45,11 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
     for item in scene.objects:
         joints = dict(objects[item.name].joints)
         for joint in item.joints:
+            motion = state.motions.get(f"{item.name}.{joint.name}", joint.motion)
+            if joint.mimic is not None:
+                continue  # it is where the other leads it
+            if float(np.linalg.norm(motion.p - joint.motion.p)) > STILL or motion.angle_to(joint.motion) > STILL:
+                joints[joint.name] = _rotation(motion) if joint.type is JointType.BALL else pose_spec(motion)
             position = state.joints.get(f"{item.name}.{joint.name}", joint.position)
             if abs(position - joint.position) > STILL:
                 low, high = joint.limits or (-math.inf, math.inf)  # engines hold limits softly
@@ -42,6 +57,12 @@ def with_state(spec: SceneSpec, scene: Scene, state: SceneState) -> SceneSpec:
         if joints != objects[item.name].joints:
             objects[item.name] = objects[item.name].model_copy(update={"joints": joints})
     return moved.model_copy(update={"objects": objects})
+
+
+def _rotation(motion: Pose) -> PoseSpec:
+    """The rotation of a ball joint as a person writes it."""
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_quat(motion.q))
+    return PoseSpec(rpy_deg=(roll, pitch, yaw))
 
 
 def with_poses(spec: SceneSpec, poses: Mapping[str, Pose]) -> SceneSpec:

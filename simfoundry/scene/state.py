@@ -3,29 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import JointType, Scene
+from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """Poses ``X_WO`` of the objects by name, and joint positions [rad or m] by ``object.joint``."""
+    """Poses ``X_WO`` of the objects by name, and where their joints are by ``object.joint``.
+
+    ``joints`` are the positions [rad or m] of those with one axis; ``motions`` the poses of the child's frame of those
+    without, ball and free joints, in where it is at position zero. A ball joint's motion has no translation.
+    """
 
     poses: Mapping[str, Pose]
     joints: Mapping[str, float]
+    motions: Mapping[str, Pose] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
-    def of(cls, poses: Mapping[str, Pose], joints: Mapping[str, float]) -> SceneState:
-        """Freeze the two mappings."""
-        return cls(MappingProxyType(dict(poses)), MappingProxyType(dict(joints)))
+    def of(
+        cls, poses: Mapping[str, Pose], joints: Mapping[str, float], motions: Mapping[str, Pose] | None = None
+    ) -> SceneState:
+        """Freeze the mappings."""
+        return cls(MappingProxyType(dict(poses)), MappingProxyType(dict(joints)), MappingProxyType(dict(motions or {})))
 
     @classmethod
     def initial(cls, scene: Scene) -> SceneState:
         """The state that the scene itself describes."""
-        joints = {
-            f"{o.name}.{j.name}": j.position for o in scene.objects for j in o.joints if j.type is not JointType.FIXED
-        }
-        return cls.of({o.name: o.X_WO for o in scene.objects}, joints)
+        joints = {f"{o.name}.{j.name}": j for o in scene.objects for j in o.joints}
+        return cls.of(
+            {o.name: o.X_WO for o in scene.objects},
+            {name: joint.position for name, joint in joints.items() if joint.has_axis},
+            {name: joint.motion for name, joint in joints.items() if _is_free(joint)},
+        )
+
+    def of_object(self, item: SceneObject) -> dict[str, float | Pose]:
+        """Positions and motions of the joints of one object, by their own names; of what is not here, the scene's."""
+        found: dict[str, float | Pose] = {}
+        for joint in item.joints:
+            name = f"{item.name}.{joint.name}"
+            if joint.has_axis:
+                found[joint.name] = self.joints.get(name, joint.position)
+            elif _is_free(joint):
+                found[joint.name] = self.motions.get(name, joint.motion)
+        return found
+
+
+def _is_free(joint: Joint) -> bool:
+    return joint.type in (JointType.BALL, JointType.FREE)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, JointType, Mesh, Scene, SceneObject, Sphere
+from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Joint, JointType, Mesh, Scene, SceneObject, Sphere
 from simfoundry.spec.base import Estimate
 from simfoundry.spec.scene import ObjectSpec, SceneSpec
 
@@ -82,11 +83,17 @@ def _line(name: str, item: dict[str, Any]) -> str:
     return f"{name}  {item['shape']} {size} cm  {weight}  {parts}"
 
 
+def _joint(joint: Joint) -> str:
+    if joint.has_axis:
+        return f"{joint.name}  {joint.type.value}  at {joint.position:.3g}"
+    return f"{joint.name}  {joint.type.value}  turned by {math.degrees(joint.motion.angle_to(IDENTITY)):.3g} deg"
+
+
 def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any]:
     written = spec.objects[item.name]
     estimate = written.mass if isinstance(written.mass, Estimate) else None
     colliders = [c for link in item.links for c in link.colliders]
-    joints = [f"{j.name}  {j.type.value}  at {j.position:.3g}" for j in item.joints if j.type is not JointType.FIXED]
+    joints = [_joint(joint) for joint in item.joints if joint.type is not JointType.FIXED]
     low, high = bounds(item)
     return {
         "category": item.category,

@@ -61,8 +61,7 @@ def scene_surface(scene: Scene, state: SceneState | None = None) -> Surface:
     owners: list[int] = []
     for index, item in enumerate(scene.objects):
         X_WO = state.poses.get(item.name, item.X_WO)
-        joints = {j.name: state.joints.get(f"{item.name}.{j.name}", j.position) for j in item.joints}
-        X_OL = link_poses(item, joints)
+        X_OL = link_poses(item, state.of_object(item))
         for link in item.links:
             for visual in link.visuals:
                 if visual.rgba[3] > 0:

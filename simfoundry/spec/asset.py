@@ -65,7 +65,33 @@ class LinkSpec(Body):
         return self
 
 
-JointKind = Literal["fixed", "revolute", "prismatic", "continuous"]
+JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "free"]
+
+
+class Mimic(Model):
+    """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
+
+    joint: Name = Field(description="The joint that it follows.")
+    multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
+    offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
+
+
+class Drive(Model):
+    """A motor that holds a position like a spring, or resists motion, up to a force.
+
+    Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
+    """
+
+    stiffness: NonNegative = Field(0.0, description="Force for a unit of deviation [N/m, or N m/rad].")
+    damping: NonNegative = Field(0.0, description="Force against a unit of velocity [N s/m, or N m s/rad].")
+    target: Number | None = Field(None, description="Where it holds the joint [m, or rad]; default: where it starts.")
+    force_limit: Positive | None = Field(None, description="The greatest force that it exerts [N, or N m].")
+
+    @model_validator(mode="after")
+    def _acts(self) -> Self:
+        if self.stiffness == 0 and self.damping == 0:
+            raise PydanticCustomError("sf107", "a drive needs `stiffness` or `damping`", {})
+        return self
 
 
 class JointSpec(Model):
@@ -85,6 +111,8 @@ class JointSpec(Model):
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
     armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
+    mimic: Mimic | None = Field(None, description="Another joint that it follows.")
+    drive: Drive | None = Field(None, description="A motor in it.")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -100,6 +128,14 @@ class JointSpec(Model):
                 raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
         if sum(v * v for v in self.axis) < 1e-12:
             raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
+        for name in ("damping", "friction", "armature") if self.type == "free" else ():
+            if getattr(self, name):
+                message = f"`{name}` has no effect: a free joint holds nothing"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+        for name in ("mimic", "drive"):
+            if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
+                message = f"`{name}` belongs to joints with one axis, and this one is {self.type}"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
         return self
 
 
@@ -111,4 +147,9 @@ class AssetSpec(DocumentSpec):
     materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
     joints: dict[Name, JointSpec] = Field({}, description="What connects them, by name.")
+    no_contact: tuple[tuple[Name, Name], ...] = Field(
+        (),
+        max_length=1000,
+        description="Pairs of links that pass through each other, besides those that a joint connects.",
+    )
     origin: Origin | None = Field(None, description="Where it comes from.")

@@ -212,6 +212,16 @@ class Material(Model):
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair slides at the geometric mean.")
+    torsional_friction: NonNegative = Field(
+        0.0,
+        description="Resistance against spinning on a contact: its torque over the normal force [m]; a pair has the "
+        "larger of its two.",
+    )
+    rolling_friction: NonNegative = Field(
+        0.0,
+        description="Resistance against rolling on a contact: its torque over the normal force [m]; a pair has the "
+        "larger of its two.",
+    )
     restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair bounces at the geometric mean.")
     color: Color | None = Field(None, description="sRGB colour, red, green, blue and optionally opacity, each 0 to 1.")
 

@@ -34,6 +34,8 @@ CODES = {
     "SF208": "places that depend on each other",
     "SF209": "a merge conflict that is left to decide",
     "SF210": "a place that cannot be solved",
+    "SF211": "a joint that follows nothing it can follow",
+    "SF212": "a pair without contact that is no pair",
     "SF301": "a mesh that cannot be used",
     "SF302": "a mesh that is not closed",
     "SF303": "a mesh of an implausible size",
@@ -108,11 +110,71 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
+ELSEWHERE = {
+    "on": "OnTop",
+    "stackedon": "OnTop",
+    "in": "inside",
+    "beside": "NextTo",
+    "near": "NextTo",
+    "below": "Under",
+    "over": "Above",
+    "holding": "Grasped",
+    "held": "Grasped",
+    "and": "all",
+    "or": "any",
+    "steps": "subtasks",
+    "stages": "subtasks",
+    "success": "goal",
+    "done": "goal",
+    "language": "instruction",
+    "prompt": "instruction",
+    "maxsteps": "horizon",
+    "timeout": "horizon",
+    "frequency": "control_hz",
+    "hz": "control_hz",
+    "length": "height",
+    "position": "xyz",
+    "translation": "xyz",
+    "rotation": "rpy_deg",
+    "euler": "rpy_deg",
+    "rpy": "rpy_deg",
+    "yaw": "yaw_deg",
+    "orientation": "quat_wxyz",
+    "weight": "mass",
+    "static": "fixed",
+    "file": "asset",
+    "ball": "sphere",
+    "cuboid": "box",
+    "cube": "box",
+    "extrude": "prism",
+    "revolve": "lathe",
+    "cup": "lathe",
+    "mug": "lathe",
+    "bowl": "lathe",
+    "resolution": "size",
+    "target": "look_at",
+    "left": "left_of",
+    "right": "right_of",
+    "front": "in_front_of",
+    "infront": "in_front_of",
+    "distance": "gap",
+    "range": "limits",
+    "origin": "pose",
+    "slide": "prismatic",
+    "slider": "prismatic",
+    "hinge": "revolute",
+}
+"""What other formats and people call some keys and words, as `nearest` compares names, and what they are here."""
+
+
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """A hint that names the most similar choice, or lists the choices where none is similar."""
+    """A hint that names the same or the most similar choice, or lists the choices where none is similar."""
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
     sought = _plain(word)
+    meant = _plain(ELSEWHERE.get(sought, ""))
+    if meant in plain:
+        return f"did you mean `{plain[meant]}`?"
     similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparing takes its time
     match = difflib.get_close_matches(sought, similar[:1000], n=1, cutoff=0.6)
     if match:

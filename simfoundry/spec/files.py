@@ -14,7 +14,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
-_DESCRIPTION = re.compile(r"robot_descriptions:[a-z0-9_]+\Z")
+_DESCRIPTION = re.compile(r"robot_descriptions:[a-z0-9_]+(/[A-Za-z0-9_./-]+)?\Z")
 
 
 class FileError(Exception):

@@ -76,7 +76,9 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
         raise SpecError(loaded.errors)
     if not isinstance(loaded.spec, tuple(model_of(kind) for kind in kinds)):
         message = f"expected a {' or '.join(f'`{kind}`' for kind in kinds)} document"
-        raise SpecError([Diagnostic("SF006", Severity.ERROR, message, str(path), 1, 1, "simfoundry")])
+        scene = getattr(loaded.spec, "scene", None)
+        hint = f"its scene is `{scene}`" if isinstance(scene, str) and "scene/1" in kinds else ""
+        raise SpecError([Diagnostic("SF006", Severity.ERROR, message, str(path), 1, 1, "simfoundry", hint)])
     return loaded
 
 

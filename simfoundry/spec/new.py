@@ -10,6 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from simfoundry.spec.base import SphereShape
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.format import format_text, schema_line
 from simfoundry.spec.kinds import KINDS
@@ -49,6 +50,8 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
     if len(before) > 1 or (before and before[0] not in WORDS):
         raise NewError(f"give a kind and a path, as `scene desk.scene.yaml`; the kinds are {', '.join(WORDS)}")
     if not before:
+        if last in WORDS:
+            raise NewError(f"say how the {last} is called, as `new {last} desk` for {_file(last)}")
         if by_name is None:
             raise NewError(f"`{last}` does not say its kind; end it with .scene.yaml, or say `new scene {last}`")
         return by_name, path
@@ -57,6 +60,10 @@ def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
     if by_name != before[0]:
         raise NewError(f"a {before[0]} is not kept in `{path.name}`; end it with .{before[0]}.yaml")
     return by_name, path
+
+
+def _file(kind: str) -> str:
+    return "desk/capture.yaml" if kind == "capture" else f"desk.{kind}.yaml"
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
@@ -147,15 +154,21 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None) -> dict[str, str]:
-    """Put the first thing that can move on the second; where there is one only, lift it."""
+    """Put the first thing that carries nothing and does not roll on another such; where there is none, lift it."""
     loaded = _source(path, source, (".scene.yaml",))
     free = _free(loaded)
-    thing, *others = free
+    carriers = {_carrier(item) for item in free.values()}
+    rolling = [name for name, item in free.items() if isinstance(item.shape, SphereShape)]
+    thing, *after = sorted(free, key=lambda name: (name in carriers, name in rolling))  # stable: else as written
+    others = [name for name in after if name not in (_carrier(free[thing]), *rolling)]
     goal = f"OnTop({thing}, {others[0]})" if others else f"Lifted({thing})"
     said = f"Put the {_said(thing)} on the {_said(others[0])}." if others else f"Lift the {_said(thing)}."
     regions = [(name, _where(item)) for name, item in free.items() if name in (thing, *others[:1])]
     lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
-    reset = ["  objects:", "    # ranges of x and y in the world [m], and of the turn about z", *lines] if lines else []
+    ranges = "ranges of x and y in the world [m], and of the turn about z"
+    reset = ["  objects:", f"    # {ranges}", *lines]
+    if not lines:
+        reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]
     return {
         **_named(loaded.path, path),
         "thing": thing,
@@ -164,6 +177,11 @@ def _task(path: Path, source: Path | None) -> dict[str, str]:
         "instruction": said,
         "reset": "\n".join(reset),
     }
+
+
+def _carrier(item: ObjectSpec) -> str:
+    """The object that another stands on or lies in, as far as its document says so."""
+    return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
 
 
 def _said(name: str) -> str:

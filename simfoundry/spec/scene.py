@@ -1,7 +1,7 @@
 """``scene/1``: objects, materials, cameras, lights and what should hold among them."""
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -35,10 +35,19 @@ class Degrees(Model):
     deg: Number = Field(description="Position of a revolute or continuous joint [deg].")
 
 
+def _position_tag(value: Any) -> str:
+    if isinstance(value, Pose) or (isinstance(value, dict) and any(key in value for key in Pose.model_fields)):
+        return "pose"
+    return "degrees" if isinstance(value, dict | Degrees) else "number"
+
+
 JointPosition = Annotated[
-    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")],
-    Discriminator(lambda v: "degrees" if isinstance(v, dict | Degrees) else "number"),
+    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[Pose, Tag("pose")],
+    Discriminator(_position_tag),
 ]
+"""Where a joint is: a number, ``{deg: 30}``, or of a ball or free joint a pose from where it is at zero."""
+
+Touching = tuple[PartName, PartName]
 
 
 class ObjectSpec(Body):
@@ -57,7 +66,9 @@ class ObjectSpec(Body):
     pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
     place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
     joints: dict[Name, JointPosition] = Field(
-        {}, description="Joint positions by name: metres, radians, or `{deg: 30}`; default 0."
+        {},
+        description="Joint positions by name: metres, radians, or `{deg: 30}`; of a ball joint its rotation, as "
+        "`{rpy_deg: [10, 0, 20]}`, of a free joint a pose; default 0.",
     )
     origin: Origin | None = Field(None, description="Where the description comes from.")
 
@@ -132,5 +143,10 @@ class SceneSpec(DocumentSpec):
     cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
     background: Background | None = Field(None, description="What is seen around the scene.")
+    no_contact: tuple[Touching, ...] = Field(
+        (),
+        max_length=1000,
+        description="Pairs that pass through each other: objects, or links of them as `cabinet.door`.",
+    )
     relations: tuple[str, ...] = Field((), description="What should hold, as `OnTop(cup, desk)`.")
     origin: Origin | None = Field(None, description="Where the scene comes from.")

@@ -202,16 +202,18 @@ class _Parts:
         return {"type": types if len(types) > 1 else types[0], **out}
 
     def join_models(self, names: list[str]) -> Schema:
-        """Models of which one may stand here; several of one key each become a mapping with one of these keys."""
+        """Models of which one may stand here; several become a mapping with keys of any of them."""
         bodies = [self.raw["$defs"][name] for name in names]
         if len(names) == 1:
             whole = self.model(names[0], bodies[0])
             return {k: v for k, v in whole.items() if k not in ("$comment", "type")}
         properties = {}
         for name, body in zip(names, bodies, strict=True):
-            ((key, value),) = body["properties"].items()
-            text = f"{body['description']} {self.text(name, key, value)}"
-            properties[key] = self.key(name, key, value | {"description": text})
+            alone = len(body["properties"]) == 1
+            for key, value in body["properties"].items():
+                text = self.text(name, key, value)
+                text = f"{body['description']} {text}" if alone else text
+                properties[key] = self.key(name, key, value | {"description": text})
         return {"properties": properties, "additionalProperties": False, "minProperties": 1} | _fragments(properties)
 
 

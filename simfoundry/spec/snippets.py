@@ -24,11 +24,13 @@ CHOICES = {
         "A bulb at `xyz`.",
         "Light from everywhere, as from a cloudy sky.",
     ),
-    ("fixed", "revolute", "prismatic", "continuous"): (
+    ("fixed", "revolute", "prismatic", "continuous", "ball", "free"): (
         "It does not move.",
         "It turns about `axis` within `limits_deg`, as a door.",
         "It slides along `axis` within `limits` [m], as a drawer.",
         "It turns about `axis` without limits, as a wheel.",
+        "It turns about every axis, as a shoulder.",
+        "Nothing holds it: it lies in or on the parent, as a lid.",
     ),
     ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"): tuple(
         f"{PREDICATES[name].meaning[0].upper()}{PREDICATES[name].meaning[1:]}."
@@ -83,6 +85,11 @@ SHOT = {
 Body = str | list[Any] | dict[str, Any]
 """A first value with holes to fill in, as ``${1:0.5}``: a text as it is written, or what is written over lines."""
 
+CUP = (
+    "[[0, 0], [${1:0.04}, 0], [${1:0.04}, ${2:0.1}], [${3:0.035}, ${2:0.1}], [${3:0.035}, ${4:0.005}], [0, ${4:0.005}]]"
+)
+"""The profile of a cup: out along its foot, up its wall, over its rim and down inside."""
+
 FIRST: dict[str, Body] = {
     "asset": "${1:mug.glb}",
     "background": "{mesh: ${1:room.glb}}",
@@ -129,7 +136,7 @@ FIRST: dict[str, Body] = {
     "AssetSpec.joints": {"${1:slide}": JOINT},
     "joints": "{${1:drawer}: ${2:0}}",
     "Start.joints": "{${1:cabinet}: {${2:drawer}: ${3:0}}}",
-    "lathe": "{profile: [[0, 0], [${1:0.05}, 0], [${1:0.05}, ${2:0.1}], [0, ${2:0.1}]]}",
+    "lathe": f"{{profile: {CUP}}}",
     "least": "${1:0.1}",
     "left_of": "${1:name}",
     "library": "${1:assets}",
@@ -168,7 +175,7 @@ FIRST: dict[str, Body] = {
     "CameraSpec.pose": "{xyz: [${1:1.2}, ${2:0}, ${3:0.6}], look_at: [${4:0.45}, ${5:0}, ${6:0}]}",
     "Start.pose": "{${1:cup}: {xyz: [${2:0.4}, ${3:0}, ${4:0.05}]}}",
     "prism": "{outline: [[${1:-0.1}, ${2:-0.1}], [${3:0.1}, ${4:-0.1}], [${5:0}, ${6:0.1}]], height: ${7:0.02}}",
-    "profile": "[[0, 0], [${1:0.05}, 0], [${1:0.05}, ${2:0.1}], [0, ${2:0.1}]]",
+    "profile": CUP,
     "quat_wxyz": "[${1:1}, ${2:0}, ${3:0}, ${4:0}]",
     "radius": "${1:0.04}",
     "range": "[${1:0.2}, ${2:0.4}]",
@@ -235,7 +242,7 @@ WORDS = {
     "CylinderShape.cylinder": "Radius and height [m].",
     "CapsuleShape.capsule": "Radius, and height without the caps [m].",
     "PrismShape.prism": "Outline in xy, and height along z [m].",
-    "LatheShape.lathe": "Corners of the profile as (radius, height) [m].",
+    "LatheShape.lathe": "A cup, a bowl, a plate, a bottle: corners of half its cut as (radius, height) [m].",
     "Shot.depth": "The depth picture that belongs to it.",
 }
 """What is said of keys of which their model says nothing."""

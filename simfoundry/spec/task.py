@@ -23,7 +23,7 @@ class Start(Model):
     place: dict[Name, Place] = Field({}, description="Objects that stand elsewhere, by name.")
     pose: dict[Name, Pose] = Field({}, description="Objects that have another pose, by name.")
     joints: dict[Name, dict[Name, JointPosition]] = Field(
-        {}, description="Joint positions by object and joint: metres, radians, or `{deg: 30}`."
+        {}, description="Joint positions by object and joint, as in a scene."
     )
 
     @model_validator(mode="after")

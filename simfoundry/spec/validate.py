@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -9,6 +10,7 @@ from pydantic import ValidationError
 
 from simfoundry.spec.base import SHAPE_KEYS, Model
 from simfoundry.spec.diagnostics import Diagnostic, nearest
+from simfoundry.spec.spelling import number
 from simfoundry.spec.text import Document
 from simfoundry.spec.types import models_at
 
@@ -43,6 +45,24 @@ _EXPECTED = {
 """Starts of pydantic's error types, and what a document calls the thing."""
 
 
+_JOINED = {"all", "any", "not"}
+"""The keys of which a condition that is a mapping has one."""
+
+_MEASURED = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)) ?(mm|cm|m|g|kg|deg|°)\Z")
+"""A number with a unit, as people write it."""
+
+_UNITS = {
+    "mm": ("lengths are in m", 0.001),
+    "cm": ("lengths are in m", 0.01),
+    "m": ("lengths are in m", 1.0),
+    "g": ("masses are in kg", 0.001),
+    "kg": ("masses are in kg", 1.0),
+    "deg": ("angles are in degrees", 1.0),
+    "°": ("angles are in degrees", 1.0),
+}
+"""What is to be said of a unit, and what it is of the unit of the documents."""
+
+
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
     """The typed document, or every finding of its text."""
     findings = [*document.duplicates, *_without_value(model, document)]
@@ -50,6 +70,8 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
         spec = model.model_validate(document.data)
     except ValidationError as error:
         errors = [e for e in error.errors(include_url=False) if e["input"] is not None or e["type"] == "missing"]
+        unknown = {e["loc"][:-1] for e in errors if e["type"] == "extra_forbidden"}
+        errors = [e for e in errors if not (_is_guess(e) and e["loc"][:-1] in unknown)]
         findings += [_finding(model, document, e) for e in errors[:MAX_FINDINGS]]
         if len(errors) > MAX_FINDINGS:
             more = f"{len(errors) - MAX_FINDINGS} more errors are not shown"
@@ -132,6 +154,10 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
         names = {n for m in models_at(model, loc[:-1]) for n in m.model_fields}
         if _is_shape(model, loc):
             names = set(SHAPE_KEYS)
+        elif names and names <= _JOINED:
+            names = _JOINED
+        if last in SHAPE_KEYS and "shape" in names:
+            return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
         return f"unknown key `{last}`", nearest(str(last), names)
     if kind == "missing" and isinstance(last, int):
         return f"values are missing: the list has {len(error['input'])}", description
@@ -154,8 +180,15 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
         return f"expected {most} {bound} {values}, found {len(error['input'])}", description
     if kind == "float_type" and isinstance(error["input"], str) and _is_number(error["input"]):
         description = "remove the quotes"
+    elif kind == "float_type" and (measured := _MEASURED.match(str(error["input"]))):
+        rule, factor = _UNITS[measured[2]]
+        description = f"{rule}, without the unit: `{number(float(measured[1]) * factor)}`"
     elif kind == "string_type" and isinstance(error["input"], int | float):
         description = "put it in double quotes"
+    elif kind == "model_type" and (key := _only_key(model, loc)):
+        description = f"write `{{{key}: {error['input']}}}`"
+    elif kind == "dict_type" and isinstance(error["input"], tuple | list):
+        description = f"{description} Write `name: ...` for each, without `-`." if description else ""
     return f"expected {_expected(error)}, found {found}", description
 
 
@@ -196,6 +229,18 @@ def _shown(value: Any) -> str:
 def _as_name(text: str) -> str:
     name = "".join(c if c.isascii() and (c.isalnum() or c == "_") else "_" for c in text.strip().lower()).strip("_")
     return name if name[:1].isalpha() else ""
+
+
+def _is_guess(error: Any) -> bool:
+    """Whether a missing key is one of several that would do; beside an unknown key it is the same mistake."""
+    return error["type"] == "missing" and (error["loc"][-1] in SHAPE_KEYS or error["loc"][-1] in _JOINED)
+
+
+def _only_key(model: type[Model], loc: tuple[Any, ...]) -> str:
+    """The key that a mapping needs, where it needs one only; empty where it may be one of several kinds."""
+    found = models_at(model, loc)
+    needed = [n for m in found for n, info in m.model_fields.items() if info.is_required()]
+    return needed[0] if len(found) == len(needed) == 1 and needed[0] not in (*SHAPE_KEYS, *_JOINED) else ""
 
 
 def _is_shape(model: type[Model], loc: tuple[Any, ...]) -> bool:

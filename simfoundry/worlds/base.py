@@ -8,8 +8,9 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import JointType, Scene
+from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
+from simfoundry.worlds.robot import WorldRobot
 
 CONTACT_GAP = 1e-3
 """Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
@@ -36,7 +37,8 @@ class LinkFacts:
 
     ``mass`` [kg], ``com`` [m] in the link frame, shape (3,), ``inertia`` [kg m^2] about the centre of mass in link
     axes, shape (3, 3); they are None where the engine keeps none, as PyBullet for a root that is welded to the world.
-    ``X_WL`` is the pose of the link frame; ``friction`` the coefficient of each collider in the scene's sense.
+    ``X_WL`` is the pose of the link frame; ``friction`` the coefficient of each collider in the scene's sense, as are
+    ``torsional_friction`` and ``rolling_friction`` [m], None where the engine does not tell.
     """
 
     mass: float | None
@@ -44,22 +46,27 @@ class LinkFacts:
     inertia: Array | None
     X_WL: Pose
     friction: tuple[float, ...]
+    torsional_friction: tuple[float, ...] | None = None
+    rolling_friction: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class JointFacts:
     """A joint as an engine holds it, in the scene's terms.
 
-    A revolute joint without limits reads back as continuous. ``axis`` is in the child frame, shape (3,); ``friction``
-    and ``armature`` are None where the engine does not tell.
+    A revolute joint without limits reads back as continuous. ``axis`` is in the child frame, shape (3,), and None for
+    joints that have none; ``friction`` and ``armature`` are None where the engine does not tell. ``mimic`` and
+    ``drive`` are None where there is none and where the engine does not tell.
     """
 
     type: JointType
-    axis: Array
+    axis: Array | None
     limits: tuple[float, float] | None
     damping: float
     friction: float | None
     armature: float | None
+    mimic: Mimic | None = None
+    drive: Drive | None = None
 
 
 class World(Protocol):
@@ -92,7 +99,11 @@ class World(Protocol):
         ...
 
     def contacts(self) -> list[Contact]:
-        """Contacts between different objects, now."""
+        """Contacts between different objects and robots, now."""
+        ...
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
         ...
 
     def read_back(self) -> dict[str, LinkFacts]:
@@ -124,13 +135,31 @@ def read_back(world: World) -> dict[str, LinkFacts]:
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
-    """``state`` with the scene's own values for what it does not mention; a KeyError names what the scene lacks."""
+    """``state`` with the scene's own values for what it does not mention; a KeyError names what the scene lacks.
+
+    A joint that follows another is where that leads it, unless ``state`` says where it is.
+    """
     initial = SceneState.initial(scene)
     if state is None:
         return initial
     _check_known("object", state.poses, initial.poses)
     _check_known("joint", state.joints, initial.joints)
-    return SceneState.of({**initial.poses, **state.poses}, {**initial.joints, **state.joints})
+    _check_known("ball or free joint", state.motions, initial.motions)
+    joints = {**initial.joints, **state.joints}
+    for item in scene.objects:
+        by_name = {joint.name: joint for joint in item.joints}
+        for joint in item.joints:
+            name = f"{item.name}.{joint.name}"
+            if joint.mimic is not None and name not in state.joints:
+                joints[name] = _led(item.name, joint, by_name, joints)
+    return SceneState.of({**initial.poses, **state.poses}, joints, {**initial.motions, **state.motions})
+
+
+def _led(owner: str, joint: Joint, by_name: Mapping[str, Joint], joints: Mapping[str, float]) -> float:
+    """Position [rad or m] of a joint from that of the one at the head of those that it follows."""
+    if joint.mimic is None:
+        return joints[f"{owner}.{joint.name}"]
+    return joint.mimic.position(_led(owner, by_name[joint.mimic.joint], by_name, joints))
 
 
 def _check_known(kind: str, given: Mapping[str, object], known: Mapping[str, object]) -> None:

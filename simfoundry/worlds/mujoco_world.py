@@ -8,11 +8,17 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.backends.mjcf.bodies import free_joint_name
+from simfoundry.backends.robots import mujoco_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import JointType, Scene, SceneObject
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
 from simfoundry.scene.state import SceneState
+from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 if TYPE_CHECKING:
     import mujoco
@@ -33,11 +39,16 @@ class MujocoWorld:
         self.model: mujoco.MjModel = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
-        self._objects = {body: name for name, body in self._bodies.items()}
-        joints = SceneState.initial(scene).joints
-        self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in joints}
-        self._free = {o.name: int(self.model.joint(o.name).qposadr[0]) for o in scene.objects if not o.fixed}
+        parts = [tree for item in scene.objects for tree in trees(item)]
+        self._objects = {self.model.body(tree.name).id: tree.owner.name for tree in parts}
+        self._objects |= {self.model.body(robot.name).id: robot.name for robot in scene.robots if mujoco_model(robot)}
+        initial = SceneState.initial(scene)
+        self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
+        self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
         self.reset()
+
+    def _free_qpos(self, tree: Tree) -> int:
+        return int(self.model.joint(free_joint_name(tree)).qposadr[0])
 
     @property
     def timestep(self) -> float:
@@ -50,14 +61,24 @@ class MujocoWorld:
         self._mujoco.mj_resetDataKeyframe(self.model, self.data, self.model.key("initial").id)
         for name, pose in full.poses.items():
             if name in self._free:
-                start = self._free[name]
-                self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
+                self._put(self._free[name], pose)
             else:
                 self.model.body_pos[self._bodies[name]] = pose.p
                 self.model.body_quat[self._bodies[name]] = pose.q
         for name, position in full.joints.items():
             self.data.qpos[self._qpos[name]] = position
+        for item in self.scene.objects:
+            for joint in item.joints:
+                name = f"{item.name}.{joint.name}"
+                if joint.type is JointType.BALL:
+                    self.data.qpos[self._qpos[name] : self._qpos[name] + 4] = full.motions[name].q
+                elif joint.type is JointType.FREE:
+                    X_OL = link_poses(item, full.of_object(item))
+                    self._put(self._qpos[name], full.poses[item.name] @ X_OL[joint.child])
         self._mujoco.mj_forward(self.model, self.data)
+
+    def _put(self, start: int, pose: Pose) -> None:
+        self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
 
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
@@ -71,7 +92,24 @@ class MujocoWorld:
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""
         poses = {item.name: self._object_pose(item) for item in self.scene.objects}
-        return SceneState.of(poses, {name: float(self.data.qpos[at]) for name, at in self._qpos.items()})
+        joints: dict[str, float] = {}
+        motions: dict[str, Pose] = {}
+        for item in self.scene.objects:
+            X_OW, X_OT = poses[item.name].inverse(), dict[str, Pose]()
+            for joint in item.joints:
+                name = f"{item.name}.{joint.name}"
+                if joint.type is not JointType.FIXED:
+                    start = self._qpos[name]
+                if joint.has_axis:
+                    joints[name] = float(self.data.qpos[start])
+                elif joint.type is JointType.BALL:
+                    motions[name] = Pose.of(q=self.data.qpos[start : start + 4])
+                elif joint.type is JointType.FREE:
+                    X_OT[joint.child] = X_OW @ self._free_pose(start)
+            if X_OT:
+                found = free_motions(item, SceneState(poses, joints, motions).of_object(item), X_OT)
+                motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
+        return SceneState.of(poses, joints, motions)
 
     def contacts(self) -> list[Contact]:
         """Contacts between different objects, now."""
@@ -92,19 +130,24 @@ class MujocoWorld:
             for link in item.links:
                 name = item.qualified(link.name)
                 geoms = [self.model.geom(f"{name}.{collider.name}").id for collider in link.colliders]
-                friction = tuple(float(self.model.geom_friction[geom][0]) for geom in geoms)
-                facts[name] = self._link_facts(self.model.body(name).id, friction)
+                facts[name] = self._link_facts(self.model.body(name).id, geoms)
         return facts
 
-    def _link_facts(self, body: int, friction: tuple[float, ...]) -> LinkFacts:
+    def _link_facts(self, body: int, geoms: list[int]) -> LinkFacts:
         axes = Pose.of(q=self.model.body_iquat[body]).rotation
         return LinkFacts(
             mass=float(self.model.body_mass[body]),
             com=frozen_array(self.model.body_ipos[body]),
             inertia=frozen_array(axes @ np.diag(self.model.body_inertia[body]) @ axes.T),
             X_WL=Pose.of(self.data.xpos[body], self.data.xquat[body]),
-            friction=friction,
+            friction=tuple(float(self.model.geom_friction[geom][0]) for geom in geoms),
+            torsional_friction=tuple(self._resistance(geom, 1, 4) for geom in geoms),
+            rolling_friction=tuple(self._resistance(geom, 2, 6) for geom in geoms),
         )
+
+    def _resistance(self, geom: int, k: int, dimensions: int) -> float:
+        """A coefficient of a geom, which counts in contacts of so many dimensions only."""
+        return float(self.model.geom_friction[geom][k]) if self.model.geom_condim[geom] >= dimensions else 0.0
 
     def read_back_joints(self) -> dict[str, JointFacts]:
         """Every joint that moves by ``object.joint``, as MuJoCo holds it."""
@@ -113,26 +156,61 @@ class MujocoWorld:
     def _joint_facts(self, joint: int) -> JointFacts:
         model, dof = self.model, self.model.jnt_dofadr[joint]
         limited = bool(model.jnt_limited[joint])
-        slides = model.jnt_type[joint] == self._mujoco.mjtJoint.mjJNT_SLIDE
-        turns = JointType.REVOLUTE if limited else JointType.CONTINUOUS
+        kind = self._joint_type(joint, limited)
         low, high = (float(v) for v in model.jnt_range[joint])
         axis: Array = frozen_array(model.jnt_axis[joint])
         return JointFacts(
-            type=JointType.PRISMATIC if slides else turns,
-            axis=axis,
+            type=kind,
+            axis=None if kind in (JointType.BALL, JointType.FREE) else axis,
             limits=(low, high) if limited else None,
             damping=float(np.ravel(model.dof_damping[dof])[0]),
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
+            mimic=self._mimic(joint),
+            drive=self._drive(joint),
         )
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
+
+    def _joint_type(self, joint: int, limited: bool) -> JointType:
+        kinds = self._mujoco.mjtJoint
+        match self.model.jnt_type[joint]:
+            case kinds.mjJNT_FREE:
+                return JointType.FREE
+            case kinds.mjJNT_BALL:
+                return JointType.BALL
+            case kinds.mjJNT_SLIDE:
+                return JointType.PRISMATIC
+        return JointType.REVOLUTE if limited else JointType.CONTINUOUS
+
+    def _mimic(self, joint: int) -> Mimic | None:
+        for k in range(self.model.neq):
+            if self.model.eq_type[k] == self._mujoco.mjtEq.mjEQ_JOINT and self.model.eq_obj1id[k] == joint:
+                leader = self.model.joint(int(self.model.eq_obj2id[k])).name.partition(".")[2]
+                offset, multiplier = (float(v) for v in self.model.eq_data[k][:2])
+                return Mimic(leader, multiplier, offset)
+        return None
+
+    def _drive(self, joint: int) -> Drive | None:
+        for k in range(self.model.nu):
+            if self.model.actuator_trnid[k][0] == joint:
+                bias, limit = self.model.actuator_biasprm[k], float(self.model.actuator_forcerange[k][1])
+                limited = bool(self.model.actuator_forcelimited[k])
+                target = float(self.model.key("initial").ctrl[k])
+                return Drive(-float(bias[1]), -float(bias[2]), target, limit if limited else None)
+        return None
 
     def _object_pose(self, item: SceneObject) -> Pose:
         # From qpos, not xpos: after a step, MuJoCo's body poses are still those before it.
         if item.name in self._free:
-            start = self._free[item.name]
-            return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
+            return self._free_pose(self._free[item.name])
         body = self._bodies[item.name]
         return Pose.of(self.model.body_pos[body], self.model.body_quat[body])
+
+    def _free_pose(self, start: int) -> Pose:
+        return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
         """Nothing to let go of: MuJoCo frees its memory with the object."""

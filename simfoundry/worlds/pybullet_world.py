@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import json
 import os
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Self
@@ -18,10 +20,14 @@ import numpy as np
 from simfoundry.backends.pybullet import compile_pybullet
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState
+from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
+from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
+from simfoundry.worlds.robot import WorldRobot
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -43,18 +49,25 @@ class PybulletWorld:
                 folder = Path(temporary) / "world"
                 compile_pybullet(scene).write(folder)
                 self._loader = _import_file(folder / "load.py")
-                self.bodies: dict[str, int] = self._loader.load(self.client)
-        self._objects = {body: name for name, body in self.bodies.items()}
+                every: dict[str, int] = self._loader.load(self.client)
+                facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
+        self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
+        self.bodies: dict[str, int] = {name: every[name] for name in self._trees}
+        hold = partial(self._loader.hold, self.client)
+        self._robots = {n: PybulletRobotHandle(self._call, hold, n, every[n], facts[n]) for n in facts}
+        self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
+        self._objects |= {every[name]: name for name in facts}
+        self._bodies = {body: name for name, body in self.bodies.items()}
         self._links: dict[str, tuple[int, int]] = {}
         self._joints: dict[str, tuple[int, int]] = {}
-        for item in scene.objects:
-            self._index_names(item.name)
+        for tree in self._trees.values():
+            self._index_names(tree)
         self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
         self.reset()
 
-    def _index_names(self, name: str) -> None:
-        item, body = self.scene.object(name), self.bodies[name]
-        self._links[item.name] = (body, BASE)
+    def _index_names(self, tree: Tree) -> None:
+        item, body = tree.owner, self.bodies[tree.name]
+        self._links[tree.name] = (body, BASE)
         for index in range(self._call("getNumJoints", body)):
             info = self._call("getJointInfo", body, index)
             self._links[item.qualified(info[12].decode())] = (body, index)
@@ -78,11 +91,32 @@ class PybulletWorld:
         """Go to ``state``, at rest; without one, to the state that the scene describes."""
         full = complete_state(self.scene, state)
         for name, pose in full.poses.items():
-            X_WI = pose @ self._X_OI[name]
-            self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
-            self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
+            self._put(name, pose)
         for name, position in full.joints.items():
             self._call("resetJointState", *self._joints[name], position, 0.0)
+        for tree in self._trees.values():
+            item = tree.owner
+            for joint in tree.joints:
+                if joint.type is JointType.BALL:
+                    q = to_xyzw(full.motions[f"{item.name}.{joint.name}"].q).tolist()
+                    self._call("resetJointStateMultiDof", *self._joints[f"{item.name}.{joint.name}"], q, [0, 0, 0])
+            if tree.free_joint is not None:
+                X_OL = link_poses(item, full.of_object(item))
+                self._put(tree.name, full.poses[item.name] @ X_OL[tree.root.name])
+        for robot in self._robots.values():
+            robot.reset()
+
+    def _put(self, name: str, pose: Pose) -> None:
+        """Put the base of a body at a pose in the world, at rest."""
+        X_WI = pose @ self._X_OI[name]
+        self._call("resetBasePositionAndOrientation", self.bodies[name], X_WI.p.tolist(), to_xyzw(X_WI.q).tolist())
+        self._call("resetBaseVelocity", self.bodies[name], [0, 0, 0], [0, 0, 0])
+
+    def robot(self, name: str) -> WorldRobot:
+        """The robot called ``name``; a KeyError lists the names there are."""
+        if name not in self._robots:
+            raise KeyError(f"no robot {name!r}; there are: {', '.join(self._robots) or 'none'}")
+        return self._robots[name]
 
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
@@ -93,19 +127,41 @@ class PybulletWorld:
         """Set every velocity to zero; poses and positions stay."""
         for body in self.bodies.values():
             self._call("resetBaseVelocity", body, [0, 0, 0], [0, 0, 0])
-        for at in self._joints.values():
-            self._call("resetJointState", *at, self._call("getJointState", *at)[0], 0.0)
+        for name, at in self._joints.items():
+            if self._is_ball(name):
+                self._call("resetJointStateMultiDof", *at, self._call("getJointStateMultiDof", *at)[0], [0, 0, 0])
+            else:
+                self._call("resetJointState", *at, self._call("getJointState", *at)[0], 0.0)
+        for robot in self._robots.values():
+            robot.halt()
 
     def state(self) -> SceneState:
         """Poses of all objects and positions of all joints, now."""
-        poses = {name: self._link_pose(body, BASE) for name, body in self.bodies.items()}
-        joints = {name: float(self._call("getJointState", *at)[0]) for name, at in self._joints.items()}
-        return SceneState.of(poses, joints)
+        poses = {item.name: self._link_pose(self.bodies[item.name], BASE) for item in self.scene.objects}
+        joints: dict[str, float] = {}
+        motions: dict[str, Pose] = {}
+        for name, at in self._joints.items():
+            if self._is_ball(name):
+                motions[name] = Pose.of(q=from_xyzw(self._call("getJointStateMultiDof", *at)[0]))
+            else:
+                joints[name] = float(self._call("getJointState", *at)[0])
+        for item in self.scene.objects:
+            free = [joint for joint in item.joints if joint.type is JointType.FREE]
+            if free:
+                X_OW, positions = poses[item.name].inverse(), SceneState(poses, joints, motions).of_object(item)
+                X_OT = {j.child: X_OW @ self._link_pose(self.bodies[item.qualified(j.child)], BASE) for j in free}
+                found = free_motions(item, positions, X_OT)
+                motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
+        return SceneState.of(poses, joints, motions)
+
+    def _is_ball(self, name: str) -> bool:
+        body, index = self._joints[name]
+        return bool(self._call("getJointInfo", body, index)[2] == self._bullet.JOINT_SPHERICAL)
 
     def _link_pose(self, body: int, index: int) -> Pose:
         if index == BASE:
             p, q = self._call("getBasePositionAndOrientation", body)
-            return Pose.of(p, from_xyzw(q)) @ self._X_OI[self._objects[body]].inverse()
+            return Pose.of(p, from_xyzw(q)) @ self._X_OI[self._bodies[body]].inverse()
         # Bullet keeps link frames in single precision; inertial frames, in double, lead to the same place.
         p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
         return Pose.of(p, from_xyzw(q)) @ self._inertial_pose(body, index).inverse()
@@ -142,15 +198,19 @@ class PybulletWorld:
 
     def read_back_joints(self) -> dict[str, JointFacts]:
         """Every joint that moves by ``object.joint``, as PyBullet holds it."""
-        return {name: self._joint_facts(*at) for name, at in self._joints.items()}
+        found = {name: self._joint_facts(*at) for name, at in self._joints.items()}
+        loose = {f"{o.name}.{j.name}" for o in self.scene.objects for j in o.joints if j.type is JointType.FREE}
+        return found | {name: JointFacts(JointType.FREE, None, None, 0.0, 0.0, None) for name in sorted(loose)}
 
     def _joint_facts(self, body: int, index: int) -> JointFacts:
         info = self._call("getJointInfo", body, index)
         low, high = float(info[8]), float(info[9])
         limited = low <= high
-        turns = JointType.REVOLUTE if limited else JointType.CONTINUOUS
+        kind = JointType.REVOLUTE if limited else JointType.CONTINUOUS
+        if info[2] == self._bullet.JOINT_SPHERICAL:
+            return JointFacts(JointType.BALL, None, None, float(info[6]), None, None)
         return JointFacts(
-            type=JointType.PRISMATIC if info[2] == self._bullet.JOINT_PRISMATIC else turns,
+            type=JointType.PRISMATIC if info[2] == self._bullet.JOINT_PRISMATIC else kind,
             axis=frozen_array(self._inertial_pose(body, index).rotation @ np.array(info[13])),
             limits=(low, high) if limited else None,
             damping=float(info[6]),

@@ -118,7 +118,8 @@ def settle(world: World, options: SettleOptions | None = None, progress: Progres
     world.halt()
     end, contacts_after = world.state(), world.contacts()
     fallen = _fallen(world, end)
-    after = SceneState.of({n: before.poses[n] if n in fallen else p for n, p in end.poses.items()}, end.joints)
+    poses = {n: before.poses[n] if n in fallen else p for n, p in end.poses.items()}
+    after = SceneState.of(poses, end.joints, end.motions)
     standing = [o for o in world.scene.objects if not o.fixed and o.name not in fallen | restless]
     shaky = [o for o in standing if not is_ball(o) and not has_foot(o, after.poses[o.name], contacts_after)]
     toppling = {o.name for o in shaky if topples(world, after, o)}
@@ -140,7 +141,11 @@ def _restless(before: SceneState, after: SceneState, options: SettleOptions) -> 
         if float(np.linalg.norm(after.poses[name].p - start.p)) > options.still_m
         or after.poses[name].angle_to(start) > options.still_rad
     }
-    moved = (j for j, start in before.joints.items() if abs(after.joints[j] - start) > options.still_rad)
+    moved = [j for j, start in before.joints.items() if abs(after.joints[j] - start) > options.still_rad]
+    for joint, motion in before.motions.items():
+        now = after.motions[joint]
+        if float(np.linalg.norm(now.p - motion.p)) > options.still_m or now.angle_to(motion) > options.still_rad:
+            moved.append(joint)
     return out | {joint.split(".")[0] for joint in moved}
 
 
@@ -224,7 +229,7 @@ def _report(
     wanted = [r.args[1] for r in world.scene.relations if r.predicate == "OnTop" and r.args[0] == name]
     kept = all(w in carried_by for w in wanted)
     if drift > options.max_drift_m:
-        problems.append(f"moved {drift * 100:.1f} cm from its fitted pose")
+        problems.append(f"moved {drift * 100:.1f} cm from its pose in the scene")
     if tilt > options.max_tilt_deg and not is_ball(item):
         problems.append(f"tilted {tilt:.0f} deg")
     if penetration > options.max_penetration_m:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import JointType
+from simfoundry.scene.model import Drive, JointType, Mimic
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import JointFacts, LinkFacts
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pxr import Gf, Usd, UsdGeom
 
 _OBJECTS = "/World/Objects"
+_BALL = "PhysicsSphericalJoint"
 
 
 def read_back(stage: Usd.Stage) -> dict[str, LinkFacts]:
@@ -29,7 +30,8 @@ def read_back(stage: Usd.Stage) -> dict[str, LinkFacts]:
 
 def read_back_joints(stage: Usd.Stage) -> dict[str, JointFacts]:
     """Every joint that moves by ``object.joint``."""
-    return {name: _joint_facts(prim) for name, prim in _joints(stage) if _moves(prim)}
+    facts = {name: _joint_facts(prim) for name, prim in _joints(stage) if _moves(prim)}
+    return facts | {name: JointFacts(JointType.FREE, None, None, 0.0, 0.0, 0.0) for name, _ in _free_links(stage)}
 
 
 def read_back_state(stage: Usd.Stage) -> SceneState:
@@ -38,7 +40,8 @@ def read_back_state(stage: Usd.Stage) -> SceneState:
 
     cache = UsdGeom.XformCache()
     poses = {prim.GetName(): _world_pose(prim, cache) for prim in _objects(stage)}
-    return SceneState.of(poses, {name: _position(prim) for name, prim in _joints(stage) if _moves(prim)})
+    joints = {name: _position(prim) for name, prim in _joints(stage) if _has_axis(prim)}
+    return SceneState.of(poses, joints, _motions(stage, cache))
 
 
 def poses_by_joints(stage: Usd.Stage) -> dict[str, Pose]:
@@ -57,8 +60,45 @@ def poses_by_joints(stage: Usd.Stage) -> dict[str, Pose]:
         X_0J = Pose.of(joint.GetLocalPos0Attr().Get(), _wxyz(joint.GetLocalRot0Attr().Get()))
         X_1J = Pose.of(joint.GetLocalPos1Attr().Get(), _wxyz(joint.GetLocalRot1Attr().Get()))
         X_W0 = poses.get(names.get(body0, ""), _world_pose(stage.GetPrimAtPath(body0), cache))
-        poses[names[body1]] = X_W0 @ X_0J @ _motion(prim) @ X_1J.inverse()
+        motion = _motion(prim)
+        if motion is None:  # a ball joint's state is nowhere but in the poses of its bodies
+            motion = _relative(prim, cache)
+        poses[names[body1]] = X_W0 @ X_0J @ motion @ X_1J.inverse()
     return poses
+
+
+def _relative(joint: Usd.Prim, cache: UsdGeom.XformCache) -> Pose:
+    """Pose of a joint's second frame in its first, from where its bodies stand."""
+    from pxr import UsdPhysics
+
+    api = UsdPhysics.Joint(joint)
+    stage = joint.GetStage()
+    X_W0, X_W1 = (
+        _world_pose(stage.GetPrimAtPath(r.GetTargets()[0]), cache) for r in (api.GetBody0Rel(), api.GetBody1Rel())
+    )
+    X_0J = Pose.of(api.GetLocalPos0Attr().Get(), _wxyz(api.GetLocalRot0Attr().Get()))
+    X_1J = Pose.of(api.GetLocalPos1Attr().Get(), _wxyz(api.GetLocalRot1Attr().Get()))
+    return (X_W0 @ X_0J).inverse() @ X_W1 @ X_1J
+
+
+def _motions(stage: Usd.Stage, cache: UsdGeom.XformCache) -> dict[str, Pose]:
+    """Motions of ball joints, and of free ones: a free link states the frame in which it is at rest at zero."""
+    found = {name: _relative(prim, cache) for name, prim in _joints(stage) if prim.GetTypeName() == _BALL}
+    for name, prim in _free_links(stage):
+        target = prim.GetRelationship("simfoundry:freeParent").GetTargets()[0]
+        X_PC = Pose.from_matrix(np.array(prim.GetAttribute("simfoundry:freePose").Get()).T)
+        X_WZ = _world_pose(stage.GetPrimAtPath(target), cache) @ X_PC
+        found[name] = X_WZ.inverse() @ _world_pose(prim, cache)
+    return found
+
+
+def _free_links(stage: Usd.Stage) -> Iterator[tuple[str, Usd.Prim]]:
+    """Links that hang on a free joint, by ``object.joint``."""
+    for item in _objects(stage):
+        for prim in item.GetChildren():
+            joint = prim.GetAttribute("simfoundry:freeJoint").Get()
+            if joint:
+                yield f"{item.GetName()}.{joint}", prim
 
 
 def _objects(stage: Usd.Stage) -> list[Usd.Prim]:
@@ -108,24 +148,58 @@ def _friction(collider: Usd.Prim) -> float:
 def _joint_facts(prim: Usd.Prim) -> JointFacts:
     from pxr import UsdPhysics
 
+    if prim.GetTypeName() == _BALL:
+        damping = _number(prim, "newton:damping") / math.radians(1.0)
+        friction, armature = _number(prim, "newton:friction"), _number(prim, "newton:armature")
+        return JointFacts(JointType.BALL, None, None, damping, friction, armature)
     kind, unit = _kind(prim)
     typed = UsdPhysics.PrismaticJoint(prim) if kind == "linear" else UsdPhysics.RevoluteJoint(prim)
     lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
     limits = (lower, upper) if math.isfinite(lower) and math.isfinite(upper) else None
     turns = JointType.CONTINUOUS if limits is None else JointType.REVOLUTE
-    drive = UsdPhysics.DriveAPI.Get(prim, kind)
     return JointFacts(
         type=JointType.PRISMATIC if kind == "linear" else turns,
         axis=frozen_array(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(_axis(prim))),
         limits=limits,
-        damping=float(drive.GetDampingAttr().Get()) / unit if drive else 0.0,
+        damping=_own_damping(prim, kind, unit),
         friction=_number(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort"),
         armature=_number(prim, f"physxJointAxis:{kind}:armature"),
+        mimic=_mimic(prim, unit),
+        drive=_drive(prim, kind, unit),
     )
 
 
-def _motion(prim: Usd.Prim) -> Pose:
-    """Pose of the joint's second frame in its first, at the position that the stage states."""
+def _own_damping(prim: Usd.Prim, kind: str, unit: float) -> float:
+    """The damping of a joint itself: all of its drive's, where no motor shares that."""
+    own = prim.GetAttribute("simfoundry:damping").Get()
+    return _number(prim, f"drive:{kind}:physics:damping") / unit if own is None else float(own)
+
+
+def _drive(prim: Usd.Prim, kind: str, unit: float) -> Drive | None:
+    if not prim.GetAttribute("simfoundry:damping"):
+        return None
+    damping = _number(prim, f"drive:{kind}:physics:damping") / unit - _own_damping(prim, kind, unit)
+    stiffness = _number(prim, f"drive:{kind}:physics:stiffness") / unit
+    target = _number(prim, f"drive:{kind}:physics:targetPosition") * unit
+    limit = prim.GetAttribute(f"drive:{kind}:physics:maxForce")
+    limited = bool(limit) and limit.HasAuthoredValue() and math.isfinite(limit.Get())
+    return Drive(stiffness, damping, target, float(limit.Get()) if limited else None)
+
+
+def _mimic(prim: Usd.Prim, unit: float) -> Mimic | None:
+    """The law of PhysX, in which all terms are on one side."""
+    targets = prim.GetRelationship("physxMimicJoint:rotX:referenceJoint").GetTargets()
+    if not targets:
+        return None
+    leader = prim.GetStage().GetPrimAtPath(targets[0])
+    multiplier = -_number(prim, "physxMimicJoint:rotX:gearing") * unit / _kind(leader)[1]
+    return Mimic(targets[0].name, multiplier, -_number(prim, "physxMimicJoint:rotX:offset") * unit)
+
+
+def _motion(prim: Usd.Prim) -> Pose | None:
+    """Pose of the joint's second frame in its first, at the position that the stage states; None for a ball joint."""
+    if prim.GetTypeName() == _BALL:
+        return None
     if not _moves(prim):
         return Pose.of()
     position, axis = _position(prim), _axis(prim)
@@ -136,6 +210,10 @@ def _motion(prim: Usd.Prim) -> Pose:
 
 def _moves(prim: Usd.Prim) -> bool:
     return bool(prim.GetTypeName() != "PhysicsFixedJoint")
+
+
+def _has_axis(prim: Usd.Prim) -> bool:
+    return _moves(prim) and bool(prim.GetTypeName() != _BALL)
 
 
 def _kind(prim: Usd.Prim) -> tuple[str, float]:

@@ -21,6 +21,7 @@ from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.frames import IDENTITY
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Cylinder, Mesh, Scene, Sphere, Visual
+from tests.mechanisms import mechanisms, rough
 from tests.scenes import all_scenes, box, cabinet, full_scene, pose, primitives_scene, scene_of, solid, textured_object
 
 
@@ -33,7 +34,7 @@ def pairs(artifact: Artifact) -> list[dict[str, str]]:
     return [dict(e.attrib) for e in ET.fromstring(artifact.files["scene.xml"]).iter("pair")]
 
 
-@pytest.mark.parametrize("scene", all_scenes().values(), ids=all_scenes())
+@pytest.mark.parametrize("scene", [*all_scenes().values(), mechanisms()], ids=[*all_scenes(), "mechanisms"])
 def test_loads_without_a_warning(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,13 +166,61 @@ def test_pairs_are_only_where_surfaces_differ_and_something_can_move() -> None:
     }
 
 
-def test_no_pair_within_an_object_nor_between_static_parts() -> None:
+def test_no_pair_of_linked_links_nor_between_static_parts() -> None:
     """The cabinet's carcass is static but its handle, with another friction, moves with the door."""
     floor = solid("floor", box(1, 1, 0.1), pose(0, 0, -1), friction=0.8, fixed=True)
-    found = pairs(compile_mjcf(scene_of(floor, cabinet())))
-    touched = {p["geom2"] for p in found} | {p["geom1"] for p in found} - {"floor.shape"}
-    # 0.8 on the handle equals the floor's; the carcass is static: drawer and door are what is left.
-    assert touched - {"floor.shape"} == {"cabinet.drawer.tray", "cabinet.door.panel"}
+    found = {frozenset((p["geom1"], p["geom2"])) for p in pairs(compile_mjcf(scene_of(floor, cabinet())))}
+    # 0.8 on the handle equals the floor's; the carcass is static, and linked to all others.
+    assert found == {
+        frozenset(("floor.shape", "cabinet.drawer.tray")),
+        frozenset(("floor.shape", "cabinet.door.panel")),
+        frozenset(("cabinet.drawer.tray", "cabinet.handle.grip")),
+    }
+
+
+def test_resistances_are_the_larger_of_a_pair() -> None:
+    spinning = rough(solid("ball", Sphere(0.04), pose(0, 0, 1, 0.1), friction=0.5), 0.004, 0.0)
+    rolling = rough(solid("can", Cylinder(0.03, 0.1), pose(0, 1, 1, 0.1), friction=0.5), 0.001, 0.002)
+    floor = solid("floor", box(1, 1, 0.1), pose(0, 0, -1), friction=0.8, fixed=True)
+    model = load(compile_mjcf(scene_of(spinning, rolling, floor)))
+    assert [model.geom(name).condim[0] for name in ("ball.shape", "can.shape", "floor.shape")] == [4, 6, 3]
+    np.testing.assert_allclose(model.geom("ball.shape").friction, [0.5, 0.004, 0.0])
+    np.testing.assert_allclose(model.geom("floor.shape").friction, [0.8, 0.0, 0.0])  # not MuJoCo's own 0.005, 0.0001
+    mu = math.sqrt(0.4)
+    assert model.pair_dim.tolist() == [4, 6]
+    np.testing.assert_allclose(model.pair_friction, [[mu, mu, 0.004, 0, 0], [mu, mu, 0.001, 0.002, 0.002]], rtol=1e-9)
+    assert model.opt.impratio == 100
+
+
+def test_the_keyframe_holds_targets_and_rotations() -> None:
+    scene = mechanisms()
+    model = load(compile_mjcf(scene))
+    assert [model.actuator(k).name for k in range(model.nu)] == ["gripper.left_slide", "pot.hinge"]
+    assert model.key("initial").ctrl.tolist() == [0.03, 0.0]
+    np.testing.assert_allclose(model.actuator_ctrlrange[0], [0.0, 0.04])
+    start = int(model.joint("pendulum.swing").qposadr[0])
+    np.testing.assert_allclose(
+        model.key("initial").qpos[start : start + 4], scene.object("pendulum").joints[0].motion.q
+    )
+    # Nested free joints are not MuJoCo's: the lid is a body of the world, and the flap hangs on it.
+    assert model.body("pot.lid").parentid[0] == 0
+    assert model.body("pot.flap").parentid[0] == model.body("pot.lid").id
+    assert model.joint("pot.rests").type[0] == mujoco.mjtJoint.mjJNT_FREE
+
+
+def test_links_that_do_not_touch_are_excluded_once() -> None:
+    model = load(compile_mjcf(mechanisms()))
+    names = [model.body(b).name for b in range(model.nbody)]
+    found = [frozenset((names[s >> 16], names[s & 0xFFFF])) for s in model.exclude_signature.tolist()]
+    assert set(found) == {
+        frozenset(pair)
+        for pair in (
+            ("gripper", "gripper.left"), ("gripper", "gripper.right"), ("pendulum", "pendulum.bob"),
+            ("pot", "pot.grip"), ("pot.lid", "pot.flap"), ("pot.flap", "pot.knob"), ("pot.grip", "pot.lid"),
+            ("ball", "gripper.left"), ("pot.lid", "table"),
+        )
+    }  # fmt: skip
+    assert len(found) == len(set(found))
 
 
 def test_restitution_becomes_damping_within_the_stated_error() -> None:

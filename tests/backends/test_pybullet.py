@@ -13,8 +13,9 @@ from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN, compile_pybullet, projection_matrix
 from simfoundry.scene.frames import frozen_array
-from simfoundry.scene.model import Mesh, Scene
-from tests.scenes import full_scene, pose, primitives_scene, textured_object, wedge_mesh
+from simfoundry.scene.model import Mesh, Scene, Sphere
+from tests.mechanisms import mechanisms, rough
+from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid, textured_object, wedge_mesh
 
 
 def world(scene: Scene) -> dict[str, dict[str, dict[str, object]]]:
@@ -51,6 +52,46 @@ def test_a_capsule_stays_a_capsule() -> None:
     assert [shape.attrib for shape in root.iterfind("link/collision/geometry/capsule")] == [
         {"radius": "0.02", "length": "0.06"}
     ]
+
+
+def test_resistance_is_exact_against_one_friction_and_its_error_is_stated_against_two() -> None:
+    """Bullet sums the coefficient of each times the sliding friction of the other."""
+    ball = rough(solid("ball", Sphere(0.04), pose(0, 0, 1, 0.1), friction=0.3), 0.004, 0.002)
+    table = solid("table", box(1, 1, 0.1), pose(0, 0, 0), friction=0.6, fixed=True)
+    written = world(scene_of(ball, table))["objects"]
+    links = {name: item["links"]["body"] for name, item in written.items()}  # type: ignore[index]
+    assert links["ball"]["rolling_friction"] * math.sqrt(0.6) == pytest.approx(0.002)
+    assert links["ball"]["spinning_friction"] * math.sqrt(0.6) == pytest.approx(0.004)
+    assert "rolling_friction" not in links["table"]
+    losses = {loss.path: loss.reason for loss in compile_pybullet(scene_of(ball, table)).losses}
+    assert "rolling_friction" not in losses
+    wall = solid("wall", box(1, 0.1, 1), pose(0, 1, 0), friction=0.15, fixed=True)
+    losses = {loss.path: loss.reason for loss in compile_pybullet(scene_of(ball, table, wall)).losses}
+    assert losses["rolling_friction"].endswith("some pair is 41% off")  # a factor of 2 to either side, by its root
+    twins = [rough(solid(f"ball_{k}", Sphere(0.04), pose(k, 0, 1), friction=0.3), 0.0, 0.002) for k in range(2)]
+    links = {name: item["links"]["body"] for name, item in world(scene_of(*twins))["objects"].items()}  # type: ignore[index]
+    assert 2 * links["ball_0"]["rolling_friction"] * math.sqrt(0.3) == pytest.approx(0.002)
+
+
+def test_mechanisms_are_in_the_world_file() -> None:
+    objects = world(mechanisms())["objects"]
+    assert list(objects) == ["gripper", "pendulum", "pot", "pot.lid", "ball", "table"]
+    assert objects["gripper"]["mimics"] == {"right_slide": {"joint": "left_slide", "multiplier": -0.5, "offset": 0.02}}
+    assert objects["gripper"]["drives"] == {
+        "left_slide": {"stiffness": 120, "damping": 6, "target": 0.03, "force_limit": 25}
+    }
+    assert objects["gripper"]["no_contact"] == [["palm", "left"], ["palm", "right"]]
+    assert "self_collision" not in objects["pendulum"]
+    assert json.loads(compile_pybullet(mechanisms()).files["world.json"])["no_contact"] == [
+        [["pot", "grip"], ["pot.lid", "lid"]],
+        [["ball", "body"], ["gripper", "left"]],
+        [["pot.lid", "lid"], ["table", "body"]],
+    ]
+
+
+def test_the_loader_loads_mechanisms(run_loader: Callable[[Scene, str], str]) -> None:
+    pytest.importorskip("pybullet", reason="PyBullet is not installed")
+    assert "gripper, pendulum, pot, pot.lid, ball, table" in run_loader(mechanisms(), "pybullet")
 
 
 def test_loader_runs_from_a_moved_folder(run_loader: Callable[[Scene, str], str]) -> None:

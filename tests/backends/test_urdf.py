@@ -14,6 +14,7 @@ from simfoundry.backends.urdf import compile_urdf
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Scene, SceneObject
+from tests.mechanisms import mechanisms
 from tests.scenes import all_scenes, cabinet, fan, full_scene, primitives_scene, scene_of, textured_object
 
 SCENES = pytest.mark.parametrize("scene", all_scenes().values(), ids=all_scenes())
@@ -130,6 +131,46 @@ def test_a_capsule_is_a_cylinder_between_two_spheres() -> None:
     assert [part.attrib["name"] for part in parts] == ["shape_tube", "shape_top", "shape_bottom"]
     assert [origin(part).p[2] for part in parts] == [0, 0.03, -0.03]
     assert child(child(parts[0], "geometry"), "cylinder").attrib == {"radius": "0.02", "length": "0.06"}
+
+
+def test_a_part_that_moves_freely_is_a_robot_of_its_own() -> None:
+    scene = mechanisms()
+    artifact = compile_urdf(scene)
+    lid = ET.fromstring(artifact.files["pot.lid.urdf"])
+    assert [link.attrib["name"] for link in lid.findall("link")] == ["lid", "flap", "knob"]
+    placed = json.loads(artifact.files["poses.json"])
+    item = scene.object("pot")
+    X_WL = item.X_WO @ link_poses(item)["lid"]
+    found = Pose.of(placed["pot.lid"]["p"], placed["pot.lid"]["q_wxyz"])
+    np.testing.assert_allclose(found.p, X_WL.p, atol=1e-11)
+    assert found.angle_to(X_WL) < 1e-7
+    assert (placed["pot"]["joints"], placed["pot.lid"]["joints"]) == ({}, {"hinge": -0.3})
+
+
+def test_a_ball_joint_is_welded_where_the_scene_has_it() -> None:
+    scene = mechanisms()
+    joint = scene.object("pendulum").joints[0]
+    element = child(robot(scene, "pendulum"), "joint")
+    assert element.attrib["type"] == "fixed"
+    wanted = joint.X_PC @ joint.motion
+    np.testing.assert_allclose(origin(element).p, wanted.p, atol=1e-11)
+    assert origin(element).angle_to(wanted) < 1e-7
+
+
+def test_a_follower_and_the_limit_of_a_drive() -> None:
+    first, second = robot(mechanisms(), "gripper").findall("joint")
+    assert child(second, "mimic").attrib == {"joint": "left_slide", "multiplier": "-0.5", "offset": "0.02"}
+    assert first.find("mimic") is None
+    assert (child(first, "limit").attrib["effort"], child(second, "limit").attrib["effort"]) == ("25", "1000")
+
+
+def test_losses_cover_mechanisms() -> None:
+    paths = {loss.path for loss in compile_urdf(mechanisms()).losses}
+    assert {
+        "pendulum.swing", "pot.swivel", "gripper.left_slide.drive", "pot.hinge.drive", "ball.rolling_friction",
+        "ball.torsional_friction", "pot.no_contact", "gripper.no_contact", "no_contact",
+    } <= paths  # fmt: skip
+    assert "table.rolling_friction" not in paths and "pendulum.no_contact" not in paths
 
 
 def test_a_texture_goes_with_its_mesh() -> None:

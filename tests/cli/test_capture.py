@@ -104,5 +104,5 @@ def test_what_does_not_rest_gives_1_with_strict(folder: Path, monkeypatch: pytes
     assert lenient.code == 0 and lenient.json["passed"] is False
     done = run("capture", folder / "capture", "-o", folder / "strict", "--json", "--strict")
     assert done.code == 1 and done.err == "" and done.json["passed"] is False
-    assert "from its fitted pose" in done.json["objects"]["green_box"]["settle"]["problems"][0]
+    assert "from its pose in the scene" in done.json["objects"]["green_box"]["settle"]["problems"][0]
     assert (folder / "strict" / "capture.scene.yaml").is_file()  # it is written all the same

@@ -118,6 +118,25 @@ def test_strict_compiling_gives_1_where_something_is_lost(scene: Path, tmp_path:
     assert run("compile", scene, "-t", "mjcf", "-o", tmp_path / "out").code == 0
 
 
+def test_compile_says_what_is_not_there(scene: Path, tmp_path: Path) -> None:
+    done = run("compile", scene, "-t", "urdf", "-o", tmp_path / "out")
+    lines = [line.strip() for line in done.out.splitlines()]
+    assert "no front: URDF has no cameras" in lines
+    assert [line for line in lines if "friction" in line] == [
+        "no desk.friction, cup.friction: URDF has no contact friction: the simulator's default applies"
+    ]
+
+
+def test_settle_says_how_to_keep_where_things_came_to_rest(scene: Path) -> None:
+    scene.write_text(SCENE.replace("0.05, 0.05], yaw", "0.05, 0.2], yaw"))
+    done = run("settle", scene)
+    kept = scene.with_name("small_settled.scene.yaml")
+    assert done.code == 1
+    assert done.out.splitlines()[-1] == (f"keep where things came to rest: simfoundry settle {scene} -o {kept}")
+    assert "keep" not in run("settle", scene, "-o", kept).out
+    assert "keep" not in run("settle", kept).out
+
+
 def test_an_engine_that_does_not_draw_here_is_a_sentence(scene: Path, tmp_path: Path) -> None:
     env = {"SIMFOUNDRY_CACHE": str(tmp_path / "cache"), "PYOPENGL_PLATFORM": "osmesa"}
     done = python(MAIN, "render", scene, "--engine", "egl", "-o", tmp_path / "a.png", **env)

@@ -104,6 +104,24 @@ def test_two_files(repository: Repository) -> None:
     assert _lines(run("diff", "b.scene.yaml", "b.scene.yaml")) == ["no difference"]
 
 
+def test_what_is_placed_by_what_moved_moves_along(repository: Repository) -> None:
+    placed = BASE.replace(
+        "cameras:",
+        "  can: {shape: {sphere: 0.03}, mass: 0.1, place: {on: desk, left_of: cup}}\n"
+        "  box: {shape: {sphere: 0.03}, mass: 0.1, place: {on: desk, behind: can}}\n"
+        "  tin: {shape: {sphere: 0.03}, mass: 0.1, place: {on: desk, xy: [0.2, -0.2]}}\ncameras:",
+    )
+    repository.write("a.scene.yaml", placed)
+    repository.write("b.scene.yaml", placed.replace("[0.3, 0.1, 0.05]", "[0.33, 0.1, 0.05]"))
+    assert _lines(run("diff", "a.scene.yaml", "b.scene.yaml")) == [
+        "cup moved 3.0 cm (+x 3.0)",
+        "can, box moved with what their places name",
+        "1 moved",
+    ]
+    repository.write("b.scene.yaml", placed.replace("behind: can}", "behind: can, gap: 0.2}"))
+    assert not any("moved with" in line for line in _lines(run("diff", "a.scene.yaml", "b.scene.yaml")))
+
+
 def test_a_file_against_a_revision(repository: Repository) -> None:
     repository.write("table.scene.yaml", EDITED)
     assert _lines(run("diff", "table.scene.yaml")) == WORDS

@@ -62,7 +62,10 @@ def test_a_folder_above_is_searched_too(folder: Path, monkeypatch: pytest.Monkey
 def test_check_writes_nothing_and_gives_1(folder: Path) -> None:
     before = texts(folder)
     done = run("fmt", "--check", "deep", "tidy.scene.yaml")
-    assert (done.code, done.out) == (1, "would change deep/a.scene.yaml\n2 documents: 1 would change\n")
+    assert (done.code, done.out) == (
+        1,
+        "would change deep/a.scene.yaml\n2 documents: 1 would change; `--diff` shows how\n",
+    )
     assert texts(folder) == before
     assert run("fmt", "--check", "tidy.scene.yaml").code == 0
 

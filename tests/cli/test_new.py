@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.scene.lower import lower_file
+from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.format import format_file
 from simfoundry.spec.kinds import KINDS
 from simfoundry.spec.load import load
@@ -106,7 +107,8 @@ def test_a_task_with_one_thing_lifts_it(project: Path) -> None:
     path = made("one.task.yaml")  # its scene is the only one beside it
     assert_clean(path)
     assert "- Lifted(red_box)\n" in path.read_text() and "instruction: Lift the red box." in path.read_text()
-    assert "objects:" not in path.read_text()  # where it is placed is not known before it is solved
+    # Where it is placed is not known before it is solved.
+    assert not re.search("^ *objects:", path.read_text(), re.MULTILINE)
     assert_clean(made("one.cousins.yaml", "--from", "one.task.yaml"))
 
 
@@ -182,6 +184,47 @@ def test_what_cannot_be_made_is_said_in_a_sentence(args: list[str], words: str, 
     done = run("new", *args)
     assert done.code == 2 and words in done.err and "Traceback" not in done.err
     assert [p.name for p in project.iterdir()] == ["simfoundry.yaml"]
+
+
+def test_a_kind_alone_asks_for_a_name() -> None:
+    done = run("new", "scene")
+    assert (done.code, done.out) == (2, "")
+    assert "as `new scene desk` for desk.scene.yaml" in done.err
+
+
+def test_a_task_is_about_things_that_can_be_put_on_one_another(project: Path) -> None:
+    (project / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}, density: 600, pose: {xyz: [0.4, 0, -0.05]}}\n"
+        "  tray: {shape: {box: [0.3, 0.2, 0.01]}, mass: 0.4, place: {on: desk, xy: [0.4, 0.2]}}\n"
+        "  ball: {shape: {sphere: 0.02}, mass: 0.1, place: {on: tray}}\n"
+        "  mug: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.3, place: {on: desk, xy: [0.4, -0.2]}}\n"
+    )
+    task = load(made("a.task.yaml")).spec
+    assert isinstance(task, TaskSpec)
+    assert task.instruction == "Put the mug on the tray."
+
+
+def test_a_task_without_regions_shows_how_to_write_one(project: Path) -> None:
+    (project / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}, density: 600, pose: {xyz: [0.4, 0, -0.05]}}\n"
+        "  cup: {shape: {box: [0.05, 0.05, 0.1]}, mass: 0.3, place: {on: desk, at: [0.1, 0]}}\n"
+    )
+    path = made("a.task.yaml")
+    text = path.read_text()
+    shown = "# objects: {cup: {x: [0.4, 0.5], y: [-0.05, 0.05], yaw_deg: [-180, 180]}}"
+    assert shown in text
+    path.write_text(text.replace(shown, shown.removeprefix("# ")))
+    task = load(path).spec
+    assert isinstance(task, TaskSpec) and list(task.reset.objects) == ["cup"]
+    assert "= its scene is `a.scene.yaml`" in run("show", path).err
+
+
+def test_an_asset_calls_its_joint_as_what_it_moves() -> None:
+    asset = load(made("a.asset.yaml")).spec
+    assert isinstance(asset, AssetSpec)
+    assert {name: joint.child for name, joint in asset.joints.items()} == {"drawer": "drawer"}
 
 
 def test_a_source_with_errors_is_shown(project: Path) -> None:

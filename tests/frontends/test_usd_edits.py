@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from simfoundry.backends.usd import compile_usd
 from simfoundry.errors import OutputError
 from simfoundry.frontends.usd_spec.importing import import_stage, import_usd
 from simfoundry.frontends.usd_spec.stage import StageError
+from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse
@@ -452,3 +454,32 @@ def test_a_document_is_edited_in_place_or_written_where_its_files_are_found(desk
     assert not load(elsewhere).errors
     with pytest.raises(OutputError, match=r"write desk\.scene\.yaml beside"):
         import_stage(path, tmp_path / "desk.scene.yaml", desk.document)
+
+
+ARM = """\
+<mujoco><worldbody><body name="base"><geom type="box" size=".05 .05 .05"/>
+  <body name="hand" pos="0 0 .1"><joint name="turn" axis="0 0 1" range="-1 1" limited="true"/>
+    <geom type="box" size=".02 .02 .1"/></body></body></worldbody></mujoco>
+"""
+
+
+def test_a_robot_stands_where_it_was_put_and_its_posture_is_told(tmp_path: Path) -> None:
+    from pxr import Gf, UsdGeom
+
+    project(tmp_path)
+    (tmp_path / "arm.xml").write_text(ARM)
+    document = tmp_path / "desk.scene.yaml"
+    text = DESK.replace("model: franka_robotiq", "model: {mjcf: arm.xml}")
+    document.write_text(text)
+    scene = lower_file(document)
+    compile_usd(scene).write(tmp_path / "build" / "usd")
+    made = Project(document, tmp_path / "build" / "usd" / "scene.usda", scene)
+    stage = made.edit()
+    assert made.onto(stage).text == text
+    UsdGeom.XformCommonAPI(stage.GetPrimAtPath("/World/Robots/arm")).SetTranslate(Gf.Vec3d(0.1, 0.05, 0))
+    states = [p for p in stage.Traverse() if p.GetAttribute("state:angular:physics:position")]
+    turn = next(p for p in states if str(p.GetPath()).startswith("/World/Robots/arm/"))
+    turn.GetAttribute("state:angular:physics:position").Set(20.0)
+    imported = made.onto(stage)
+    assert imported.text == text.replace("arm.xml}}", "arm.xml}, pose: {xyz: [0.1, 0.05, 0]}}")
+    assert [note.prim for note in imported.notes] == [str(turn.GetPath())]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simfoundry.lint.convex import Piece, lift, penetration
-from simfoundry.lint.frames import Frame, Vec, turned
+from simfoundry.lint.frames import Frame, Vec, rotation_of, turned
 
 KINDS = ("box", "sphere", "cylinder", "capsule")
 # A box and a capsule are left to the second test: MuJoCo's own function for them is approximate for deep overlaps.
@@ -133,3 +133,31 @@ def test_flat_pieces_have_no_inside() -> None:
     point = Piece.of([(0.0, 0.0, 0.0)])
     assert penetration(point, point) == 0.0
     assert lift(point, moved(point, (0.0, 0.0, 1.0))) in (None, pytest.approx(1.0))
+
+
+ANGLES = (0.0, 1e-5, 1e-3, 1.0, 30.0, 45.0, 90.0, -90.0, 180.0)
+OFFSETS = (0.0, 1e-6, 0.01, 0.03125, 0.07, -0.07)
+SHAPES = (piece("box", [0.05] * 3), piece("cylinder", [0.04, 0.05, 0]), piece("cylinder", [0.05, 0.0025, 0]))
+
+
+def both_depths(a: int, b: int, tilt: float, turn: float, yaw: float, p: Vec) -> tuple[float, float]:
+    """The depth of two of ``SHAPES``, and the same asked the other way round."""
+    first = SHAPES[a].moved(Frame(rotation_of((tilt, turn, 0.0), None)))
+    second = SHAPES[b].moved(Frame(rotation_of((0.0, tilt, yaw), None), p))
+    return penetration(first, second), penetration(second, first)
+
+
+def test_faces_in_one_plane_leave_no_hole() -> None:
+    there, back = both_depths(1, 0, 1e-5, 1e-5, 1.0, (0.0, 1e-6, 1e-6))
+    assert there == pytest.approx(0.09, abs=2e-4)  # both are sunk into one another along an axis of the box
+    assert back == pytest.approx(there, abs=2e-4)
+
+
+def test_the_order_of_two_things_does_not_matter() -> None:
+    rng = random.Random(3)
+    for _ in range(700):
+        a, b = rng.randrange(3), rng.randrange(3)
+        tilt, turn, yaw = (rng.choice(ANGLES) for _ in range(3))
+        x, y, z = (rng.choice(OFFSETS) for _ in range(3))
+        there, back = both_depths(a, b, tilt, turn, yaw, (x, y, z))
+        assert there == pytest.approx(back, abs=1e-3) or max(there, back) <= 1e-4

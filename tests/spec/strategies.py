@@ -7,7 +7,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec, LinkSpec, Part
+from simfoundry.spec.asset import AssetSpec, Drive, Inertial, JointSpec, LinkSpec, Mimic, Part
 from simfoundry.spec.base import (
     BoxShape,
     CameraPose,
@@ -29,6 +29,7 @@ from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, Sc
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
     ["true", "null", "on", "no", "y", "e1"]
 )
+PART_NAMES = NAMES | st.tuples(NAMES, NAMES).map(".".join)
 TEXTS = st.text(st.characters(codec="utf-8"), max_size=60) | st.sampled_from(
     [
         "",
@@ -105,7 +106,15 @@ ORIGINS = st.builds(
 )
 MATERIALS = st.dictionaries(
     NAMES,
-    st.builds(Material, density=maybe(POSITIVE), friction=st.floats(0, 9), restitution=FRACTIONS, color=maybe(COLORS)),
+    st.builds(
+        Material,
+        density=maybe(POSITIVE),
+        friction=st.floats(0, 9),
+        torsional_friction=st.floats(0, 1),
+        rolling_friction=st.floats(0, 1),
+        restitution=FRACTIONS,
+        color=maybe(COLORS),
+    ),
     max_size=3,
 )
 BODY: dict[str, st.SearchStrategy[Any]] = {
@@ -122,7 +131,7 @@ OBJECT = {
     "category": maybe(NAMES),
     "fixed": st.booleans(),
     "pose": POSES,
-    "joints": st.dictionaries(NAMES, NUMBERS | st.builds(Degrees, deg=NUMBERS), max_size=3),
+    "joints": st.dictionaries(NAMES, NUMBERS | st.builds(Degrees, deg=NUMBERS) | POSES, max_size=3),
     "origin": maybe(ORIGINS),
 }
 OBJECTS = st.one_of(
@@ -161,6 +170,7 @@ SCENES = st.builds(
     objects=st.dictionaries(NAMES, OBJECTS, max_size=3),
     cameras=st.dictionaries(NAMES, CAMERAS, max_size=2),
     lights=st.dictionaries(NAMES, LIGHTS, max_size=2),
+    no_contact=st.lists(st.tuples(PART_NAMES, PART_NAMES), max_size=3).map(tuple),
     relations=st.lists(TEXTS, max_size=4).map(tuple),
     origin=maybe(ORIGINS),
 )
@@ -185,10 +195,25 @@ JOINT: dict[str, st.SearchStrategy[Any]] = {
     "friction": st.floats(0, 1e-3),
     "armature": st.floats(0, 9),
 }
+ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
+    **JOINT,
+    "mimic": maybe(st.builds(Mimic, joint=NAMES, multiplier=NUMBERS, offset=NUMBERS)),
+    "drive": maybe(
+        st.builds(
+            Drive,
+            stiffness=st.floats(0, 1e6),
+            damping=st.floats(1e-6, 1e6),
+            target=maybe(NUMBERS),
+            force_limit=maybe(POSITIVE),
+        )
+    ),
+}
 JOINTS = st.one_of(
-    st.builds(JointSpec, type=st.sampled_from(["fixed", "continuous"]), **JOINT),
-    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, **JOINT),
-    st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, **JOINT),
+    st.builds(JointSpec, type=st.sampled_from(["fixed", "ball"]), **JOINT),
+    st.builds(JointSpec, type=st.just("free"), parent=NAMES, child=NAMES, pose=POSES),
+    st.builds(JointSpec, type=st.just("continuous"), **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, **ONE_AXIS),
 )
 ASSETS = st.builds(
     AssetSpec,
@@ -199,5 +224,6 @@ ASSETS = st.builds(
     materials=MATERIALS,
     links=st.dictionaries(NAMES, LINKS, min_size=1, max_size=2),
     joints=st.dictionaries(NAMES, JOINTS, max_size=2),
+    no_contact=st.lists(st.tuples(NAMES, NAMES), max_size=3).map(tuple),
     origin=maybe(ORIGINS),
 )

@@ -58,7 +58,7 @@ def findings_of(path: Path, root: Path) -> list[Diagnostic]:
         try:
             lower(loaded)
         except SpecError as error:
-            return [*found, *error.diagnostics]
+            return list(dict.fromkeys([*found, *error.diagnostics]))  # lints find some of these too
     return found
 
 

@@ -39,7 +39,8 @@ def test_defaults_are_written_out(tmp_path: Path) -> None:
     assert spec is not None
     data = full(spec)
     assert data["gravity"] == (0, 0, -9.81)
-    assert data["materials"]["wood"] == {"density": 700, "friction": 0.5, "restitution": 0}
+    zeros = {"torsional_friction": 0, "rolling_friction": 0, "restitution": 0}
+    assert data["materials"]["wood"] == {"density": 700, "friction": 0.5, **zeros}
     assert data["objects"]["cup"]["collision"] == "auto" and data["objects"]["cup"]["fixed"] is False
     assert "place" not in data["objects"]["cup"] and "friction" not in data["objects"]["cup"]
 

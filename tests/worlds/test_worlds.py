@@ -91,7 +91,7 @@ def test_joints_read_back_as_the_scene_has_them(scene: Scene, engine: Engine) ->
     for name, joint in joints.items():
         found = facts[name]
         assert found.type is joint.type
-        assert np.linalg.norm(found.axis - joint.axis) < TOLERANCE
+        assert found.axis is not None and np.linalg.norm(found.axis - joint.axis) < TOLERANCE
         assert found.limits == (None if joint.limits is None else pytest.approx(joint.limits, abs=TOLERANCE))
         assert found.damping == pytest.approx(joint.damping, rel=TOLERANCE)
         assert found.friction == pytest.approx(joint.friction, rel=TOLERANCE)

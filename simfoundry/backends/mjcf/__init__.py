@@ -5,8 +5,11 @@ Names: a body is its object, or ``object.link`` where it is not the root; a free
 ``object:visual``. Visuals are in group 2 and touch nothing, colliders in group 3, which cameras leave out.
 
 Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
-colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links of one object do not collide with each
-other: joints, not contacts, hold a drawer in its cabinet.
+colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links that a joint connects do not touch:
+joints, not contacts, hold a drawer in its cabinet.
+
+A robot is its own MJCF below a body of its name; its names have the robot's before them: ``arm.joint1``. Its frames
+that a scene can name are sites: ``arm.hand``.
 """
 
 from __future__ import annotations
@@ -14,12 +17,15 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, number, numbers
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_object
-from simfoundry.backends.mjcf.contacts import add_contacts, restitution_losses
+from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
 from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.motors import add_drives, add_mimics
+from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
+from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -39,16 +45,37 @@ def compile_mjcf(scene: Scene) -> Artifact:
     for camera in scene.cameras:
         add_camera(world, camera)
     qpos: list[float] = []
+    resisting = resists(scene)
     for item in scene.objects:
-        qpos.extend(add_object(world, item, assets))
+        qpos.extend(add_object(world, item, assets, resisting))
     add_contacts(root, scene)
+    add_mimics(root, scene)
+    ctrl = add_drives(root, scene, TIMESTEP)
     _add_texts(root, scene)
+    lost: list[Loss] = []
+    for robot in scene.robots:
+        read = add_robot(root, robot, assets)
+        if read is None:
+            reason = "it has no model in MJCF or URDF, and USD is not converted"
+            lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
+            continue
+        qpos.extend(read.qpos)
+        ctrl.extend(read.ctrl)
+        lost.extend(robot_losses(robot, read))
+    add_mounted_cameras(world, scene)
     keyframe = ET.SubElement(root, "keyframe")
-    ET.SubElement(keyframe, "key", {"name": "initial"} | ({"qpos": numbers(qpos)} if qpos else {}))
+    state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
+    ET.SubElement(keyframe, "key", {"name": "initial"} | state)
     ET.indent(root)
     files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
-    return Artifact("mjcf", "scene.xml", files, (*restitution_losses(scene), *light_losses(scene)))
+    losses = (
+        *restitution_losses(scene),
+        *stiffness_losses(scene, TIMESTEP, implicit_damping=True),
+        *light_losses(scene),
+        *lost,
+    )
+    return Artifact("mjcf", "scene.xml", files, losses)
 
 
 def _add_settings(root: ET.Element, scene: Scene) -> None:
@@ -68,10 +95,12 @@ def _add_settings(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(root, "compiler", compiler)
     # An elliptic cone with a stiff tangent keeps Coulomb's law: a box holds on a slope up to the angle of friction.
     option = {"timestep": number(TIMESTEP), "gravity": numbers(scene.gravity), "integrator": "implicitfast"}
-    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "10"})
+    # Resistance against rolling is so small beside it that the tangent has to be stiffer still, or a held ball creeps.
+    ET.SubElement(root, "option", option | {"cone": "elliptic", "impratio": "100" if resists(scene) else "10"})
     visual = ET.SubElement(root, "visual")
-    if scene.cameras:  # the off-screen buffer must hold the largest picture
-        width, height = max(c.width for c in scene.cameras), max(c.height for c in scene.cameras)
+    cameras = [*scene.cameras, *(m.camera for m in scene.mounted)]
+    if cameras:  # the off-screen buffer must hold the largest picture
+        width, height = max(c.width for c in cameras), max(c.height for c in cameras)
         ET.SubElement(visual, "global", offwidth=str(width), offheight=str(height))
     if (own_light := headlight(scene.lights)) is not None:
         ET.SubElement(visual, "headlight", own_light)

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.mjcf.contacts import solref
+from simfoundry.backends.mjcf.contacts import contact_dimensions, solref
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.meshfile import has_texture
@@ -26,49 +26,74 @@ from simfoundry.scene.model import (
     Visual,
     principal_inertia,
 )
+from simfoundry.scene.trees import Tree, trees
+
+_JOINT_TYPES = {
+    JointType.REVOLUTE: "hinge",
+    JointType.CONTINUOUS: "hinge",
+    JointType.PRISMATIC: "slide",
+    JointType.BALL: "ball",
+}
 
 
-def add_object(world: ET.Element, item: SceneObject, assets: Assets) -> list[float]:
-    """Add an object's bodies to the world; returns its initial ``qpos`` in MuJoCo's depth-first order."""
-    body = ET.SubElement(world, "body", {"name": item.name} | pose_attributes(item.X_WO))
+def add_object(world: ET.Element, item: SceneObject, assets: Assets, resisting: bool) -> list[float]:
+    """Add an object's bodies to the world; returns its initial ``qpos`` in MuJoCo's depth-first order.
+
+    ``resisting`` is whether any contact of the scene resists spinning or rolling.
+    """
+    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, resisting)]
+
+
+def _add_tree(world: ET.Element, tree: Tree, assets: Assets, resisting: bool) -> list[float]:
+    """Add one tree of links; MuJoCo knows free joints in the world only, so each tree is a body there."""
+    item = tree.owner
+    body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
     qpos: list[float] = []
-    if not item.fixed:
-        ET.SubElement(body, "freejoint", name=item.name)
-        qpos = [*item.X_WO.p, *item.X_WO.q]
-    _fill_body(body, item, item.root, assets)
-    links = {link.name: link for link in item.links}
+    if not tree.fixed:
+        ET.SubElement(body, "freejoint", name=free_joint_name(tree))
+        qpos = [*tree.X_WT.p, *tree.X_WT.q]
+    _fill_body(body, item, tree.root, assets, resisting)
+    links = {link.name: link for link in tree.links}
     joints_by_parent: dict[str, list[Joint]] = {}
-    for joint in item.joints:
+    for joint in tree.joints:
         joints_by_parent.setdefault(joint.parent, []).append(joint)
-    pending = [(body, joint) for joint in reversed(joints_by_parent.get(item.root.name, []))]
+    pending = [(body, joint) for joint in reversed(joints_by_parent.get(tree.root.name, []))]
     while pending:  # depth first, children in the order of the joints
         parent, joint = pending.pop()
-        child = _add_child(parent, item, joint, links[joint.child], assets)
-        if joint.type is not JointType.FIXED:
+        child = _add_child(parent, item, joint)
+        _fill_body(child, item, links[joint.child], assets, resisting)
+        if joint.type is JointType.BALL:
+            qpos.extend(joint.motion.q)
+        elif joint.has_axis:
             qpos.append(joint.position)
         pending.extend((child, below) for below in reversed(joints_by_parent.get(joint.child, [])))
     return qpos
 
 
-def _add_child(parent: ET.Element, item: SceneObject, joint: Joint, link: Link, assets: Assets) -> ET.Element:
-    body = ET.SubElement(parent, "body", {"name": item.qualified(link.name)} | pose_attributes(joint.X_PC))
+def free_joint_name(tree: Tree) -> str:
+    """The name of the free joint of a tree's root: the object's own, or ``object.joint``."""
+    return tree.owner.name if tree.free_joint is None else f"{tree.owner.name}.{tree.free_joint.name}"
+
+
+def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Element:
+    body = ET.SubElement(parent, "body", {"name": item.qualified(joint.child)} | pose_attributes(joint.X_PC))
     if joint.type is not JointType.FIXED:
-        attributes = {
-            "name": f"{item.name}.{joint.name}",
-            "type": "slide" if joint.type is JointType.PRISMATIC else "hinge",
-            "axis": numbers(joint.axis),
-        }
+        attributes = {"name": f"{item.name}.{joint.name}", "type": _JOINT_TYPES[joint.type]}
+        if joint.has_axis:
+            attributes["axis"] = numbers(joint.axis)
         if joint.limits is not None and joint.type is not JointType.CONTINUOUS:
             attributes["range"] = numbers(joint.limits)
         for key, value in (("damping", joint.damping), ("frictionloss", joint.friction), ("armature", joint.armature)):
             if value:
                 attributes[key] = number(value)
+        if joint.type is JointType.BALL and joint.friction:
+            # MuJoCo softens the friction by the mean over the axes, about one of which most things turn easily.
+            attributes["solimpfriction"] = "0.9999 0.9999 0.001 0.5 2"
         ET.SubElement(body, "joint", attributes)
-    _fill_body(body, item, link, assets)
     return body
 
 
-def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets) -> None:
+def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, resisting: bool) -> None:
     """The mass properties and geoms of a link."""
     moments, q = principal_inertia(link.inertia)
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
@@ -77,7 +102,7 @@ def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets) 
     for visual in link.visuals:
         _add_visual(body, f"{name}:{visual.name}", visual, assets)
     for collider in link.colliders:
-        _add_collider(body, f"{name}.{collider.name}", collider, assets)
+        _add_collider(body, f"{name}.{collider.name}", collider, assets, resisting)
 
 
 def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> None:
@@ -90,10 +115,15 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
     ET.SubElement(body, "geom", attributes)
 
 
-def _add_collider(body: ET.Element, name: str, collider: Collider, assets: Assets) -> None:
+def _add_collider(body: ET.Element, name: str, collider: Collider, assets: Assets, resisting: bool) -> None:
     attributes = {"class": "collider", "name": name} | pose_attributes(collider.X_LG)
     attributes |= _shape(collider.geometry, assets, collides=True)
-    attributes["friction"] = f"{number(collider.friction)} 0.005 0.0001"
+    # MuJoCo takes the larger resistance of a pair, so where one counts, the defaults of all others must not.
+    spinning, rolling = collider.torsional_friction, collider.rolling_friction
+    resistance = f"{number(spinning)} {number(rolling)}" if resisting else "0.005 0.0001"
+    attributes["friction"] = f"{number(collider.friction)} {resistance}"
+    if spinning or rolling:
+        attributes["condim"] = contact_dimensions(spinning, rolling)
     if collider.restitution > 0:
         attributes["solref"] = numbers(solref(collider.restitution))
     ET.SubElement(body, "geom", attributes)

@@ -1,4 +1,4 @@
-"""Which MuJoCo geoms touch, and how: pairs where two surfaces differ, exclusions within an object, restitution."""
+"""Which MuJoCo geoms touch, and how: pairs where two surfaces differ, links that do not touch, restitution."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ from functools import lru_cache
 from itertools import combinations, product
 
 from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
-from simfoundry.scene.model import JointType, Scene, SceneObject, pair_friction, pair_restitution
+from simfoundry.scene.model import (
+    JointType,
+    Scene,
+    SceneObject,
+    pair_friction,
+    pair_resistance,
+    pair_restitution,
+)
+from simfoundry.scene.touching import silent_pairs
 
 _CONTACT_TIME = 0.02
 """Time constant of a contact [s]: MuJoCo's own default."""
@@ -21,33 +29,61 @@ _CRITICAL_REBOUND = math.exp(-2)
 
 @dataclass(frozen=True)
 class _Surface:
-    """A collision geom: its name, its object's, whether it can never move, and its friction and restitution."""
+    """A collision geom: its name, its link's, its object's, whether it can never move, and what it feels like.
+
+    ``material`` is friction and restitution, ``resistance`` torsional and rolling friction [m].
+    """
 
     geom: str
+    link: str
     owner: str
     static: bool
     material: tuple[float, float]
+    resistance: tuple[float, float]
 
 
 def add_contacts(root: ET.Element, scene: Scene) -> None:
-    """Add ``<contact>``: the pairs whose surfaces differ, and no contact between links of one object."""
+    """Add ``<contact>``: the pairs whose surfaces differ, and those of links that do not touch."""
     contact = ET.SubElement(root, "contact")
-    for item in scene.objects:
-        for a, b in combinations(item.links, 2):
-            ET.SubElement(contact, "exclude", body1=item.qualified(a.name), body2=item.qualified(b.name))
+    silent = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
+    silent += scene.no_contact
+    for a, b in silent:
+        ET.SubElement(contact, "exclude", body1=a, body2=b)
+    unheard = {frozenset(pair) for pair in silent}
     by_material: dict[tuple[float, float], list[_Surface]] = {}
     for item in scene.objects:
         for surface in _surfaces(item):
             by_material.setdefault(surface.material, []).append(surface)
     for (material_a, group_a), (material_b, group_b) in combinations(by_material.items(), 2):
         mu = number(pair_friction(material_a[0], material_b[0]))
-        attributes = {"friction": f"{mu} {mu} 0.005 0.0001 0.0001"}
         restitution = pair_restitution(material_a[1], material_b[1])
-        if restitution > 0:
-            attributes["solref"] = numbers(solref(restitution))
+        bounce = {"solref": numbers(solref(restitution))} if restitution > 0 else {}
         for one, other in product(group_a, group_b):
-            if one.owner != other.owner and not (one.static and other.static):
+            if one.link == other.link or (one.static and other.static):
+                continue
+            if not unheard or frozenset((one.link, other.link)) not in unheard:
+                attributes = _resistance(mu, one, other) | bounce
                 ET.SubElement(contact, "pair", {"geom1": one.geom, "geom2": other.geom} | attributes)
+
+
+def _resistance(mu: str, a: _Surface, b: _Surface) -> dict[str, str]:
+    """Friction of an explicit pair, against sliding, spinning and rolling: explicit pairs take nothing from geoms."""
+    spinning, rolling = (pair_resistance(*values) for values in zip(a.resistance, b.resistance, strict=True))
+    if not spinning and not rolling:
+        return {"friction": f"{mu} {mu} 0.005 0.0001 0.0001"}
+    friction = f"{mu} {mu} {number(spinning)} {number(rolling)} {number(rolling)}"
+    return {"condim": contact_dimensions(spinning, rolling), "friction": friction}
+
+
+def contact_dimensions(spinning: float, rolling: float) -> str:
+    """MuJoCo's ``condim`` of a contact that resists sliding, and spinning or rolling as well [m]."""
+    return "6" if rolling else "4" if spinning else "3"
+
+
+def resists(scene: Scene) -> bool:
+    """Whether any contact of the scene resists spinning or rolling."""
+    colliders = (collider for item in scene.objects for link in item.links for collider in link.colliders)
+    return any(collider.torsional_friction or collider.rolling_friction for collider in colliders)
 
 
 def _surfaces(item: SceneObject) -> Iterator[_Surface]:
@@ -60,9 +96,11 @@ def _surfaces(item: SceneObject) -> Iterator[_Surface]:
         for collider in link.colliders:
             yield _Surface(
                 geom=f"{item.qualified(link.name)}.{collider.name}",
+                link=item.qualified(link.name),
                 owner=item.name,
                 static=link.name in static_links,
                 material=(collider.friction, collider.restitution),
+                resistance=(collider.torsional_friction, collider.rolling_friction),
             )
 
 

@@ -1,4 +1,4 @@
-"""Load this world: ``load()`` returns PyBullet body ids by object name; ``python load.py`` opens the viewer."""
+"""Load this world: ``load()`` returns PyBullet body ids by name; ``python load.py`` opens the viewer."""
 
 from __future__ import annotations
 
@@ -17,33 +17,107 @@ FLAGS = (
     | pybullet.URDF_USE_IMPLICIT_CYLINDER  # else a cylinder becomes a polyhedron
     | pybullet.URDF_MAINTAIN_LINK_ORDER
 )
+FAR = 1e9  # a force out of reach [N or N m]
+GEAR_ERP = 0.2  # share of the error between two geared joints that is mended in a step
 
 
 def load(client: int | None = None) -> dict[str, int]:
-    """Load every object; without a client, into the open default connection or a new one without a window."""
+    """Load every object and robot; without a client, into the open default connection or a new one without a window."""
     if client is None:
         client = 0 if pybullet.isConnected() else pybullet.connect(pybullet.DIRECT)
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
-    return {name: load_object(client, item) for name, item in world["objects"].items()}
+    bodies = {name: load_object(client, item) for name, item in world["objects"].items()}
+    bodies |= {name: load_robot(client, item) for name, item in world.get("robots", {}).items()}
+    for (name_a, link_a), (name_b, link_b) in world.get("no_contact", []):
+        a, b = bodies[name_a], bodies[name_b]
+        silence(client, a, link_index(client, a, link_a), b, link_index(client, b, link_b))
+    return bodies
 
 
 def load_object(client: int, item: dict[str, Any]) -> int:
     """Load one object of ``world.json`` in its pose, with its materials and joint positions."""
+    flags = FLAGS | (pybullet.URDF_USE_SELF_COLLISION if item.get("self_collision") else 0)
     body: int = pybullet.loadURDF(
-        str(HERE / item["urdf"]), useFixedBase=item["fixed"], flags=FLAGS, physicsClientId=client
+        str(HERE / item["urdf"]), useFixedBase=item["fixed"], flags=flags, physicsClientId=client
     )
     place(client, body, item["p"], item["q_wxyz"])
     base = pybullet.getBodyInfo(body, physicsClientId=client)[0].decode()
     set_surface(client, body, -1, item["links"][base])
-    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
+    for index in range(joints(client, body)):
         info = pybullet.getJointInfo(body, index, physicsClientId=client)
         joint, link = info[1].decode(), info[12].decode()
         set_surface(client, body, index, item["links"][link])
         if joint in item["joints"]:
             set_joint(client, body, index, item, joint)
+        elif joint in item.get("balls", {}):
+            set_ball(client, body, index, item, joint)
+    for joint, mimic in item.get("mimics", {}).items():
+        follow(client, body, joint_index(client, body, joint), joint_index(client, body, mimic["joint"]), mimic)
+    for joint, drive in item.get("drives", {}).items():
+        set_drive(client, body, joint_index(client, body, joint), drive)
+    for a, b in item.get("no_contact", []):
+        silence(client, body, link_index(client, body, a), body, link_index(client, body, b))
     return body
+
+
+def load_robot(client: int, item: dict[str, Any]) -> int:
+    """Load one robot of ``world.json``: at its place, its motors holding its joints, its fingers moving together."""
+    body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=FLAGS, physicsClientId=client)
+    place(client, body, item["p"], item["q_wxyz"])
+    for index in range(joints(client, body)):
+        link = pybullet.getJointInfo(body, index, physicsClientId=client)[12].decode()
+        pybullet.changeDynamics(body, index, linearDamping=0, angularDamping=0, physicsClientId=client)
+        if link in item["links"]:
+            set_surface(client, body, index, item["links"][link])
+    for joint, position in item["joints"].items():
+        index = joint_index(client, body, joint)
+        pybullet.resetJointState(body, index, position, 0.0, physicsClientId=client)
+        if joint in item["motors"]:
+            hold(client, body, index, item["motors"][joint])
+        else:  # free but for what it follows: away with Bullet's own motor
+            pybullet.setJointMotorControl2(
+                body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=0, physicsClientId=client
+            )
+    for joint, leader in item["follow"].items():
+        follow(client, body, joint_index(client, body, joint), joint_index(client, body, leader["joint"]), leader)
+    return body
+
+
+def hold(client: int, body: int, index: int, motor: dict[str, float], target: float | None = None) -> None:
+    """Let a motor bring a joint to its target, or to another, with at most its force, and hold it there."""
+    pybullet.setJointMotorControl2(
+        body,
+        index,
+        pybullet.POSITION_CONTROL,
+        targetPosition=motor["target"] if target is None else target,
+        force=motor["force"],
+        physicsClientId=client,
+    )
+
+
+def joint_index(client: int, body: int, joint: str) -> int:
+    """Bullet's index of a joint by name, which is also that of the link below it."""
+    names = [pybullet.getJointInfo(body, k, physicsClientId=client)[1].decode() for k in range(joints(client, body))]
+    return names.index(joint)
+
+
+def link_index(client: int, body: int, link: str) -> int:
+    """Bullet's index of a link by name; the base is -1."""
+    names = [pybullet.getJointInfo(body, k, physicsClientId=client)[12].decode() for k in range(joints(client, body))]
+    return names.index(link) if link in names else -1
+
+
+def joints(client: int, body: int) -> int:
+    """How many joints a body has."""
+    count: int = pybullet.getNumJoints(body, physicsClientId=client)
+    return count
+
+
+def silence(client: int, body_a: int, link_a: int, body_b: int, link_b: int) -> None:
+    """Let two links pass through each other."""
+    pybullet.setCollisionFilterPair(body_a, body_b, link_a, link_b, enableCollision=0, physicsClientId=client)
 
 
 def place(client: int, body: int, p: list[float], q_wxyz: list[float]) -> None:
@@ -62,8 +136,8 @@ def set_surface(client: int, body: int, index: int, link: dict[str, float]) -> N
         index,
         lateralFriction=link["lateral_friction"],
         restitution=link["restitution"],
-        rollingFriction=0,
-        spinningFriction=0,
+        rollingFriction=link.get("rolling_friction", 0),
+        spinningFriction=link.get("spinning_friction", 0),
         linearDamping=0,
         angularDamping=0,
         physicsClientId=client,
@@ -80,6 +154,53 @@ def set_joint(client: int, body: int, index: int, item: dict[str, Any], joint: s
         pybullet.VELOCITY_CONTROL,
         targetVelocity=0,
         force=item["joint_friction"][joint],
+        physicsClientId=client,
+    )
+
+
+def set_ball(client: int, body: int, index: int, item: dict[str, Any], joint: str) -> None:
+    """Set rotation, damping and friction of a ball joint, as :func:`set_joint` does."""
+    pybullet.changeDynamics(body, index, jointDamping=item["joint_damping"][joint], physicsClientId=client)
+    w, x, y, z = item["balls"][joint]
+    pybullet.resetJointStateMultiDof(body, index, [x, y, z, w], [0, 0, 0], physicsClientId=client)
+    pybullet.setJointMotorControlMultiDof(
+        body,
+        index,
+        pybullet.POSITION_CONTROL,
+        targetPosition=[0, 0, 0, 1],
+        positionGain=0,
+        velocityGain=1,
+        force=[item["joint_friction"][joint]] * 3,
+        physicsClientId=client,
+    )
+
+
+def follow(client: int, body: int, follower: int, leader: int, mimic: dict[str, Any]) -> None:
+    """Let one joint follow another, through gears without play."""
+    gear = pybullet.createConstraint(
+        body, follower, body, leader, pybullet.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0], physicsClientId=client
+    )
+    pybullet.changeConstraint(
+        gear,
+        gearRatio=-mimic["multiplier"],
+        relativePositionTarget=mimic["offset"],
+        erp=GEAR_ERP,
+        maxForce=FAR,
+        physicsClientId=client,
+    )
+
+
+def set_drive(client: int, body: int, index: int, drive: dict[str, float], target: float | None = None) -> None:
+    """Let a motor pull a joint to its target, or to another, like a spring with a damper, up to its force limit."""
+    pybullet.setJointMotorControl2(
+        body,
+        index,
+        pybullet.PD_CONTROL,
+        targetPosition=drive["target"] if target is None else target,
+        targetVelocity=0,
+        positionGain=drive["stiffness"],
+        velocityGain=drive["damping"],
+        force=drive.get("force_limit", FAR),
         physicsClientId=client,
     )
 

@@ -3,36 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simfoundry.backends.usd.prims import apply_schemas, attribute, define, quatf, relate, rounded, vec3f
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Joint, JointType
+from simfoundry.scene.model import Drive, Joint, JointType, Mimic
 
 if TYPE_CHECKING:
-    from pxr import Sdf
+    from pxr import Sdf, Vt
 
 _TYPE = {
     JointType.FIXED: "PhysicsFixedJoint",
     JointType.REVOLUTE: "PhysicsRevoluteJoint",
     JointType.CONTINUOUS: "PhysicsRevoluteJoint",
     JointType.PRISMATIC: "PhysicsPrismaticJoint",
+    JointType.BALL: "PhysicsSphericalJoint",
 }
 
+_MIMIC = "rotX"
+"""The instance of PhysX's mimic schema: joints of one axis have this one, whichever their axis is."""
+_LIMIT = (0.02, 1.0)
+_FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""How stiff MuJoCo holds limits and Coulomb friction, as in our MJCF: without them Newton's solver of that name lets a
+load of 10 N hang 20 mm below its stop, and a held joint creep 10 mm/s."""
 
-def define_anchor(scope: Sdf.PrimSpec, object_path: Sdf.Path, root_path: Sdf.Path) -> None:
+
+def define_anchor(scope: Sdf.PrimSpec, object_path: Sdf.Path, root_path: Sdf.Path) -> Sdf.PrimSpec:
     """Weld a fixed object's root link to the world, at the object's prim, so that it moves along when that is moved.
 
     Its name starts with a capital, as no joint of a scene does.
     """
     prim = define(scope, "Anchor", "PhysicsFixedJoint")
     _frames(prim, object_path, root_path, Pose.of(), Pose.of())
+    return prim
 
 
-def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf.Path) -> None:
-    """Define ``joint`` between the links at ``parent`` and ``child``.
+def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf.Path, leader: Joint | None) -> None:
+    """Define ``joint`` between the links at ``parent`` and ``child``; it follows ``leader``, if there is one.
 
     UsdPhysics counts angles in degrees and turns about a coordinate axis of the joint's frames: both frames are turned
     so that the coordinate axis nearest to the scene's is that axis.
@@ -42,6 +52,10 @@ def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf
     if joint.type is JointType.FIXED:
         _frames(prim, parent, child, joint.X_PC, Pose.of())
         return
+    if joint.type is JointType.BALL:
+        _frames(prim, parent, child, joint.X_PC, Pose.of())
+        _ball(prim, joint)
+        return
     _frames(prim, parent, child, joint.X_PC @ X_CJ, X_CJ)
     attribute(prim, "physics:axis", "token", token, uniform=True)
     attribute(prim, "simfoundry:type", "token", joint.type.value, uniform=True)
@@ -50,7 +64,39 @@ def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf
         lower, upper = joint.limits
         attribute(prim, "physics:lowerLimit", "float", rounded(lower * unit))
         attribute(prim, "physics:upperLimit", "float", rounded(upper * unit))
+        attribute(prim, "mjc:solreflimit", "double[]", _doubles(_LIMIT), uniform=True)
     _dynamics(prim, joint, unit)
+    if joint.mimic is not None and leader is not None:
+        _follow(prim, scope, joint.mimic, unit, 1.0 if leader.type is JointType.PRISMATIC else math.degrees(1.0))
+
+
+def _ball(prim: Sdf.PrimSpec, joint: Joint) -> None:
+    """Damping, friction and armature of a ball joint, about each axis: Newton's attributes, PhysX's for the last."""
+    if joint.damping or joint.friction or joint.armature:
+        apply_schemas(prim, ["PhysxJointAPI", "NewtonJointAPI"])
+        attribute(prim, "newton:armature", "float", rounded(joint.armature))
+        attribute(prim, "newton:damping", "float", rounded(joint.damping / math.degrees(1.0)))
+        attribute(prim, "newton:friction", "float", rounded(joint.friction))
+        attribute(prim, "physxJoint:armature", "float", rounded(joint.armature))
+
+
+def _follow(prim: Sdf.PrimSpec, scope: Sdf.PrimSpec, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
+    """Let a joint follow another one: Newton's law as the scene has it, PhysX's with all terms on one side.
+
+    PhysX softens it at a natural frequency; zero is for none, a rigid gear.
+    """
+    leader = scope.path.AppendChild(mimic.joint)
+    multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
+    apply_schemas(prim, [f"PhysxMimicJointAPI:{_MIMIC}", "NewtonMimicAPI"])
+    attribute(prim, "newton:mimicCoef0", "float", offset)
+    attribute(prim, "newton:mimicCoef1", "float", multiplier)
+    relate(prim, "newton:mimicJoint", [leader])
+    attribute(prim, f"physxMimicJoint:{_MIMIC}:dampingRatio", "float", 0.0)
+    attribute(prim, f"physxMimicJoint:{_MIMIC}:gearing", "float", rounded(-multiplier))
+    attribute(prim, f"physxMimicJoint:{_MIMIC}:naturalFrequency", "float", 0.0)
+    attribute(prim, f"physxMimicJoint:{_MIMIC}:offset", "float", rounded(-offset))
+    relate(prim, f"physxMimicJoint:{_MIMIC}:referenceJoint", [leader])
+    attribute(prim, f"physxMimicJoint:{_MIMIC}:referenceJointAxis", "token", _MIMIC, uniform=True)
 
 
 def joint_frame(axis: Array) -> tuple[str, Pose]:
@@ -75,17 +121,24 @@ def _frames(prim: Sdf.PrimSpec, body0: Sdf.Path, body1: Sdf.Path, X_0J: Pose, X_
 
 
 def _dynamics(prim: Sdf.PrimSpec, joint: Joint, unit: float) -> None:
-    """Damping, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
+    """Damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
 
-    UsdPhysics has a place for the first only, a drive without stiffness, whose damping is per degree. The others are
-    PhysX's and Newton's attributes, in which torques [N m] and armatures [kg m^2] do not depend on the angle's unit.
+    UsdPhysics has a place for the first two only, one drive, whose gains are per degree; ``simfoundry:damping`` is what
+    of its damping is the joint's own. The others are PhysX's and Newton's attributes, in which torques [N m] and
+    armatures [kg m^2] do not depend on the angle's unit.
     """
     kind = "linear" if joint.type is JointType.PRISMATIC else "angular"
-    if joint.damping:
+    drive = joint.drive if joint.drive is not None else Drive(0.0, 0.0)
+    if joint.damping or joint.drive is not None:
         apply_schemas(prim, [f"PhysicsDriveAPI:{kind}"])
-        attribute(prim, f"drive:{kind}:physics:damping", "float", rounded(joint.damping / unit))
-        attribute(prim, f"drive:{kind}:physics:stiffness", "float", 0.0)
+        attribute(prim, f"drive:{kind}:physics:damping", "float", rounded((joint.damping + drive.damping) / unit))
+        attribute(prim, f"drive:{kind}:physics:stiffness", "float", rounded(drive.stiffness / unit))
         attribute(prim, f"drive:{kind}:physics:type", "token", "force", uniform=True)
+    if joint.drive is not None:
+        attribute(prim, f"drive:{kind}:physics:targetPosition", "float", rounded(drive.target * unit))
+        if drive.force_limit is not None:
+            attribute(prim, f"drive:{kind}:physics:maxForce", "float", rounded(drive.force_limit))
+        attribute(prim, "simfoundry:damping", "double", rounded(joint.damping))
     if joint.friction or joint.armature:
         apply_schemas(prim, ["PhysxJointAPI", f"PhysxJointAxisAPI:{kind}", "NewtonJointAPI"])
         friction, armature = rounded(joint.friction), rounded(joint.armature)
@@ -95,8 +148,16 @@ def _dynamics(prim: Sdf.PrimSpec, joint: Joint, unit: float) -> None:
         attribute(prim, f"physxJointAxis:{kind}:armature", "float", armature)
         attribute(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
         attribute(prim, f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
+    if joint.friction:
+        attribute(prim, "mjc:solimpfriction", "double[]", _doubles(_FRICTION), uniform=True)
     position = rounded(joint.position * unit)
     apply_schemas(prim, [f"PhysicsJointStateAPI:{kind}"])
     attribute(prim, f"newton:{kind}:position", "float", position)
     attribute(prim, f"state:{kind}:physics:position", "float", position)
     attribute(prim, f"state:{kind}:physics:velocity", "float", 0.0)
+
+
+def _doubles(values: Sequence[float]) -> Vt.DoubleArray:
+    from pxr import Vt
+
+    return Vt.DoubleArray(values)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
-from simfoundry.scene.model import Collider, LightType, Mesh, Scene, SceneObject
+from simfoundry.scene.model import Collider, Joint, JointType, LightType, Mesh, Scene, SceneObject
+from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64  # PhysX's limit of a convex hull
 
@@ -31,12 +32,19 @@ def _contacts(scene: Scene) -> Iterator[Loss]:
                 f"{worst:.3g} (load(own_{name}=True) in load.py gives it the surface's own value)"
             )
             yield Loss(name, Fidelity.APPROXIMATED, reason)
+    for name in ("torsional_friction", "rolling_friction"):
+        if any(getattr(collider, name) for collider in colliders):
+            yield Loss(name, Fidelity.DROPPED, "PhysX has no place for it in USD; Newton reads it")
 
 
 def _object(item: SceneObject) -> Iterator[Loss]:
-    if is_static(item):
-        for joint in item.joints:
-            yield Loss(f"{item.name}.{joint.name}", Fidelity.DROPPED, "a joint in an object that cannot move")
+    for tree in trees(item):
+        for joint in tree.joints:
+            path = f"{item.name}.{joint.name}"
+            if is_static(tree):
+                yield Loss(path, Fidelity.DROPPED, "a joint in an object that cannot move")
+            else:
+                yield from _joint(path, joint, {j.name: j for j in tree.joints})
     for link in item.links:
         for visual in link.visuals:
             if isinstance(visual.geometry, Mesh) and visual.geometry.texture and texture_of(visual) is None:
@@ -44,6 +52,23 @@ def _object(item: SceneObject) -> Iterator[Loss]:
                 yield Loss(f"{item.name}.{link.name}.{visual.name}.texture", Fidelity.DROPPED, reason)
         for collider in link.colliders:
             yield from _hull(f"{item.name}.{link.name}.{collider.name}", collider)
+
+
+def _joint(path: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[Loss]:
+    if joint.type is JointType.BALL:
+        for field in ("damping", "friction"):
+            if getattr(joint, field):
+                reason = f"PhysX's ball joints have no {field}; Newton reads it"
+                yield Loss(f"{path}.{field}", Fidelity.DROPPED, reason)
+    if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
+        reason = "USD has one damping a joint: what it adds to the drive's counts towards the force limit"
+        yield Loss(f"{path}.damping", Fidelity.APPROXIMATED, reason)
+    if joint.mimic is not None:
+        leader = by_name.get(joint.mimic.joint)
+        slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]
+        if slides[0] != slides[1]:
+            reason = "PhysX and Newton let a joint follow only one of its kind, a slide a slide, a hinge a hinge"
+            yield Loss(f"{path}.mimic", Fidelity.DROPPED, reason)
 
 
 def _hull(path: str, collider: Collider) -> Iterator[Loss]:

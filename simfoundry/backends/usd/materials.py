@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.usd.prims import attribute, connect, define, rounded, vec3f
+from simfoundry.backends.usd.prims import apply_schemas, attribute, connect, define, rounded, vec3f
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Collider, Mesh, Visual
 
@@ -87,6 +87,10 @@ def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
     """
     friction, restitution = number(collider.friction), number(collider.restitution)
     name = f"friction_{_word(friction)}_restitution_{_word(restitution)}"
+    spinning, rolling = number(collider.torsional_friction), number(collider.rolling_friction)
+    resists = collider.torsional_friction > 0 or collider.rolling_friction > 0
+    if resists:
+        name += f"_spinning_{_word(spinning)}_rolling_{_word(rolling)}"
     if name not in scope.nameChildren:
         prim = define(scope, name, "Material", ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
         root = rounded(math.sqrt(collider.friction))
@@ -97,6 +101,10 @@ def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
         attribute(prim, "physxMaterial:restitutionCombineMode", "token", "multiply", uniform=True)
         attribute(prim, "simfoundry:friction", "double", float(friction))
         attribute(prim, "simfoundry:restitution", "double", float(restitution))
+        if resists:
+            apply_schemas(prim, ["NewtonMaterialAPI"])
+            attribute(prim, "newton:rollingFriction", "float", float(rolling))
+            attribute(prim, "newton:torsionalFriction", "float", float(spinning))
     return scope.path.AppendChild(name)
 
 

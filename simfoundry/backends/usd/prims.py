@@ -86,7 +86,7 @@ def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
     """Author a relationship of ``prim`` to the prims at the paths ``targets``."""
     from pxr import Sdf
 
-    Sdf.RelationshipSpec(prim, name, custom=False).targetPathList.explicitItems = list(targets)
+    Sdf.RelationshipSpec(prim, name, custom=name.startswith("simfoundry:")).targetPathList.explicitItems = list(targets)
     _record(prim, name, targets[0] if targets else None)
 
 

@@ -44,6 +44,7 @@ def write_source(layer: Sdf.Layer, source: Source, written: Written) -> None:
             prim = layer.GetPrimAtPath(f"{world.path}/{scope}/{name}")
             if prim:
                 said = _built(below.get(f"{scope}/{name}", {}), written)
+                said = _posture(said) if section == "robots" else said
                 _add(prim, {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
                 members[name] = None
         if members:
@@ -73,6 +74,13 @@ def _built(part: Written, written: Written) -> Written:
         if said:
             said_by[relative] = said
     return said_by
+
+
+def _posture(said: Written) -> Written:
+    """Of what the prims of a robot say only where it is and how it stands: its model is its own."""
+    states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
+    base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
+    return base | {path: values for path, values in states.items() if values}
 
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
@@ -9,15 +10,16 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import check_names
-from simfoundry.backends.usd.bodies import Scopes, define_object
+from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
 from simfoundry.backends.usd.prims import attribute, define, recorded, rounded, vec3f
+from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.source import write_source
-from simfoundry.scene.model import Mesh, Scene
+from simfoundry.scene.model import Mesh, Scene, SceneObject
 
 if TYPE_CHECKING:
     from pxr import Sdf
@@ -27,9 +29,9 @@ def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
-    ``Objects/<object>/Joints/<joint>``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's own prims
-    start with a capital, the scene's names do not, so the two never meet. The document behind the scene is kept in
-    metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or is there twice, is an
+    ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Cameras``, ``Lights``, ``Looks`` and ``Contacts``. The stage's
+    own prims start with a capital, the scene's names do not, so the two never meet. The document behind the scene is
+    kept in metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or is there twice, is an
     :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
@@ -37,15 +39,16 @@ def compile_usd(scene: Scene) -> Artifact:
     check_names(scene)
     layer = Sdf.Layer.CreateAnonymous(".usda")
     with Sdf.ChangeBlock(), recorded() as written:
-        _define_world(layer, scene)
+        robots = _define_world(layer, scene)
         if scene.source is not None:
             write_source(layer, scene.source, written)
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
-    contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes(), **_assets(scene)}
-    return Artifact("usd", "scene.usda", contents, losses(scene))
+    contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes()}
+    contents |= _assets((*scene.objects, *robots.items)) | robots.files
+    return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
 
 
-def _define_world(layer: Sdf.Layer, scene: Scene) -> None:
+def _define_world(layer: Sdf.Layer, scene: Scene) -> RobotsInUsd:
     from pxr import Sdf, Vt
 
     root = layer.pseudoRoot
@@ -63,12 +66,16 @@ def _define_world(layer: Sdf.Layer, scene: Scene) -> None:
     scopes = Scopes(objects, define(world, "Looks", "Scope"), define(world, "Contacts", "Scope"))
     for item in scene.objects:
         define_object(scopes, item)
+    filter_pairs(scopes, scene)
+    robots = define_robots(world, scopes, scene)
+    robots.losses.extend(define_mounted(scopes, scene, robots))
     cameras = define(world, "Cameras", "Xform")
     for camera in scene.cameras:
         define_camera(cameras, camera)
     lights = define(world, "Lights", "Xform")
     for light in scene.lights:
         define_light(lights, light)
+    return robots
 
 
 def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
@@ -80,11 +87,11 @@ def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
     attribute(prim, "physics:gravityMagnitude", "float", rounded(magnitude))
 
 
-def _assets(scene: Scene) -> dict[str, bytes]:
+def _assets(objects: Iterable[SceneObject]) -> dict[str, bytes]:
     """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
     meshes: dict[str, Mesh] = {}
     contents: dict[str, bytes] = {}
-    for link in (link for item in scene.objects for link in item.links):
+    for link in (link for item in objects for link in item.links):
         for geometry in [v.geometry for v in link.visuals] + [c.geometry for c in link.colliders]:
             if isinstance(geometry, Mesh):
                 meshes.setdefault(mesh_path(geometry), geometry)

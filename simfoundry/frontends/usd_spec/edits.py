@@ -55,6 +55,19 @@ def edited_object(part: Part) -> Edited:
     return Edited(data, (*notes, *rest(part, handled, hint)))
 
 
+def edited_robot(part: Part) -> Edited:
+    """A robot: where its base stands."""
+    data = dict(part.spec)
+    _pose(part, data)
+    notes = []
+    for path, values in part.built.items():
+        now = part.now.get(path, {})
+        for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
+            message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
+            notes.append(Note(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
+    return Edited(data, tuple(notes))
+
+
 def has_moved(part: Part) -> bool:
     """Whether a part stands elsewhere than where it was written."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)

@@ -22,9 +22,9 @@ def edited_joints(part: Part, data: dict[str, Any], handled: set[tuple[str, str]
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
         found = next((name for name in values if name.startswith("state:") and name.endswith(":position")), "")
-        if not found or relative not in part.now:
+        kind = found.split(":")[1] if found else ""
+        if kind not in ("linear", "angular") or relative not in part.now:
             continue
-        kind = found.split(":")[1]
         handled |= {(relative, found), (relative, f"newton:{kind}:position")}
         unit = 1.0 if kind == "linear" else math.degrees(1.0)
         old = values[found] / unit

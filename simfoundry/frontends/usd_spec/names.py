@@ -22,6 +22,8 @@ def renamed(data: Data, names: Mapping[tuple[str, str], str]) -> Data:
     things = {old: new for (_, old), new in names.items()}
     if isinstance(out.get("relations"), tuple):
         out["relations"] = tuple(_relation(text, things) for text in out["relations"])
+    if isinstance(out.get("no_contact"), tuple):
+        out["no_contact"] = tuple(tuple(_part(n, things) for n in pair) for pair in out["no_contact"])
     if out.get("viewpoint") in things:
         out["viewpoint"] = things[out["viewpoint"]]
     for section, key in (("objects", "place"), ("cameras", "mount")):
@@ -43,6 +45,8 @@ def without(data: Data, gone: Set[str]) -> Data:
     out = dict(data)
     if isinstance(out.get("relations"), tuple):
         out["relations"] = tuple(text for text in out["relations"] if not _about(text, gone))
+    if isinstance(out.get("no_contact"), tuple):
+        out["no_contact"] = tuple(pair for pair in out["no_contact"] if not {n.split(".")[0] for n in pair} & gone)
     if out.get("viewpoint") in gone:
         del out["viewpoint"]
     if isinstance(out.get("allow"), dict):
@@ -53,7 +57,7 @@ def without(data: Data, gone: Set[str]) -> Data:
             for code, entry in out["allow"].items()
         }
         out["allow"] = {code: entry for code, entry in kept.items() if entry}
-    for key in ("relations", "allow"):
+    for key in ("relations", "no_contact", "allow"):
         if key in out and not out[key] and data[key]:
             del out[key]
     return out

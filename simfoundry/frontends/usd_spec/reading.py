@@ -15,7 +15,7 @@ import numpy as np
 
 from simfoundry.backends.usd.source import SCOPES
 from simfoundry.frontends.usd_spec.added import Added, added
-from simfoundry.frontends.usd_spec.edits import MOVED_M, Edited, edited_object, has_moved, pose_data
+from simfoundry.frontends.usd_spec.edits import MOVED_M, Edited, edited_object, edited_robot, has_moved, pose_data
 from simfoundry.frontends.usd_spec.names import anchors, renamed, without
 from simfoundry.frontends.usd_spec.stage import Part, StageError, carrier, document, open_stage, parts
 from simfoundry.frontends.usd_spec.views import edited_camera, edited_light
@@ -70,9 +70,8 @@ def read_spec(stage: Usd.Stage) -> Reading | None:
     edited = {key: _edited(part) for key, part in members.items()}
     before = _compiled(written, members)
     data = renamed(_joined(written, edited, copies), names)
-    gone = {
-        n for s in ("objects", "cameras") for n in before.get(s, {}) if (s, n) not in members and _had(written, s, n)
-    }
+    owners = [(s, n) for s in ("objects", "robots", "cameras") for n in before.get(s, {})]
+    gone = {n for s, n in owners if (s, n) not in members and _had(written, s, n)}
     data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
     notes = [note for each in edited.values() for note in each.notes]
     _gravity(prim, data)
@@ -120,6 +119,8 @@ def _strangeness(part: Part) -> tuple[bool, bool]:
 
 
 def _edited(part: Part) -> Edited:
+    if part.section == "robots":
+        return edited_robot(part)
     if part.section == "cameras":
         return edited_camera(part)
     return edited_light(part) if part.section == "lights" else edited_object(part)

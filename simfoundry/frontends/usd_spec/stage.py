@@ -182,7 +182,9 @@ def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
     from pxr import Usd, UsdGeom
 
     values: Values = {}
-    for prim in Usd.PrimRange(part):
+    robot = str(_entries(part)["part"]).startswith("robots.")  # its model is its own, and large
+    known = [part, *(part.GetPrimAtPath(path) for path in built if path)]
+    for prim in [p for p in known if p] if robot else Usd.PrimRange(part):
         relative = "" if prim == part else str(prim.GetPath().MakeRelativePath(part.GetPath()))
         said = observed(_attributes(prim))
         said |= _bound(prim, built.get(relative, {}))

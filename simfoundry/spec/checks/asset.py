@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import takewhile
 
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.checks.checker import Checker
+from simfoundry.spec.checks.joints import check_pair, check_target
 from simfoundry.spec.files import MESH_SUFFIXES
 from simfoundry.spec.plausible import volume
 
@@ -29,6 +31,15 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
     c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
     c.densities(spec.materials)
     _tree(c, spec)
+    _mimics(c, spec)
+    for name, joint in spec.joints.items():
+        if joint.drive is not None and joint.drive.target is not None:
+            check_target(c, name, joint, joint.drive.target, ("joints", name, "drive", "target"))
+    seen: set[frozenset[str]] = set()
+    for k, pair in enumerate(spec.no_contact):
+        for i, end in enumerate(pair):
+            c.name(end, c.names("links"), ("no_contact", k, i), "link")
+        check_pair(c, pair, k, seen)
 
 
 def _tree(c: Checker, spec: AssetSpec) -> None:
@@ -53,6 +64,24 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         elif link in set(_ancestors(link, parents)):
             place = ("joints", carriers[link], "parent")
             c.add("SF206", place, f"`{link}` is carried by itself, through a ring of joints")
+
+
+def _mimics(c: Checker, spec: AssetSpec) -> None:
+    """A joint follows another one with one axis, and none follows itself, be it through others."""
+    leaders = {name: joint.mimic.joint for name, joint in spec.joints.items() if joint.mimic is not None}
+    for name, leader in leaders.items():
+        path = ("joints", name, "mimic", "joint")
+        if not c.name(leader, c.names("joints"), path, "joint"):
+            continue
+        kind = spec.joints[leader].type if leader in spec.joints else ""
+        if kind in ("fixed", "ball", "free"):
+            c.add("SF211", path, f"`{leader}` is {kind}: there is no one position to follow")
+        elif name == leader:
+            c.add("SF211", path, f"`{name}` follows itself", "name another joint, or remove `mimic`")
+        elif name in _ancestors(name, leaders):
+            between = takewhile(name.__ne__, _ancestors(name, leaders))
+            ring = " → ".join(f"`{joint}`" for joint in (name, *between, name))
+            c.add("SF211", path, f"`{name}` follows itself through others: {ring}", "let one of them lead")
 
 
 def _ancestors(link: str, parents: dict[str, str]) -> Iterator[str]:

@@ -56,7 +56,10 @@ class Checker:
         if name in choices:
             return True
         if len(self.findings) < MAX_FINDINGS:
-            self.add("SF201", path, f"no {what} is called `{name}`", nearest(name, choices) or "none is defined")
+            hint = nearest(name, choices) or "none is defined"
+            if what == "material" and not hint.startswith("did"):
+                hint += "; a new one is written under `materials`"
+            self.add("SF201", path, f"no {what} is called `{name}`", hint)
         return False
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
-from simfoundry.spec.checks.joints import check_joints
+from simfoundry.spec.checks.joints import check_joints, check_pair
 from simfoundry.spec.checks.names import SceneNames
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_description, is_document
 from simfoundry.spec.plausible import volume
@@ -41,6 +41,11 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
             file: str | None = getattr(spec.background, key)
             if file is not None:
                 c.file(file, ("background", key), suffixes)
+    seen: set[frozenset[str]] = set()
+    for k, pair in enumerate(spec.no_contact):
+        for i, part in enumerate(pair):
+            names.check_part(c, part, ("no_contact", k, i))
+        check_pair(c, pair, k, seen)
     _relations(c, names, spec)
 
 

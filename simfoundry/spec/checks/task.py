@@ -91,4 +91,5 @@ def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
     """What is welded to the world cannot start elsewhere."""
     item = names.spec.objects.get(name) if names.spec is not None else None
     if item is not None and item.fixed:
-        c.add("SF107", path, f"`{name}` is fixed in the scene, so it cannot start elsewhere", "take it out here")
+        message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
+        c.add("SF107", path, message, "take it out here, or take `fixed` out there")

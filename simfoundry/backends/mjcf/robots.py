@@ -1,0 +1,129 @@
+"""Robots in MJCF: their own model below a body of their name, and the cameras that ride on links.
+
+The scene's options stand, whatever the robot's file says; contacts of the robot are as its file has them.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import replace
+
+from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
+from simfoundry.backends.mjcf.bodies import pose_attributes
+from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.surroundings import add_camera
+from simfoundry.backends.robots import MujocoRobot, RobotModelError, body_name, mujoco_model, read_robot, xml
+from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import ModelFormat, Robot
+
+_SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality", "actuator", "sensor")
+"""What a robot's file adds to the scene's beside bodies and defaults."""
+
+_JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
+"""MuJoCo's own impedance of joint friction: the scene's default is stiffer, and classes inherit it."""
+
+
+def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | None:
+    """Add a robot with all that its file holds; None where it has no model that MuJoCo reads."""
+    native = mujoco_model(robot)
+    if native is None:
+        return None
+    read = read_robot(robot, native, f"{robot.name}.")
+    source = ET.fromstring(xml(read))
+    world = root.find("worldbody")
+    assert world is not None
+    base = ET.SubElement(world, "body", {"name": robot.name} | pose_attributes(robot.X_WB))
+    base.extend(source.findall("worldbody/*"))
+    _write_exactly(base, read)
+    _add_defaults(root, source, robot.name)
+    for tag in _SECTIONS:
+        _section(root, tag).extend(source.findall(f"{tag}/*"))
+    for name, frame in native.links.items():
+        site = {"name": f"{robot.name}.{name}", "group": "5", "size": "0.005"} | pose_attributes(frame.X_LF)
+        ET.SubElement(_body(base, body_name(read, name)), "site", site)
+    assets.files.update(read.files)
+    return read
+
+
+def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
+    """Write poses, masses and limits with all their digits; MuJoCo's writer keeps six."""
+    model = read.model
+    for body in base.iterfind(".//body"):
+        k = model.body(body.get("name")).id
+        for name, value, usual in (("pos", model.body_pos[k], "0 0 0"), ("quat", model.body_quat[k], "1 0 0 0")):
+            body.attrib.pop(name, None)
+            if numbers(value) != usual:
+                body.set(name, numbers(value))
+        inertial = body.find("inertial")
+        if inertial is not None:
+            inertial.attrib.clear()
+            inertial.set("pos", numbers(model.body_ipos[k]))
+            inertial.set("quat", numbers(model.body_iquat[k]))
+            inertial.set("mass", number(model.body_mass[k]))
+            inertial.set("diaginertia", numbers(model.body_inertia[k]))
+        for joint in body.findall("joint"):
+            if joint.get("range") is not None and joint.get("name"):
+                joint.set("range", numbers(model.jnt_range[model.joint(joint.get("name")).id]))
+
+
+def _section(root: ET.Element, tag: str) -> ET.Element:
+    found = root.find(tag)
+    return ET.SubElement(root, tag) if found is None else found
+
+
+def _add_defaults(root: ET.Element, source: ET.Element, name: str) -> None:
+    """The robot's classes, below one that takes back what the scene's own defaults would add to its joints."""
+    for group in source.findall("default/default"):
+        joint = group.find("joint")
+        if joint is None:
+            joint = ET.Element("joint")
+            group.insert(0, joint)
+        joint.set("solimpfriction", joint.get("solimpfriction", _JOINT_FRICTION))
+        _section(root, "default").append(group)
+    for joint in source.findall("worldbody//joint"):  # a joint without a class would have the scene's
+        if joint.get("class") is None and not _has_class(source, joint):
+            joint.set("class", f"{name}.main")
+
+
+def _has_class(source: ET.Element, joint: ET.Element) -> bool:
+    """Whether a body above the joint gives it a class."""
+    return any(joint in body.iter("joint") for body in source.findall("worldbody//body[@childclass]"))
+
+
+def _body(base: ET.Element, name: str) -> ET.Element:
+    return next(body for body in base.iter("body") if body.get("name") == name)
+
+
+def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
+    """Add each camera that rides on a link to that link's body, where it is in the scene."""
+    robots = {robot.name: robot for robot in scene.robots}
+    for mounted in scene.mounted:
+        robot = robots.get(mounted.carrier)
+        if robot is None:
+            item = scene.object(mounted.carrier)
+            name = item.qualified(mounted.link or item.root.name)
+            camera = mounted.camera
+        else:
+            native = mujoco_model(robot)
+            if native is None:
+                continue
+            frame = native.frame(mounted.link or "base")
+            name = f"{robot.name}.{frame.link}" if mounted.link else robot.name
+            camera = replace(mounted.camera, X_WC=frame.X_LF @ mounted.camera.X_WC) if mounted.link else mounted.camera
+        body = next((b for b in world.iter("body") if b.get("name") == name), None)
+        if body is None:
+            raise RobotModelError(f"camera `{mounted.camera.name}` is mounted on `{name}`, which is not there")
+        add_camera(body, camera)
+
+
+def robot_losses(robot: Robot, read: MujocoRobot) -> Iterator[Loss]:
+    """What becomes of a robot in MuJoCo."""
+    if read.native.format is ModelFormat.URDF:
+        reason = "no MJCF of it is known: its URDF is read by MuJoCo, with the convex hulls of its meshes as colliders"
+        yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
+    if read.servos:
+        reason = "the model has no actuators: each joint gets a stiff, critically damped position servo"
+        yield Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason)
+    reason = "its surfaces are as its file has them: against the scene's, MuJoCo takes the larger friction"
+    yield Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason)

@@ -1,0 +1,239 @@
+"""Robots as MuJoCo reads them: its own MJCF, or another's URDF, with the meshes named by their content.
+
+MuJoCo's is the one reader here that knows both formats; what it read is also what is converted for targets that have
+no model of their own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
+
+if TYPE_CHECKING:
+    import mujoco
+
+_SERVO_ERROR = 0.005
+"""A servo that we add to a joint without one gives all its force at this error [rad or m]."""
+
+_EFFORT = 100.0
+"""Force of a servo [N m or N] where the model does not limit it."""
+
+_OURS = '<mujoco><compiler fusestatic="false" discardvisual="false" strippath="false" meshdir=""/></mujoco>'
+
+
+class RobotModelError(SimfoundryError):
+    """A robot's model that cannot be used; the message names the robot and says what is wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class MujocoRobot:
+    """A robot in MuJoCo: its ``spec``, whose names all start with ``prefix``, compiled as ``model``; its mesh and
+    texture ``files`` by name; the state at the start: ``qpos``, shape (nq,), and ``ctrl``, shape (nu,); the ``servos``
+    that we added."""
+
+    native: NativeModel
+    prefix: str
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    files: Mapping[str, bytes]
+    qpos: np.ndarray
+    ctrl: np.ndarray
+    servos: tuple[str, ...]
+
+
+@lru_cache(maxsize=4)  # every target of a compile reads the same; a Robot is one by its identity
+def read_robot(robot: Robot, native: NativeModel, prefix: str) -> MujocoRobot:
+    """Read a robot's MJCF or URDF with the base at the origin. Raises :class:`RobotModelError`."""
+    import mujoco
+
+    files: dict[str, bytes] = {}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a robot's own options give way to the scene's, as is meant
+            spec = _assemble(native, prefix, files)
+            spec.assets = files
+            model = spec.compile()
+            servos = tuple(_add_servos(spec, model, {prefix + name: force for name, force in native.effort.items()}))
+            model = spec.compile() if servos else model
+            _explicit_masses(spec, model)
+    except (ValueError, OSError, KeyError) as error:
+        reason = str(error).strip().splitlines()[0]
+        raise RobotModelError(f"robot `{robot.name}`: MuJoCo cannot read {native.file}: {reason}") from error
+    qpos = _start(robot, native, prefix, model, mujoco)
+    return MujocoRobot(native, prefix, spec, model, files, qpos, _controls(native, prefix, model, qpos), servos)
+
+
+def _assemble(native: NativeModel, prefix: str, files: dict[str, bytes]) -> mujoco.MjSpec:
+    """One spec of the model and of those attached to it, below the world's origin."""
+    import mujoco
+
+    whole = _read(native.file, files)
+    for part in native.attached:
+        carrier = whole.body(part.to)
+        if carrier is None:
+            raise ValueError(f"it has no body `{part.to}` to carry {part.file.name}")
+        child = _read(part.file, files)
+        _same_options(whole, child)
+        frame = carrier.add_frame(pos=part.X_LB.p, quat=part.X_LB.q)
+        whole.attach(child, prefix=f"{part.name}.", frame=frame)
+    parent = mujoco.MjSpec()
+    _same_options(whole, parent)
+    parent.attach(whole, prefix=prefix, frame=parent.worldbody.add_frame())
+    for key in list(parent.keys):
+        parent.delete(key)
+    return parent
+
+
+def _same_options(source: mujoco.MjSpec, target: mujoco.MjSpec) -> None:
+    """Give ``target`` the options of ``source``: only then does MuJoCo attach without complaint."""
+    for name in dir(source.option):
+        if not name.startswith("_"):
+            setattr(target.option, name, getattr(source.option, name))
+
+
+def _read(file: Path, files: dict[str, bytes]) -> mujoco.MjSpec:
+    """A model whose meshes and textures are named by their content, and are added to ``files``."""
+    import mujoco
+
+    if file.suffix.lower() == ".urdf":
+        spec = mujoco.MjSpec.from_string(_portable_urdf(file, files))
+    else:
+        spec = mujoco.MjSpec.from_file(str(file))
+        folder = Path(spec.modelfiledir)
+        for item, directory in [(m, spec.meshdir) for m in spec.meshes] + [(t, spec.texturedir) for t in spec.textures]:
+            if item.file:
+                item.file = _keep(folder / directory / item.file, files)
+        spec.meshdir = spec.texturedir = spec.modelfiledir = ""
+    for kind, items in (("body", spec.bodies[1:]), ("joint", spec.joints)):
+        for k, item in enumerate(items):
+            item.name = item.name or f"{kind}{k}"
+    for light in list(spec.lights):  # a lamp of the file is no part of the robot
+        spec.delete(light)
+    return spec
+
+
+def _keep(path: Path, files: dict[str, bytes]) -> str:
+    data = path.read_bytes()
+    name = f"{hashlib.sha256(data).hexdigest()[:16]}{path.suffix.lower()}"
+    files[name] = data
+    return name
+
+
+def _portable_urdf(file: Path, files: dict[str, bytes]) -> str:
+    """The text of a URDF with its meshes named by content; what MuJoCo cannot read (COLLADA) is not shown."""
+    text = file.read_text(encoding="utf-8")
+    for name in urdf_meshes(text):
+        path = urdf_mesh(file, name)
+        if path.suffix.lower() in (".stl", ".obj", ".msh"):
+            text = text.replace(f'"{name}"', f'"{_keep(path, files)}"').replace(f"'{name}'", f'"{_keep(path, files)}"')
+    text = re.sub(r"<(visual|collision)\b(?:(?!</\1>).)*\.dae(?:(?!</\1>).)*</\1>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<mujoco\b.*?</mujoco>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<\?xml[^>]*\?>", "", text, count=1)
+    return re.sub(r"(<robot\b[^>]*>)", lambda found: found[1] + _OURS, text, count=1)
+
+
+def _explicit_masses(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Write down each body's mass and inertia as the model has them: the scene's options forbid to guess them."""
+    for body in spec.bodies[1:]:
+        k = model.body(body.name).id
+        if model.body_mass[k] > 0:
+            body.mass, body.ipos, body.iquat = float(model.body_mass[k]), model.body_ipos[k], model.body_iquat[k]
+            body.inertia = model.body_inertia[k]
+            body.fullinertia = [math.nan] * 6
+            body.explicitinertial = True
+
+
+def _add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, effort: Mapping[str, float]) -> Iterator[str]:
+    """Give every joint of a model without any actuator a position servo; yields their names."""
+    import mujoco
+
+    if model.nu > 0:
+        return
+    moving = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    followers = {int(model.eq_obj1id[k]) for k in range(model.neq) if model.eq_type[k] == int(mujoco.mjtEq.mjEQ_JOINT)}
+    for joint in spec.joints:
+        k = model.joint(joint.name).id
+        if k in followers or int(model.jnt_type[k]) not in moving:
+            continue
+        stated = float(model.jnt_actfrcrange[k][1]) if model.jnt_actfrclimited[k] else _EFFORT
+        limit = effort.get(joint.name, stated)
+        joint.actfrcrange = [-limit, limit]
+        servo = spec.add_actuator(name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=limit / _SERVO_ERROR, dampratio=1.0)
+        servo.forcerange = [-limit, limit]
+        yield joint.name
+
+
+def _start(robot: Robot, native: NativeModel, prefix: str, model: mujoco.MjModel, module: Any) -> np.ndarray:
+    qpos = np.array(model.qpos0)
+    positions = robot.start(native)
+    follow = native.gripper.follow if native.gripper is not None else {}
+    for name, leader in follow.items():
+        if leader.joint in positions:
+            positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
+    for name, position in positions.items():
+        joint = module.mj_name2id(model, module.mjtObj.mjOBJ_JOINT, prefix + name)
+        if joint < 0:
+            there = ", ".join(model.joint(k).name.removeprefix(prefix) for k in range(model.njnt))
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
+        qpos[model.jnt_qposadr[joint]] = position
+    return qpos
+
+
+def _controls(native: NativeModel, prefix: str, model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
+    """What holds the robot where it starts: a servo's target is its joint's position, the gripper's is open."""
+    import mujoco
+
+    command = native.gripper.command if native.gripper is not None else {}
+    ctrl = np.zeros(model.nu)
+    for k in range(model.nu):
+        name = model.actuator(k).name.removeprefix(prefix)
+        gain, spring = float(model.actuator_gainprm[k][0]), float(model.actuator_biasprm[k][1])
+        if name in command:
+            ctrl[k] = command[name][0]
+        elif model.actuator_trntype[k] == int(mujoco.mjtTrn.mjTRN_JOINT) and gain and spring < 0:
+            ctrl[k] = qpos[model.jnt_qposadr[model.actuator_trnid[k][0]]] * -spring / gain
+        if model.actuator_ctrllimited[k]:
+            ctrl[k] = np.clip(ctrl[k], *model.actuator_ctrlrange[k])
+    return ctrl
+
+
+def xml(read: MujocoRobot) -> str:
+    """The robot's MJCF, in which every name starts with its prefix."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # said again of every odd mesh
+        return str(read.spec.to_xml())
+
+
+def body_name(read: MujocoRobot, frame: str) -> str:
+    """The body that has a frame of the robot, by its name in the target; raises :class:`RobotModelError`."""
+    link = read.native.frame(frame).link if frame else root_name(read).removeprefix(read.prefix)
+    name = read.prefix + link
+    bodies = [body.name for body in read.spec.bodies]
+    if name not in bodies:
+        there = ", ".join(b.removeprefix(read.prefix) for b in bodies[1:])
+        raise RobotModelError(f"{read.native.file.name} has no link `{link}`; there are: {there}")
+    return name
+
+
+def root_name(read: MujocoRobot) -> str:
+    """The first body of the robot, by its name in the target."""
+    return str(read.spec.bodies[1].name)
+
+
+def mujoco_model(robot: Robot) -> NativeModel | None:
+    """The model of a robot that MuJoCo reads best, if there is one."""
+    return robot.best(ModelFormat.MJCF, ModelFormat.URDF)

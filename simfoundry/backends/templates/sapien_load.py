@@ -1,0 +1,144 @@
+"""Load this world into SAPIEN: ``load()`` returns a scene and what stands in it by object name.
+
+    scene, objects = load()
+    scene.step()
+
+An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and
+joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import sapien
+from sapien import physx
+
+HERE = Path(__file__).resolve().parent
+
+HOLD = 1e5
+"""Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
+
+Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
+
+
+def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
+    """Load every object into ``scene``, by default a new one on the CPU.
+
+    ``visuals`` needs a device that renders: without one SAPIEN's reader of URDF dies on them.
+    """
+    physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
+    if scene is None:
+        scene = sapien.Scene([physx.PhysxCpuSystem()])
+    scene.physx_system.config.gravity = np.array(physics["gravity"])
+    poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
+        world = {}
+        for group, (name, item) in enumerate(poses.items(), start=1):
+            path = prepared(HERE / item["urdf"], Path(temporary), item["fixed"], visuals)
+            world[name] = load_object(scene, path, item, physics["objects"][name], group)
+    return scene, world
+
+
+def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
+    """A copy of a URDF in ``folder``, its meshes named by full paths, as SAPIEN can read it.
+
+    Without ``visuals`` it has none; a single link that is fixed has no inertial, which SAPIEN refuses of a static body.
+    """
+    tree = ET.parse(urdf)
+    root = tree.getroot()
+    unread = ([] if visuals else ["visual"]) + (["inertial"] if fixed and root.find("joint") is None else [])
+    for link in root.findall("link"):
+        for part in (part for kind in unread for part in link.findall(kind)):
+            link.remove(part)
+    for element in (*root.iter("mesh"), *root.iter("texture")):
+        element.set("filename", str(urdf.parent / element.get("filename", "")))
+    tree.write(folder / urdf.name)
+    return folder / urdf.name
+
+
+def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
+    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other."""
+    loader = scene.create_urdf_loader()
+    loader.fix_root_link = item["fixed"]
+    articulations, actors, _ = loader.parse(str(urdf))
+    pose = sapien.Pose(item["p"], item["q_wxyz"])
+    if actors:
+        actors[0].set_initial_pose(pose)
+        name = actors[0].name
+        entity = actors[0].build_static(name) if item["fixed"] else actors[0].build(name)
+        set_surfaces(component_of(entity), physics["links"][name], 0, group)
+        return entity
+    articulations[0].set_initial_pose(pose)
+    articulation = articulations[0].build(fix_root_link=item["fixed"])
+    bits = silence({link.name for link in articulation.links}, {frozenset(pair) for pair in physics["silent"]})
+    for link in articulation.links:
+        set_surfaces(link, physics["links"][link.name], bits[link.name], group)
+    for joint in articulation.active_joints:
+        set_joint(joint, physics["joints"][joint.name])
+    articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
+    return articulation
+
+
+def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
+    """The physical part of an entity."""
+    return next(c for c in entity.components if isinstance(c, physx.PhysxRigidBaseComponent))
+
+
+def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
+    """For each link a mask, such that two share a bit if they do not touch: PhysX has 32 for a scene, we for an object.
+
+    Each bit stands for links of which no two touch, as many as can be found.
+    """
+    masks, left, bit = dict.fromkeys(links, 0), set(silent), 0
+    while left:
+        first = min(left, key=sorted)
+        quiet = sorted(first)
+        quiet += [a for a in sorted(links - first) if all(frozenset((a, b)) in silent for b in quiet)]
+        quiet = [a for k, a in enumerate(quiet) if all(frozenset((a, b)) in silent for b in quiet[:k])]
+        if bit == 32:
+            raise RuntimeError("PhysX cannot tell so many links apart that do not touch each other")
+        for link in quiet:
+            masks[link] |= 1 << bit
+        left -= {frozenset((a, b)) for a in quiet for b in quiet if a != b}
+        bit += 1
+    return masks
+
+
+def set_surfaces(
+    link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], mask: int, group: int
+) -> None:
+    """Give each collision shape its material, and the mask that silences it within the group of its object."""
+    if hasattr(link, "angular_damping"):  # PhysX drags by itself
+        link.linear_damping = link.angular_damping = 0.0
+    shapes = link.collision_shapes
+    if len(shapes) != len(surfaces):
+        raise RuntimeError(f"{link.name}: PhysX took {len(shapes)} of {len(surfaces)} collision shapes")
+    for shape, surface in zip(shapes, surfaces.values(), strict=True):
+        mu = surface["friction"]
+        shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
+        first, second, ignored, _ = shape.collision_groups
+        shape.set_collision_groups([first, second, ignored | mask, group])
+
+
+def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, float]) -> None:
+    """Armature; and Coulomb friction, as a drive that holds the joint up to a force, where it has no damping."""
+    joint.armature = np.full(joint.dof, values["armature"], dtype=np.float32)
+    joint.friction = 0.0
+    if values["friction"] > 0 and joint.damping == 0:
+        joint.set_drive_property(0.0, HOLD, values["friction"], "force")
+
+
+def main() -> None:
+    """Say what was loaded."""
+    _, world = load()
+    print(f"loaded {HERE / 'poses.json'}: {', '.join(world)}")
+
+
+if __name__ == "__main__":
+    main()

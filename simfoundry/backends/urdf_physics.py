@@ -1,0 +1,59 @@
+"""``physics.json``: what URDF has no place for and its simulators can hold, as gravity, surfaces and armature."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from itertools import combinations
+from typing import Protocol
+
+from simfoundry.backends.artifact import number
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.model import Geometry, JointType, Link, Scene, SceneObject
+
+
+class Split(Protocol):
+    """Splits a geometry into the parts that are written, each with a suffix for its name."""
+
+    def __call__(self, geometry: Geometry, /) -> Iterator[tuple[str, Geometry, Pose]]:
+        """The parts in the order of the file."""
+        ...
+
+
+def physics_manifest(scene: Scene, split: Split) -> bytes:
+    """The file; collision shapes go by the names and in the order of the URDF."""
+    data = {
+        "gravity": [_number(v) for v in scene.gravity],
+        "objects": {item.name: _object(item, split) for item in scene.objects},
+    }
+    return (json.dumps(data, indent=2) + "\n").encode()
+
+
+def _object(item: SceneObject, split: Split) -> dict[str, object]:
+    joints = {
+        joint.name: {"friction": _number(joint.friction), "armature": _number(joint.armature)}
+        for joint in item.joints
+        if joint.type is not JointType.FIXED
+    }
+    links = {link.name: _surfaces(link, split) for link in item.links}
+    return {"links": links, "joints": joints, "silent": [list(pair) for pair in _silent_pairs(item)]}
+
+
+def _silent_pairs(item: SceneObject) -> Iterator[tuple[str, str]]:
+    """Pairs of links that do not touch: all of one object, for joints, not contacts, hold a drawer in its cabinet."""
+    return combinations((link.name for link in item.links), 2)
+
+
+def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
+    return {
+        collider.name + suffix: {
+            "friction": _number(collider.friction),
+            "restitution": _number(collider.restitution),
+        }
+        for collider in link.colliders
+        for suffix, _, _ in split(collider.geometry)
+    }
+
+
+def _number(value: float) -> float:
+    return float(number(value))

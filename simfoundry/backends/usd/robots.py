@@ -1,0 +1,181 @@
+"""Robots in a stage: their own USD by reference, or converted from MJCF or URDF; cameras that ride on links."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.robot_object import as_object
+from simfoundry.backends.robot_urdf import conversion_losses
+from simfoundry.backends.robots import RobotModelError, mujoco_model, read_robot
+from simfoundry.backends.usd.bodies import Scopes, define_object
+from simfoundry.backends.usd.cameras import define_camera
+from simfoundry.backends.usd.prims import apply_schemas, attribute, define, place, relate, rounded
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.model import MountedCamera, Scene, SceneObject
+from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import model_files
+
+if TYPE_CHECKING:
+    from pxr import Sdf, Usd
+
+_UPRIGHT = Pose.of(q=(math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0))
+"""From a stage whose y axis is up to one whose z axis is."""
+
+_LAYER = re.compile(r"layer @([^@]+)@")
+
+
+@dataclass
+class RobotsInUsd:
+    """What robots add to a stage: converted ``items``, ``files`` by path, ``losses``; ``frames`` by robot and name."""
+
+    items: list[SceneObject] = field(default_factory=list)
+    files: dict[str, bytes] = field(default_factory=dict)
+    losses: list[Loss] = field(default_factory=list)
+    frames: dict[tuple[str, str], tuple[Sdf.PrimSpec, Pose]] = field(default_factory=dict)
+
+
+def define_robots(world: Sdf.PrimSpec, scopes: Scopes, scene: Scene) -> RobotsInUsd:
+    """Define every robot below ``/World/Robots``; nothing where there is none."""
+    found = RobotsInUsd()
+    if not scene.robots:
+        return found
+    parent = define(world, "Robots", "Xform")
+    parent.SetInfo("kind", "group")
+    for robot in scene.robots:
+        wanted = [m.link for m in scene.mounted if m.carrier == robot.name]
+        native = robot.best(ModelFormat.USD)
+        if native is not None:
+            _refer(parent, robot, native, wanted, found)
+        elif (source := mujoco_model(robot)) is not None:
+            _convert(replace(scopes, objects=parent), robot, source, wanted, found)
+    return found
+
+
+def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
+    made = as_object(robot, read_robot(robot, source, f"{robot.name}."))
+    define_object(scopes, made.item)
+    found.items.append(made.item)
+    found.losses.extend(conversion_losses(robot, source, made.loops))
+    prim = scopes.objects.nameChildren[robot.name]
+    for name in wanted:
+        frame = source.frame(name) if name else LinkFrame(next(iter(made.links)))
+        if frame.link not in made.links:
+            there = ", ".join(made.links)
+            raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; there are: {there}")
+        found.frames[robot.name, name] = prim.nameChildren[made.links[frame.link]], frame.X_LF
+
+
+def _refer(parent: Sdf.PrimSpec, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
+    """Refer to the robot's own USD, copied with all that lies in its folder; its joints as the scene has them."""
+    from pxr import Sdf, Usd, UsdGeom
+
+    stage = Usd.Stage.Open(str(native.file))
+    default = stage.GetDefaultPrim()
+    if not default:
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} has no default prim to refer to")
+    found.losses.extend(_missing(robot, stage))
+    folder = f"robots/{native.file.stem}_{native.digest[:8]}"
+    top = native.file.parent
+    found.files |= {f"{folder}/{f.relative_to(top).as_posix()}": f.read_bytes() for f in model_files(native.file)}
+    prim = define(parent, robot.name, "Xform")
+    prim.SetInfo("kind", "component")
+    place(prim, robot.X_WB)
+    model = define(prim, "Model", "Xform")
+    model.referenceList.prependedItems.append(Sdf.Reference(f"./{folder}/{native.file.name}"))
+    unit = UsdGeom.GetStageMetersPerUnit(stage)
+    turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
+    place(model, _UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
+    by_name: dict[str, Usd.Prim] = {}
+    for one in Usd.PrimRange(default):
+        by_name.setdefault(one.GetName(), one)
+    for name, position in robot.start(native).items():
+        if name not in by_name:
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`")
+        _set_joint(_over(model, default, by_name[name]), by_name[name], position)
+    _hold(prim, model, default)
+    for name in wanted:
+        frame = native.frame(name) if name else LinkFrame(default.GetName())
+        if frame.link not in by_name:
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no link `{frame.link}`")
+        found.frames[robot.name, name] = _over(model, default, by_name[frame.link]), frame.X_LF
+
+
+def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
+    """A loss where the robot's file refers to layers that are not there."""
+    absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
+    if absent:
+        count = f"{len(absent)} layer{'s' if len(absent) > 1 else ''}"
+        reason = f"its file refers to {count} that are not there, as {absent[0].rpartition('/')[2]}"
+        yield Loss(robot.name, Fidelity.DROPPED, reason)
+
+
+def _over(model: Sdf.PrimSpec, default: Usd.Prim, prim: Usd.Prim) -> Sdf.PrimSpec:
+    """The spec in our layer for a prim of the referenced stage."""
+    from pxr import Sdf
+
+    spec = model
+    for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
+        if name != ".":
+            below = spec.nameChildren.get(name)
+            spec = below if below is not None else Sdf.PrimSpec(spec, name, Sdf.SpecifierOver)
+    return spec
+
+
+def _set_joint(spec: Sdf.PrimSpec, joint: Usd.Prim, position: float) -> None:
+    """Where a joint starts, and what its drive holds, if it has one."""
+    from pxr import UsdPhysics
+
+    kind = "linear" if joint.IsA(UsdPhysics.PrismaticJoint) else "angular"
+    value = rounded(position * (1.0 if kind == "linear" else math.degrees(1.0)))
+    apply_schemas(spec, [f"PhysicsJointStateAPI:{kind}"])
+    attribute(spec, f"state:{kind}:physics:position", "float", value)
+    attribute(spec, f"state:{kind}:physics:velocity", "float", 0.0)
+    if UsdPhysics.DriveAPI.Get(joint, kind):
+        attribute(spec, f"drive:{kind}:physics:targetPosition", "float", value)
+
+
+def _hold(prim: Sdf.PrimSpec, model: Sdf.PrimSpec, default: Usd.Prim) -> None:
+    """Weld the first body to the world, unless the robot's own file holds it there."""
+    from pxr import Usd, UsdPhysics
+
+    bodies = [p for p in Usd.PrimRange(default) if p.HasAPI(UsdPhysics.RigidBodyAPI)]
+    for joint in (p for p in Usd.PrimRange(default) if p.IsA(UsdPhysics.Joint)):
+        ends: list[Any] = [UsdPhysics.Joint(joint).GetBody0Rel(), UsdPhysics.Joint(joint).GetBody1Rel()]
+        moved = [[t for t in end.GetTargets() if _is_body(default, t)] for end in ends]
+        if sum(bool(targets) for targets in moved) == 1:
+            return
+    if bodies:
+        anchor = define(prim, "Anchor", "PhysicsFixedJoint")
+        relate(anchor, "physics:body1", [_over(model, default, bodies[0]).path])
+
+
+def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
+    from pxr import UsdPhysics
+
+    prim = default.GetStage().GetPrimAtPath(path)
+    return bool(prim) and prim.HasAPI(UsdPhysics.RigidBodyAPI)
+
+
+def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
+    """Define each camera that rides on a link below that link; yields a loss for each whose carrier is not there."""
+    for mounted in scene.mounted:
+        place_of = _carrier(scopes, scene, robots, mounted)
+        if place_of is None:
+            yield Loss(mounted.camera.name, Fidelity.DROPPED, f"it rides on `{mounted.carrier}`, which is not there")
+            continue
+        prim, X_LF = place_of
+        define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
+
+
+def _carrier(
+    scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera
+) -> tuple[Sdf.PrimSpec, Pose] | None:
+    if any(robot.name == mounted.carrier for robot in scene.robots):
+        return robots.frames.get((mounted.carrier, mounted.link))
+    item = scene.object(mounted.carrier)
+    return scopes.objects.nameChildren[item.name].nameChildren[mounted.link or item.root.name], Pose.of()

@@ -1,0 +1,230 @@
+"""``simfoundry verify``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.verify.engines import Found
+    from simfoundry.verify.rest import Rested
+    from simfoundry.verify.run import Measured, Reading, Subject
+
+
+@click.command()
+@click.argument("specs", nargs=-1, type=click.Path(path_type=Path, exists=True))
+@click.option("--engine", "engines", multiple=True, metavar="NAME", help="Default: all that are found.")
+@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Run things, too.")
+@click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False), help="Verify this build.")
+@click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="An interpreter that has engines.")
+@click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
+@click.option("--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True, help="Seconds for a build.")
+@click.option("--html", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with tables and pictures.")
+@click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Engines at a time.")
+@json_option
+@reporting
+def command(
+    specs: tuple[Path, ...],
+    engines: tuple[str, ...],
+    behaviours: bool,
+    build: Path | None,
+    pythons: tuple[str, ...],
+    require: tuple[str, ...],
+    timeout: float,
+    html: Path | None,
+    jobs: int,
+    as_json: bool,
+) -> int:
+    """Load builds of scenes in real simulators, and compare what each holds with the scene.
+
+    SPECS are scenes, or folders of them. Each is compiled afresh; --build takes a finished build of one scene instead.
+    Behaviours are machines with a known answer, as a pendulum, and each scene left alone for two seconds; without SPECS
+    only those machines are measured. Engines are found in this Python, in those that --python names, and
+    in those of SIMFOUNDRY_ENGINES (separated by commas); each runs in a process of its own, so that a crash or a hang
+    is reported and the rest goes on. Exit code 1 where a quantity differs from the scene without the loss report saying
+    so, a behaviour is off without a known reason, or an engine fails.
+    """
+    from simfoundry.verify.engines import ENGINES, engine_called, find, interpreters
+
+    paths = list(_scenes(specs))
+    if build is not None and len(paths) != 1:
+        raise CannotError("--build takes one scene: the one that the build was made of")
+    if not paths and not behaviours:
+        raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
+    wanted = [engine_called(name) for name in dict.fromkeys((*engines, *require))] if engines else list(ENGINES)
+    for name in require:
+        engine_called(name)
+    found = find(wanted, interpreters(pythons))
+    with ExitStack() as stack:
+        progress = stack.enter_context(progress_bar(as_json))
+        subjects = _subjects(stack, paths, build, found, progress)
+        readings, results, rested = _verify(subjects, found, behaviours, jobs, timeout, progress)
+        if html is not None:
+            _write_page(html, readings, results, rested, found, subjects)
+    missing = [name for name in require if found[name] is None]
+    if as_json:
+        print_json(_json(readings, results, rested, found))
+    else:
+        _print(readings, results, rested, found)
+    for name in missing:
+        click.echo(f"{name} is required and was not found", err=True)
+    bad = not _all_fine(readings, results, rested)
+    return FINDINGS if bad or missing else DONE
+
+
+def _scenes(specs: Sequence[Path]) -> Iterator[Path]:
+    for path in specs:
+        if not path.is_dir():
+            yield path
+            continue
+        inside = sorted(path.rglob("*.scene.yaml"))
+        if not inside:
+            raise CannotError(f"{path} holds no scenes: their names end in .scene.yaml")
+        yield from inside
+
+
+def _subjects(
+    stack: ExitStack,
+    paths: Sequence[Path],
+    build: Path | None,
+    found: Mapping[str, Found | None],
+    progress: Callable[[str, float], None],
+) -> list[Subject]:
+    """Every scene lowered and compiled for the engines that are there."""
+    import tempfile
+
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower_file
+    from simfoundry.verify.run import Subject, built
+
+    targets = list(dict.fromkeys(f.engine.target for f in found.values() if f is not None))
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="simfoundry-verify-")))
+    subjects = []
+    for k, path in enumerate(paths):
+        progress(f"compile {path.name}", 0.3 * k / len(paths))
+        scene = lower_file(path, Cache.default())
+        subject = built(_name(path, paths), scene, targets, folder / str(k))
+        if build is not None:
+            there = {target: build / target for target in targets if (build / target).is_dir()}
+            if not there:
+                raise CannotError(f"{build} holds none of {', '.join(targets)}: name the folder that `compile -o` made")
+            subject = Subject(subject.name, scene, there, subject.losses)
+        subjects.append(subject)
+    return subjects
+
+
+def _name(path: Path, paths: Sequence[Path]) -> str:
+    """The name of a file without its endings, with its folder where two are called the same."""
+    name = path.name.removesuffix(".scene.yaml")
+    twins = sum(other.name == path.name for other in paths)
+    return f"{path.parent.name}/{name}" if twins > 1 else name
+
+
+def _verify(
+    subjects: Sequence[Subject],
+    found: Mapping[str, Found | None],
+    behaviours: bool,
+    jobs: int,
+    timeout: float,
+    progress: Callable[[str, float], None],
+) -> tuple[list[Reading], list[Measured], list[Rested]]:
+    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.rest import settle_subjects
+    from simfoundry.verify.run import measure_behaviours, read_subjects
+
+    here = [f for f in found.values() if f is not None]
+    readable = [f for f in here if all(f.engine.target in s.builds for s in subjects)]
+    stepping = sum(f.engine.steps for f in here)
+    work = len(subjects) * len(readable) + (stepping * (len(BEHAVIOURS) + len(subjects)) if behaviours else 0)
+    done = 0
+
+    def report(engine: str, units: int) -> None:
+        nonlocal done
+        done += units
+        progress(engine, 0.3 + 0.7 * done / max(1, work))
+
+    readings = read_subjects(subjects, readable, report, jobs, timeout) if subjects else []
+    results = measure_behaviours(BEHAVIOURS, here, report, jobs, timeout) if behaviours else []
+    rested = settle_subjects(subjects, readable, report, jobs, timeout) if behaviours else []
+    return readings, results, rested
+
+
+def _write_page(
+    path: Path,
+    readings: Sequence[Reading],
+    results: Sequence[Measured],
+    rested: Sequence[Rested],
+    found: Mapping[str, Found | None],
+    subjects: Sequence[Subject],
+) -> None:
+    from simfoundry.files import write_atomically
+    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.page import page
+    from simfoundry.verify.pictures import picture
+
+    pictures = {s.name: picture(s.scene) for s in subjects}
+    write_atomically(path, page(readings, results, BEHAVIOURS, found, pictures, rested).encode())
+
+
+def _all_fine(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested]) -> bool:
+    from simfoundry.verify.run import Verdict
+
+    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
+    return all(outcome.verdict in (Verdict.OK, Verdict.KNOWN) for outcome in outcomes)
+
+
+def _json(
+    readings: Sequence[Reading],
+    results: Sequence[Measured],
+    rested: Sequence[Rested],
+    found: Mapping[str, Found | None],
+) -> dict[str, Any]:
+    from simfoundry.verify.engines import engine_called
+
+    return {
+        "ok": _all_fine(readings, results, rested),
+        "engines": {
+            name: {"found": False, "install": engine_called(name).install}
+            if f is None
+            else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.target}
+            for name, f in found.items()
+        },
+        "readings": [r.to_json() for r in readings],
+        "behaviours": [m.to_json() for m in results],
+        "left_alone": [r.to_json() for r in rested],
+    }
+
+
+def _print(
+    readings: Sequence[Reading],
+    results: Sequence[Measured],
+    rested: Sequence[Rested],
+    found: Mapping[str, Found | None],
+) -> None:
+    from simfoundry.verify import tables
+    from simfoundry.verify.behaviours import BEHAVIOURS
+    from simfoundry.verify.engines import engine_called
+    from simfoundry.verify.page import summary
+
+    if readings:
+        click.echo(tables.readings_table(readings, found) + "\n")
+    if results:
+        click.echo(tables.behaviours_table(results, BEHAVIOURS, found) + "\n")
+    if rested:
+        click.echo(tables.rested_table(rested, found) + "\n")
+    sections = {
+        "differences": tables.details(readings, results, rested),
+        "not kept, and said so": tables.known_lines(readings, results),
+        "notes": tables.stale_lines(readings),
+        "not found": [tables.absent_line(engine_called(n)) for n, f in found.items() if f is None],
+    }
+    for title, lines in sections.items():
+        if lines:
+            click.echo(f"{title}:\n" + "\n".join(f"  {line}" for line in lines) + "\n")
+    click.echo(summary(readings, results, rested))

@@ -1,0 +1,157 @@
+"""Where the files of a robot's model are, and which other files they name."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+from simfoundry.spec.files import FileError, located
+
+_DESCRIPTION = re.compile(r"robot_descriptions:([a-z0-9_]+)(?:/(.+))?\Z")
+_ATTRIBUTE = {".urdf": "URDF_PATH", ".xml": "MJCF_PATH"}
+_TEXTURES = re.compile(r"^\s*(?:map_\w+|bump|disp|norm)\s+(?:-\S+\s+\S+\s+)*(\S.*?)\s*$", re.MULTILINE)
+_MATERIALS = re.compile(r"^mtllib\s+(\S.*?)\s*$", re.MULTILINE)
+_IMAGES = re.compile(r"<init_from>\s*([^<]+?)\s*</init_from>")
+
+
+class NoModelError(Exception):
+    """A model that is not there; the message is a clause that says what is missing and what to do about it."""
+
+
+def find_model(reference: str, document: Path, suffix: str) -> Path:
+    """The file that ``reference`` means in ``document``: a path, ``pkg:package/path``, ``robot_descriptions:name``.
+
+    ``suffix`` (``.xml``, ``.urdf``) says which of a description's files is meant. The package `robot_descriptions`
+    fetches a description when it is first used. Raises :class:`NoModelError`.
+    """
+    described = _DESCRIPTION.match(reference)
+    if described is not None:
+        return _description(described[1], described[2], suffix)
+    try:
+        target = located(reference, document)
+    except FileError as error:
+        raise NoModelError(f"{error}; {error.hint}") from None
+    if not target.is_file():
+        raise NoModelError(f"there is no file `{reference}`")
+    return target
+
+
+def _description(name: str, path: str | None, suffix: str) -> Path:
+    try:
+        importlib.import_module("robot_descriptions")
+    except ImportError:
+        raise NoModelError("install its models with `pip install robot_descriptions`") from None
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except ModuleNotFoundError:
+        raise NoModelError(f"`robot_descriptions` has no `{name}`; update it") from None
+    except Exception as error:  # whatever git says of a network that is not there
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise NoModelError(f"`robot_descriptions` could not fetch `{name}`: {reason}") from None
+    if path is not None:
+        target = Path(module.PACKAGE_PATH, path).resolve()
+        if not target.is_relative_to(Path(module.PACKAGE_PATH).resolve()):
+            raise NoModelError(f"`{path}` leaves the description `{name}`")
+    elif (found := getattr(module, _ATTRIBUTE.get(suffix, "USD_PATH"), None)) is not None:
+        target = Path(found)
+    else:
+        raise NoModelError(f"`robot_descriptions:{name}` has no {suffix.lstrip('.')} file")
+    if not target.is_file():
+        raise NoModelError(f"`robot_descriptions:{name}` has no file {target.name}")
+    return target.resolve()
+
+
+def digest(files: list[Path]) -> str:
+    """Sixteen hex digits that name the content of files, in the order given."""
+    total = hashlib.sha256()
+    for file in files:
+        total.update(hashlib.sha256(file.read_bytes()).digest())
+    return total.hexdigest()[:16]
+
+
+def model_files(file: Path) -> list[Path]:
+    """A model's file and every file that it needs, each once, in the order in which they are named.
+
+    Raises :class:`NoModelError` where one is missing or the model cannot be read.
+    """
+    files = list(dict.fromkeys(_needed(file)))
+    for needed in files:
+        if not needed.is_file():
+            raise NoModelError(f"{file.name} needs {needed.name}, and {needed} is not there")
+    return files
+
+
+def _needed(file: Path) -> Iterator[Path]:
+    yield file
+    match file.suffix.lower():
+        case ".urdf":
+            for name in urdf_meshes(file.read_text(encoding="utf-8")):
+                mesh = urdf_mesh(file, name)
+                yield mesh
+                yield from companions(mesh)
+        case ".xml" | ".mjcf":
+            yield from _mjcf_files(file)
+        case _:  # a layer of USD: its folder, which is moved as a whole
+            yield from sorted(p for p in file.parent.rglob("*") if p.is_file() and p != file)
+
+
+def _mjcf_files(file: Path) -> Iterator[Path]:
+    """Included files, meshes, height fields and textures."""
+    try:
+        root = ET.parse(file).getroot()
+    except (ET.ParseError, OSError) as error:
+        raise NoModelError(f"{file.name} cannot be read: {error}") from None
+    folders = {"mesh": "", "texture": "", "hfield": ""}
+    for compiler in root.iter("compiler"):
+        assets = compiler.get("assetdir", "")
+        folders["mesh"] = folders["hfield"] = compiler.get("meshdir", assets) or folders["mesh"]
+        folders["texture"] = compiler.get("texturedir", assets) or folders["texture"]
+    for element in root.iter():
+        name = element.get("file")
+        if name is None:
+            continue
+        if element.tag == "include":
+            yield from _needed((file.parent / name).resolve())
+        elif element.tag in folders:
+            yield (file.parent / folders[element.tag] / name).resolve()
+
+
+def urdf_meshes(text: str) -> list[str]:
+    """The file names in a URDF, each once: of meshes and of textures."""
+    return list(dict.fromkeys(re.findall(r"""\bfilename\s*=\s*["']([^"']+)["']""", text)))
+
+
+def urdf_mesh(urdf: Path, name: str) -> Path:
+    """The file that ``name`` means in a URDF: relative to it, or `package://` below a folder above it."""
+    if name.startswith("file://"):
+        return Path(name.removeprefix("file://")).resolve()
+    if not name.startswith("package://"):
+        return (urdf.parent / name).resolve()
+    path = name.removeprefix("package://")
+    inner = path.partition("/")[2]
+    for folder in urdf.parents:
+        for candidate in (folder / path, folder / inner):
+            if inner and candidate.is_file():
+                return candidate.resolve()
+    return (urdf.parent / path).resolve()
+
+
+def companions(mesh: Path) -> Iterator[Path]:
+    """The materials and textures that a mesh file names."""
+    if not mesh.is_file() or mesh.suffix.lower() not in (".obj", ".dae"):
+        return
+    text = mesh.read_text(encoding="utf-8", errors="replace")
+    if mesh.suffix.lower() == ".dae":
+        images = [(mesh.parent / name).resolve() for name in _IMAGES.findall(text)]
+        yield from (image for image in images if image.is_file())
+        return
+    for name in _MATERIALS.findall(text):
+        library = (mesh.parent / name).resolve()
+        if library.is_file():
+            yield library
+            pictures = _TEXTURES.findall(library.read_text(encoding="utf-8", errors="replace"))
+            yield from (p for p in ((library.parent / n).resolve() for n in pictures) if p.is_file())

@@ -1,0 +1,130 @@
+"""RobotSpec to Robot: its models found, its words mapped onto their names."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from types import MappingProxyType
+
+import yaml
+from pydantic import ValidationError
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.poses import pose
+from simfoundry.scene.robot import Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
+from simfoundry.spec.robot import RobotSpec
+from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec
+
+OWN_MODELS = "SIMFOUNDRY_ROBOTS"
+"""The environment variable that names a folder of one's own robot files, `franka_robotiq.yaml` and so on."""
+
+_BUILT_IN = Path(__file__).parents[1] / "robots"
+_SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
+
+
+def lower_robot(name: str, spec: RobotSpec, document: Path) -> Robot:
+    """The robot ``name`` of a scene document. Raises :class:`NoModelError` where no model of it is found."""
+    known = spec.known()
+    if isinstance(spec.model, str):
+        models, missing = _known_models(spec.model)
+    else:
+        models, missing = _models(RobotModelsSpec.model_validate(_as_models(spec)), document)
+    if not models:
+        raise NoModelError(missing)
+    home = dict(known.home) if known is not None else {}
+    positions = home | (spec.joints if isinstance(spec.joints, dict) else {})
+    return Robot(
+        name=name,
+        kind=spec.model if isinstance(spec.model, str) else "robot",
+        X_WB=pose(spec.pose),
+        positions=MappingProxyType(positions),
+        reach=spec.reach or (known.reach if known is not None else None),
+        opening=spec.opening or (known.opening if known is not None else None),
+        models=MappingProxyType(models),
+    )
+
+
+def _as_models(spec: RobotSpec) -> dict[str, ModelSpec]:
+    assert not isinstance(spec.model, str)
+    files = {"mjcf": spec.model.mjcf, "urdf": spec.model.urdf, "usd": spec.model.usd}
+    return {key: ModelSpec(file=file) for key, file in files.items() if file is not None}
+
+
+def _known_models(name: str) -> tuple[dict[ModelFormat, NativeModel], str]:
+    """The models of a known robot; what one's own folder says of a format stands in place of what is built in."""
+    folder = os.environ.get(OWN_MODELS)
+    own = Path(folder).expanduser().resolve() / f"{name}.yaml" if folder else None
+    models = read_models(_BUILT_IN / f"{name}.yaml")
+    if own is None or not own.is_file():
+        return _models(models, _BUILT_IN)
+    changed = read_models(own)
+    return _models(models.model_copy(update={k: getattr(changed, k) for k in changed.model_fields_set}), own)
+
+
+def read_models(file: Path) -> RobotModelsSpec:
+    """What a robot file says; raises :class:`SimfoundryError` where it is not one."""
+    try:
+        data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        return RobotModelsSpec.model_validate_json(json.dumps(data))
+    except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
+            raise SimfoundryError(f"{file}: {where}: {first['msg']}; docs/robots.md has the form") from None
+        raise SimfoundryError(f"{file} is not a robot file: {str(error).splitlines()[0]}") from None
+
+
+def _models(spec: RobotModelsSpec, document: Path) -> tuple[dict[ModelFormat, NativeModel], str]:
+    """The models that are there, and why the first that is not there is not."""
+    found, missing = {}, ""
+    for key in ModelFormat:
+        model: ModelSpec | None = getattr(spec, key.value)
+        if model is not None:
+            try:
+                found[key] = _model(key, model, document)
+            except NoModelError as error:
+                missing = missing or str(error)
+    return found, missing
+
+
+def _model(key: ModelFormat, spec: ModelSpec, document: Path) -> NativeModel:
+    file = _first(spec.files, document, _SUFFIX[key])
+    attached = []
+    for name, part in spec.attach.items():
+        files = [part.file] if isinstance(part.file, str) else part.file
+        attached.append(Attached(name, _first(files, document, _SUFFIX[key]), part.to, pose(part.pose)))
+    needed = [path for one in (file, *(a.file for a in attached)) for path in model_files(one)]
+    return NativeModel(
+        format=key,
+        file=file,
+        digest=digest(needed),
+        attached=tuple(attached),
+        links=MappingProxyType({n: LinkFrame(f.link, pose(f.pose)) for n, f in spec.links.items()}),
+        joints=MappingProxyType({f"joint{k}": joint for k, joint in enumerate(spec.joints, 1)}),
+        gripper=_gripper(spec),
+        effort=MappingProxyType(dict(spec.effort)),
+    )
+
+
+def _first(references: list[str], document: Path, suffix: str) -> Path:
+    """The first of the files that is there; the reason of the last says most: it is the one that can be fetched."""
+    reason = ""
+    for reference in references:
+        try:
+            return find_model(reference, document, suffix)
+        except NoModelError as error:
+            reason = str(error)
+    raise NoModelError(reason)
+
+
+def _gripper(spec: ModelSpec) -> Gripper | None:
+    if spec.gripper is None:
+        return None
+    follow = {n: Follow(f.joint, f.multiplier, f.offset) for n, f in spec.gripper.follow.items()}
+    return Gripper(
+        MappingProxyType(dict(spec.gripper.command)),
+        MappingProxyType(dict(spec.gripper.joints)),
+        MappingProxyType(follow),
+    )

@@ -1,0 +1,252 @@
+"""Behaviours with a known answer: a small machine, what is measured on it, the analytic value, and how near is near.
+
+Each is a generator that yields :class:`Trial` s, receives where everything was while it ran, and returns the measured
+value. So one that has to search, as for the angle at which a box slips, asks for one trial after the other.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import Cylinder, Scene, Sphere
+from simfoundry.verify import rigs
+from simfoundry.verify.facts import Moment
+from simfoundry.verify.process import Run
+
+Moments = Sequence[Moment]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A scene, and how it is stepped."""
+
+    scene: Scene
+    run: Run
+
+
+Measurement = Generator[Trial, Moments, float]
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """One behaviour: ``expected`` and ``tolerance`` in ``unit``, and why that tolerance."""
+
+    name: str
+    title: str
+    unit: str
+    expected: float
+    tolerance: float
+    reason: str
+    measure: Callable[[], Measurement]
+
+
+MU_BOX, MU_RAMP = 0.3, 0.8
+_SLIP = math.degrees(math.atan(math.sqrt(MU_BOX * MU_RAMP)))
+_SLID_M = 0.01
+"""A box slips if it goes this far in one second, which an excess of 0.1 degrees is enough for."""
+
+_SWING = 0.1  # rad
+_INERTIA, _TORQUE = rigs.pendulum_constants()
+_PERIOD = 2 * math.pi * math.sqrt(_INERTIA / _TORQUE) * (1 + _SWING**2 / 16 + 11 * _SWING**4 / 3072)
+_DAMPING = 0.02  # N m s/rad
+_RATE = _DAMPING / (2 * _INERTIA)
+_WEIGHT = rigs.GRAVITY  # of one kilogram [N]
+
+
+def free_fall() -> Measurement:
+    """How far a lopsided body falls in 3 s, over g t^2 / 2."""
+    stone = rigs.lopsided("stone", rigs.posed(0, 0, 60, 0.5, -0.3, 2.1))
+    moments = yield Trial(rigs.scene_of("fall", stone), Run(3.0, 3.0))
+    first, last = moments[0], moments[-1]
+    fallen = first.pose("stone").p[2] - last.pose("stone").p[2]
+    return float(fallen / (rigs.GRAVITY * last.time**2 / 2))
+
+
+def slip_angle() -> Measurement:
+    """The steepness at which a box begins to slide, by two rounds of ramps."""
+    low, high, count = 15.0, 43.0, 14
+    for _ in range(2):
+        angles = np.linspace(low, high, count + 1).tolist()
+        moments = yield Trial(rigs.ramps(angles, MU_BOX, MU_RAMP), Run(1.3, 0.1))
+        slid = _slid(moments, len(angles))
+        first = int(np.argmax(slid)) if slid.any() else len(angles)
+        low, high = float(angles[max(0, first - 1)]), float(angles[min(first, len(angles) - 1)])
+    return (low + high) / 2
+
+
+def _slid(moments: Moments, count: int) -> NDArray[np.bool_]:
+    """Which of the boxes slipped in the last second; the time before lets them find their places."""
+    before = next(m for m in moments if m.time >= moments[-1].time - 1.0 - 1e-6)
+    names = [f"box{k}" for k in range(count)]
+    moved = [float(np.linalg.norm(moments[-1].pose(n).p - before.pose(n).p)) for n in names]
+    return np.array(moved) > _SLID_M
+
+
+def pendulum_period() -> Measurement:
+    """The period of a pendulum, over six swings [s]."""
+    moments = yield Trial(rigs.scene_of("pendulum", rigs.pendulum(_SWING)), Run(8.5, 0.004))
+    crossings = _crossings(moments, "pendulum.joint")
+    return float((crossings[-1] - crossings[0]) / (len(crossings) - 1) * 2)
+
+
+def damped_decay() -> Measurement:
+    """The rate at which the swings of a damped pendulum die [1/s], from the first to the last of its peaks."""
+    moments = yield Trial(rigs.scene_of("decay", rigs.pendulum(_SWING, _DAMPING)), Run(8.5, 0.004))
+    times, heights = _peaks(moments, "pendulum.joint")
+    slope, _ = np.polyfit(times, np.log(heights), 1)
+    return float(-slope)
+
+
+def _series(moments: Moments, joint: str) -> tuple[Array, Array]:
+    return np.array([m.time for m in moments]), np.array([m.joints[joint] for m in moments])
+
+
+def _crossings(moments: Moments, joint: str) -> Array:
+    """Times at which a joint passes zero, between the samples."""
+    t, q = _series(moments, joint)
+    k = np.flatnonzero(q[:-1] * q[1:] < 0)
+    if len(k) < 3:
+        raise ValueError(f"{joint} does not swing: it passes zero {len(k)} times")
+    return np.asarray(t[k] + (t[k + 1] - t[k]) * q[k] / (q[k] - q[k + 1]))
+
+
+def _peaks(moments: Moments, joint: str) -> tuple[Array, Array]:
+    """Times and heights of the turning points of a joint after the start, through three samples each."""
+    t, q = _series(moments, joint)
+    a = np.abs(q)
+    k = np.flatnonzero((a[1:-1] > a[:-2]) & (a[1:-1] >= a[2:])) + 1
+    if len(k) < 3:
+        raise ValueError(f"{joint} does not swing: it turns {len(k)} times")
+    bend = a[k - 1] - 2 * a[k] + a[k + 1]
+    shift = 0.5 * (a[k - 1] - a[k + 1]) / bend
+    return t[k] + shift * (t[1] - t[0]), a[k] - 0.25 * (a[k - 1] - a[k + 1]) * shift
+
+
+def rebound() -> Measurement:
+    """Speed after over speed before the first bounce of a ball, from the heights."""
+    ball = rigs.solid("ball", Sphere(0.03), rigs.posed(0, 0, 0.53), restitution=0.9)
+    floor = rigs.solid("floor", rigs.box(1, 1, 0.1), rigs.posed(0, 0, -0.05), restitution=0.4, fixed=True)
+    moments = yield Trial(rigs.scene_of("bounce", ball, floor), Run(0.75, 0.002))
+    heights = np.array([m.pose("ball").p[2] - 0.03 for m in moments])
+    lowest = int(np.argmin(heights[: _after_impact(moments)]))
+    return float(math.sqrt(max(0.0, heights[lowest:].max()) / heights[0]))
+
+
+def _after_impact(moments: Moments) -> int:
+    """The sample 50 ms after the time at which the ball should hit the floor."""
+    impact = math.sqrt(2 * 0.5 / rigs.GRAVITY)
+    return next(k for k, m in enumerate(moments) if m.time > impact + 0.05)
+
+
+def limit_holds() -> Measurement:
+    """How far a falling slider of 1 kg ends from its stop at 0.3 m [mm]."""
+    moments = yield Trial(rigs.scene_of("stop", rigs.slider(damping=2.0, travel=0.3)), Run(2.0, 0.5))
+    return (moments[-1].joints["slider.joint"] - 0.3) * 1000
+
+
+def friction_holds() -> Measurement:
+    """How far a slider of 9.81 N sinks in one second under a Coulomb friction of 12 N [mm]."""
+    moments = yield Trial(rigs.scene_of("hold", rigs.slider(friction=12.0)), Run(1.0, 1.0))
+    return moments[-1].joints["slider.joint"] * 1000
+
+
+def friction_slips() -> Measurement:
+    """The acceleration of a slider of 9.81 N under a Coulomb friction of 6 N [m/s^2]."""
+    moments = yield Trial(rigs.scene_of("slip", rigs.slider(friction=6.0)), Run(1.0, 1.0))
+    last = moments[-1]
+    return 2 * last.joints["slider.joint"] / last.time**2
+
+
+def damped_friction() -> Measurement:
+    """The speed at which a slider of 9.81 N ends under 4 N s/m of damping and 3 N of Coulomb friction [m/s]."""
+    moments = yield Trial(rigs.scene_of("both", rigs.slider(damping=4.0, friction=3.0, travel=9.0)), Run(2.5, 0.5))
+    before, last = moments[-2], moments[-1]
+    return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
+
+
+_RESTING = {"crate": 0.03, "can": 0.05, "slab": 0.01, "wedge": 0.0}
+"""Heights of the frames of what :func:`settled` drops, at rest on the floor [m]."""
+
+
+def _dropped() -> Scene:
+    floor = rigs.solid("floor", rigs.box(2, 2, 0.1), rigs.posed(0, 0, -0.05, yaw=0.2), 50.0, fixed=True)
+    raised = {name: z + 0.005 for name, z in _RESTING.items()}
+    return rigs.scene_of(
+        "drop",
+        floor,
+        rigs.solid("crate", rigs.box(0.08, 0.07, 0.06), rigs.posed(0.0, 0.0, raised["crate"], yaw=0.6)),
+        rigs.solid("can", Cylinder(0.035, 0.1), rigs.posed(0.3, 0.1, raised["can"], yaw=-0.4)),
+        rigs.solid("slab", rigs.box(0.25, 0.15, 0.02), rigs.posed(-0.3, 0.2, raised["slab"], yaw=1.2), 0.6),
+        rigs.wedge("wedge", rigs.posed(0.1, -0.3, raised["wedge"], yaw=0.9)),
+    )
+
+
+def settled_position() -> Measurement:
+    """How far the worst of four things ends from where it should lie, after a fall of 5 mm [mm]."""
+    scene = _dropped()
+    moments = yield Trial(scene, Run(2.0, 2.0))
+    last = moments[-1]
+    off = [last.pose(n).p - [*scene.object(n).X_WO.p[:2], z] for n, z in _RESTING.items()]
+    return float(max(np.linalg.norm(d) for d in off)) * 1000
+
+
+def settled_rotation() -> Measurement:
+    """How far the worst of four things has turned after a fall of 5 mm [deg]."""
+    scene = _dropped()
+    moments = yield Trial(scene, Run(2.0, 2.0))
+    return math.degrees(max(moments[-1].pose(n).angle_to(scene.object(n).X_WO) for n in _RESTING))
+
+
+BEHAVIOURS: tuple[Behaviour, ...] = (
+    Behaviour("free_fall", "free fall, of g t²/2", "", 1.0, 1e-3, "one step of 3 s is 0.07 %", free_fall),
+    Behaviour("slip_angle", "box slips at", "deg", _SLIP, 1.0, "the bar; steps of 0.14 degrees", slip_angle),
+    Behaviour("period", "pendulum period", "s", _PERIOD, 0.01 * _PERIOD, "1 %, the bar", pendulum_period),
+    Behaviour("decay", "damped swings die at", "1/s", _RATE, 0.02 * _RATE, "2 %, the bar", damped_decay),
+    Behaviour("restitution", "ball rebounds at", "", 0.6, 0.03, "one step of the fall is 0.02", rebound),
+    Behaviour("limit", "joint limit exceeded by", "mm", 0.0, 5.0, "limits are springs in most engines", limit_holds),
+    Behaviour("friction_holds", "held joint sinks", "mm", 0.0, 1.0, "1 mm/s is invisible", friction_holds),
+    Behaviour("friction_slips", "slipping joint accelerates", "m/s²", _WEIGHT - 6.0, 0.05 * (_WEIGHT - 6.0),
+              "5 %: one step of 1 s, and soft friction", friction_slips),
+    Behaviour("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
+              0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as of the decay", damped_friction),
+    Behaviour("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
+              settled_position),
+    Behaviour("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "so any two engines are within 1 degree",
+              settled_rotation),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Known:
+    """What an engine is known to do instead: the value lies from ``low`` to ``high``, because of ``reason``."""
+
+    low: float
+    high: float
+    reason: str
+
+
+_AVERAGE = math.degrees(math.atan((MU_BOX + MU_RAMP) / 2))
+_HARMONIC = math.degrees(math.atan(2 * MU_BOX * MU_RAMP / (MU_BOX + MU_RAMP)))
+_LARGER = math.degrees(math.atan(MU_RAMP))
+_FREE_MM = 500 * rigs.GRAVITY
+
+KNOWN: dict[tuple[str, str], Known] = {
+    ("pybullet", "restitution"): Known(0.45, 0.75, "Bullet acts on an impact at whole steps"),
+    ("newton-usd", "restitution"): Known(0.0, 0.15, "Newton's MuJoCo solver takes no restitution from USD"),
+    ("newton-usd", "slip_angle"): Known(_LARGER - 1, _LARGER + 1, "takes the larger friction of a pair"),
+    ("sapien", "restitution"): Known(0.62, 0.68, "takes the average restitution of a pair"),
+    ("sapien", "slip_angle"): Known(_AVERAGE - 1, _AVERAGE + 1, "takes the average friction of a pair"),
+    ("sapien", "damped_friction"): Known(2.40, 2.50, "no Coulomb friction in a joint that is damped"),
+    ("drake", "restitution"): Known(0.0, 0.05, "Drake has no restitution"),
+    ("drake", "slip_angle"): Known(_HARMONIC - 1, _HARMONIC + 1, "takes the harmonic mean friction of a pair"),
+    ("drake", "friction_holds"): Known(0.99 * _FREE_MM, 1.01 * _FREE_MM, "Drake has no Coulomb friction of joints"),
+    ("drake", "friction_slips"): Known(9.71, 9.91, "Drake has no Coulomb friction of joints"),
+    ("drake", "damped_friction"): Known(2.40, 2.50, "Drake has no Coulomb friction of joints"),
+}
+"""What each engine cannot do, by engine and behaviour, with its size. An engine that does better than this passes."""

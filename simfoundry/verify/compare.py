@@ -1,0 +1,282 @@
+"""What an engine holds against what the scene says: every quantity equal, or named in the loss report.
+
+Equal is within 1e-5, relative to the quantity or to a floor below which it is too small to matter. Single precision, in
+which USD, PhysX and Newton count, is a hundred times finer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.scene.model import Scene
+from simfoundry.verify.engines import Engine, Gap
+from simfoundry.verify.expected import expected_facts, static_links
+from simfoundry.verify.facts import ColliderFacts, Facts, JointFacts, LinkFacts, Numbers, pose_of
+
+TOLERANCE = 1e-5
+
+FLOORS = {
+    "mass": 1e-3,
+    "com": 0.01,
+    "inertia": 1e-9,
+    "position": 1.0,
+    "rotation": 1.0,
+    "bounds": 0.1,
+    "friction": 0.1,
+    "restitution": 0.1,
+    "axis": 1.0,
+    "limits": 1.0,
+    "damping": 1e-3,
+    "joint friction": 1e-3,
+    "armature": 1e-4,
+    "joint position": 1.0,
+    "gravity": 1.0,
+}
+"""Where relative turns into absolute: kg, m, kg m^2, m, rad, and what joints and surfaces have."""
+
+SKIN_M = 2.5e-3
+"""How far an approximated collision shape may stand from the scene's [m]: Bullet's skin, at both ends and a corner."""
+
+_WELDED = ("mass", "com", "inertia")
+"""What an engine need not keep of a link that can never move."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A quantity of ``name`` that an engine holds otherwise; ``covered`` is the loss or the gap that says so."""
+
+    name: str
+    quantity: str
+    expected: Any
+    got: Any
+    error: float
+    covered: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping; an error that is no number is left out."""
+        return asdict(self) | {"error": self.error if math.isfinite(self.error) else None}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How many quantities were compared, those that differ without a reason, those with one, and stale losses."""
+
+    compared: int
+    mismatches: tuple[Difference, ...]
+    covered: tuple[Difference, ...]
+    stale: tuple[str, ...] = field(default=())
+
+
+def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) -> Comparison:
+    """Hold what an engine says against the scene; ``losses`` are those of the target that it read."""
+    lost = [loss for loss in losses if loss.fidelity in (Fidelity.APPROXIMATED, Fidelity.DROPPED)]
+    checker = _Checker(expected_facts(scene, engine.target), facts, static_links(scene))
+    checker.run()
+    mismatches, covered = [], []
+    used: set[str] = set()
+    for difference, keys in checker.found:
+        loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected)), None)
+        gap = next((g for g in engine.gaps if g.quantity == difference.quantity), None)
+        used |= {lo.path for lo in lost if lo.path in keys}
+        reason = loss.reason if loss is not None else _gap_reason(gap, difference)
+        if reason:
+            covered.append(Difference(**{**asdict(difference), "covered": reason}))
+        else:
+            mismatches.append(difference)
+    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo.path, engine, checker)]
+    return Comparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
+
+
+def _gap_reason(gap: Gap | None, difference: Difference) -> str:
+    """A gap is a quantity that the engine has none of, or that is off by no more than a stated size."""
+    if gap is None:
+        return ""
+    if gap.size > 0 and difference.got is not None:
+        off = float(np.abs(np.asarray(difference.expected) - np.asarray(difference.got)).max())
+        return f"{gap.reason} (up to {gap.size:g})" if off <= gap.size else ""
+    return gap.reason if not difference.got else ""
+
+
+class _Checker:
+    """Walks both facts and collects what differs, with the paths under which a loss report may name it."""
+
+    def __init__(self, expected: Facts, got: Facts, static: set[str]) -> None:
+        self.expected, self.got, self.static = expected, got, static
+        self.compared = 0
+        self.checked: set[str] = set()
+        self.untold: set[str] = set()
+        self.found: list[tuple[Difference, frozenset[str]]] = []
+
+    def run(self) -> None:
+        """Names first, then every quantity."""
+        self._names("link", self.expected.links, self.got.links)
+        self._names("joint", self.expected.joints, self.got.joints)
+        for name in [n for n in self.expected.links if n in self.got.links]:
+            self._link(name, self.expected.links[name], self.got.links[name])
+        for name in [n for n in self.expected.joints if n in self.got.joints]:
+            self._joint(name, self.expected.joints[name], self.got.joints[name])
+        self._numbers("world", "gravity", self.expected.gravity, self.got.gravity, frozenset({"gravity"}))
+        if self.got.pairs is not None:
+            self._pairs(self.expected.pairs or {}, self.got.pairs)
+
+    def _names(self, kind: str, expected: Mapping[str, object], got: Mapping[str, object]) -> None:
+        self.compared += len(expected)
+        for name in sorted(set(expected) ^ set(got)):
+            there, here = (name, None) if name in expected else (None, name)
+            self._add(name, kind, there, here, math.inf, _keys(name, kind))
+
+    def _link(self, name: str, expected: LinkFacts, got: LinkFacts) -> None:
+        if expected.pose is not None and got.pose is not None:
+            self._pose(name, expected.pose, got.pose)
+        for quantity in _WELDED:
+            wanted, held = getattr(expected, quantity), getattr(got, quantity)
+            if held is None and name in self.static:
+                continue
+            self._numbers(name, quantity, wanted, held, _keys(name, quantity), required=True)
+        if got.colliders is not None:
+            self._colliders(name, expected.colliders or (), got.colliders)
+
+    def _pose(self, name: str, expected: Numbers, got: Numbers) -> None:
+        there, here = pose_of(expected), pose_of(got)
+        keys = _keys(name, "pose")
+        self._numbers(name, "position", expected[:3], got[:3], keys)
+        self._count(name, "rotation", expected[3:], got[3:], there.angle_to(here), keys)
+
+    def _colliders(self, link: str, expected: Sequence[ColliderFacts], got: Sequence[ColliderFacts]) -> None:
+        self.compared += 1
+        if len(expected) != len(got):
+            self._add(link, "colliders", len(expected), len(got), math.inf, _keys(link, "colliders"))
+            return
+        by_name = {c.name: c for c in got}
+        named = all(c.name is not None for c in got)
+        for there, unnamed in zip(expected, got, strict=True):
+            here = by_name.get(there.name) if named else unnamed
+            name = f"{link}.{there.name}"
+            if here is None:
+                self._add(name, "collider", there.name, None, math.inf, _keys(link, "collider", str(there.name)))
+                continue
+            self._kind(name, link, there, here)
+            for quantity in ("bounds", "friction", "restitution"):
+                keys = _keys(link, quantity, str(there.name))
+                self._numbers(name, quantity, getattr(there, quantity), getattr(here, quantity), keys)
+
+    def _kind(self, name: str, link: str, expected: ColliderFacts, got: ColliderFacts) -> None:
+        if got.kind is None:
+            return
+        self.compared += 1
+        if expected.kind != got.kind:
+            keys = _keys(link, "colliders", str(expected.name))
+            self._add(name, "shape", expected.kind, got.kind, math.inf, keys)
+
+    def _joint(self, name: str, expected: JointFacts, got: JointFacts) -> None:
+        if got.type is not None:
+            self.compared += 1
+            if expected.type != ("revolute" if got.type == "continuous" else got.type):
+                self._add(name, "type", expected.type, got.type, math.inf, _joint_keys(name, "type"))
+                return
+        for quantity in ("axis", "limits", "damping", "friction", "armature", "position"):
+            label = f"joint {quantity}" if quantity in ("friction", "position") else quantity
+            wanted, held = getattr(expected, quantity), getattr(got, quantity)
+            self._numbers(name, label, wanted, held, _joint_keys(name, quantity))
+
+    def _pairs(self, expected: Mapping[str, float], got: Mapping[str, float]) -> None:
+        """Pairs that the engine leaves to its own rule have no entry; those with equal frictions need none."""
+        surfaces = {
+            f"{link}.{c.name}": c.friction for link, facts in self.expected.links.items() for c in facts.colliders or ()
+        }
+        for pair in sorted(set(expected) | set(got)):
+            a, b = pair.split("|")
+            wanted = expected.get(pair)
+            if wanted is None and a in surfaces and b in surfaces:
+                wanted = math.sqrt((surfaces[a] or 0.0) * (surfaces[b] or 0.0))
+            name = pair.replace("|", " and ")
+            self._numbers(name, "friction", wanted, got.get(pair), frozenset({"friction"}), required=True)
+
+    def _numbers(
+        self, name: str, quantity: str, expected: object, got: object, keys: frozenset[str], required: bool = False
+    ) -> None:
+        """Compare scalars or vectors; what an engine does not tell is passed over, unless it is required."""
+        if got is None or expected is None:
+            self.untold |= keys
+            if required and (got is None) != (expected is None):
+                self.compared += 1
+                self._add(name, quantity, expected, got, math.inf, keys)
+            return
+        there, here = np.asarray(expected, dtype=np.float64), np.asarray(got, dtype=np.float64)
+        if there.shape != here.shape:
+            self.compared += 1
+            self._add(name, quantity, expected, got, math.inf, keys)
+            return
+        error = float(np.linalg.norm(here - there)) / max(float(np.linalg.norm(there)), FLOORS[quantity])
+        self._count(name, quantity, expected, got, error, keys)
+
+    def _count(
+        self, name: str, quantity: str, expected: object, got: object, error: float, keys: frozenset[str]
+    ) -> None:
+        self.compared += 1
+        self.checked |= keys
+        if not error <= TOLERANCE:  # NaN is a difference, too
+            self._add(name, quantity, expected, got, error, keys)
+
+    def _add(self, name: str, quantity: str, expected: object, got: object, error: float, keys: frozenset[str]) -> None:
+        self.checked |= keys
+        self.found.append((Difference(name, quantity, expected, got, error), keys))
+
+
+def _joint_keys(name: str, quantity: str) -> frozenset[str]:
+    """The paths that name a quantity of a joint: not those of its object, whose friction is that of its surfaces."""
+    return frozenset({name.partition(".")[0], name, f"{name}.{quantity}"})
+
+
+def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
+    """The paths that name a quantity of a link in a loss report, of its object, or of one of its colliders."""
+    item = name.partition(".")[0]
+    keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
+    if part:
+        keys |= {f"{name}.{part}", f"{name}.{part}.{quantity}", f"{item}.colliders", f"{name}.colliders"}
+        if quantity in ("friction", "restitution"):
+            keys -= {f"{item}.colliders", f"{name}.colliders"}
+    return frozenset(keys)
+
+
+def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: Facts) -> bool:
+    """Whether a loss speaks of a difference; one that approximates covers no more than it says."""
+    path = loss.path
+    if loss.fidelity is Fidelity.DROPPED:
+        return path in keys or path == difference.quantity
+    if path not in keys:
+        return False
+    if difference.quantity == "bounds":
+        off = np.abs(np.asarray(difference.expected) - np.asarray(difference.got))
+        return bool(off.max() <= SKIN_M)
+    if difference.quantity in ("friction", "restitution"):
+        return _one_for_all(difference, expected)
+    return True
+
+
+def _one_for_all(difference: Difference, expected: Facts) -> bool:
+    """Whether a coefficient lies among those of the link, for which it may stand."""
+    link = difference.name.rpartition(".")[0]
+    colliders = expected.links[link].colliders or () if link in expected.links else ()
+    values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
+    slack = TOLERANCE
+    return bool(values) and min(values) - slack <= float(difference.got) <= max(values) + slack
+
+
+def _should_show(path: str, engine: Engine, checker: _Checker) -> bool:
+    """Whether a loss is of something that was compared here, so that it should have been seen."""
+    quantity = path.rpartition(".")[2]
+    seen = path in checker.checked and path not in checker.untold
+    return "." in path and seen and quantity not in engine.by_loader
+
+
+def gaps_of(engine: Engine) -> Iterator[str]:
+    """The gaps of an engine, as sentences."""
+    for gap in engine.gaps:
+        yield f"{gap.quantity}: {gap.reason}"

@@ -1,0 +1,156 @@
+"""What an engine says about a build that it loaded, in the scene's terms, and as JSON between processes.
+
+None stands for what an engine does not tell, or does not keep. Numbers are SI; poses are ``[x, y, z, qw, qx, qy, qz]``.
+A link goes by the object's name where it is the root, else by ``object.link``; a joint by ``object.joint``. Only numpy
+is needed here: this runs beside each engine, in whatever environment it lives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from simfoundry.scene.frames import Array, Pose
+
+Numbers = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ColliderFacts:
+    """One collision shape.
+
+    ``name`` is the collider's in its link, None where the engine forgets it; then shapes are told apart by their order.
+    ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``; ``bounds`` the low and the high corner of
+    the box about it along the axes of the link [m]; ``friction`` and ``restitution`` those of the surface, before any
+    rule for a pair.
+    """
+
+    name: str | None = None
+    kind: str | None = None
+    bounds: Numbers | None = None
+    friction: float | None = None
+    restitution: float | None = None
+
+
+@dataclass(frozen=True)
+class LinkFacts:
+    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row by row."""
+
+    pose: Numbers | None = None
+    mass: float | None = None
+    com: Numbers | None = None
+    inertia: Numbers | None = None
+    colliders: tuple[ColliderFacts, ...] | None = None
+
+
+@dataclass(frozen=True)
+class JointFacts:
+    """A joint that moves; ``axis`` in the child link's frame; ``limits`` is empty where the engine says there are none.
+
+    A revolute joint without limits may read back as continuous, and the other way round.
+    """
+
+    type: str | None = None
+    axis: Numbers | None = None
+    limits: Numbers | None = None
+    damping: float | None = None
+    friction: float | None = None
+    armature: float | None = None
+    position: float | None = None
+
+
+@dataclass(frozen=True)
+class Facts:
+    """All that an engine says about a world; ``pairs`` are the frictions that it holds for pairs of colliders.
+
+    A pair is ``link.collider`` and ``link.collider`` in alphabetical order, with a bar between.
+    """
+
+    links: Mapping[str, LinkFacts] = field(default_factory=dict)
+    joints: Mapping[str, JointFacts] = field(default_factory=dict)
+    gravity: Numbers | None = None
+    pairs: Mapping[str, float] | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Facts:
+        """What :meth:`to_json` wrote."""
+        links = {name: _link(entry) for name, entry in data["links"].items()}
+        joints = {name: JointFacts(**_tuples(entry)) for name, entry in data["joints"].items()}
+        gravity = data.get("gravity")
+        return cls(links, joints, None if gravity is None else tuple(gravity), data.get("pairs"))
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where everything is at a time [s]: poses of the objects, positions of the joints [rad or m]."""
+
+    time: float
+    poses: Mapping[str, Numbers]
+    joints: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Moment:
+        """What :meth:`to_json` wrote."""
+        return cls(data["time"], {k: tuple(v) for k, v in data["poses"].items()}, data["joints"])
+
+    def pose(self, name: str) -> Pose:
+        """The pose of an object in the world."""
+        return pose_of(self.poses[name])
+
+
+def numbers(values: object) -> Numbers:
+    """A tuple of floats from anything like an array, flattened."""
+    return tuple(float(v) for v in np.asarray(values, dtype=np.float64).ravel())
+
+
+def pose_numbers(pose: Pose) -> Numbers:
+    """A pose as seven numbers."""
+    return (*numbers(pose.p), *numbers(pose.q))
+
+
+def pose_of(values: Sequence[float]) -> Pose:
+    """The pose that seven numbers stand for."""
+    return Pose.of(values[:3], values[3:])
+
+
+def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:
+    """The box about a primitive along the link's axes: box ``x y z``; sphere ``r``; cylinder and capsule ``r h``."""
+    r = X_LG.rotation
+    match kind:
+        case "box":
+            half = np.abs(r) @ (np.asarray(size, dtype=np.float64) / 2)
+        case "sphere":
+            half = np.full(3, float(size[0]))
+        case "cylinder":
+            along = np.abs(r[:, 2])
+            half = along * size[1] / 2 + size[0] * np.sqrt(np.maximum(0.0, 1 - along**2))
+        case _:
+            half = np.abs(r[:, 2]) * size[1] / 2 + size[0]
+    return numbers([X_LG.p - half, X_LG.p + half])
+
+
+def mesh_bounds(vertices: Array, X_LG: Pose) -> Numbers:
+    """The box about vertices, shape (n, 3), along the link's axes."""
+    points = X_LG.apply(np.asarray(vertices, dtype=np.float64))
+    return numbers([points.min(axis=0), points.max(axis=0)])
+
+
+def _link(entry: Mapping[str, Any]) -> LinkFacts:
+    parts = entry.get("colliders")
+    colliders = None if parts is None else tuple(ColliderFacts(**_tuples(part)) for part in parts)
+    return LinkFacts(**{**_tuples(entry), "colliders": colliders})
+
+
+def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}

@@ -1,0 +1,36 @@
+"""A picture of each scene for the report, from MuJoCo where a GL driver is, else from the ray caster."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from simfoundry.scene.frames import look_at
+from simfoundry.scene.model import Camera, Scene
+from simfoundry.scene.summary import world_bounds
+
+WIDTH, HEIGHT = 480, 300
+_FIELD_DEG = 40.0
+
+
+def picture(scene: Scene) -> bytes:
+    """A PNG of the scene: through its first camera, made small, or else from a corner above all that is free."""
+    from simfoundry.worlds.compare import png_bytes
+    from simfoundry.worlds.gl import choose_engine
+    from simfoundry.worlds.render import render
+
+    return png_bytes(render(scene, overview(scene), engine=choose_engine("auto")))
+
+
+def overview(scene: Scene) -> Camera:
+    """A camera that sees everything that is free to move, or everything where nothing is."""
+    free = [o for o in scene.objects if not o.fixed] or list(scene.objects)
+    corners = [np.stack(world_bounds(o, o.X_WO)) for o in free]
+    low = np.min([c[0] for c in corners], axis=0) if corners else np.zeros(3)
+    high = np.max([c[1] for c in corners], axis=0) if corners else np.ones(3)
+    center, radius = (low + high) / 2, max(0.1, float(np.linalg.norm(high - low)) / 2)
+    distance = radius / math.sin(math.radians(_FIELD_DEG) / 2)
+    eye = center + distance * np.array([-0.62, -0.42, 0.66])
+    f = HEIGHT / 2 / math.tan(math.radians(_FIELD_DEG) / 2)
+    return Camera("overview", WIDTH, HEIGHT, f, f, WIDTH / 2 - 0.5, HEIGHT / 2 - 0.5, look_at(eye, center))

@@ -1,0 +1,168 @@
+"""Readers in processes of their own, so that a crash or a hang of an engine is an answer and not the end."""
+
+from __future__ import annotations
+
+import json
+import queue
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import simfoundry
+from simfoundry.verify.facts import Facts, Moment
+
+_PACKAGE = Path(simfoundry.__file__).resolve().parent
+
+# Only this package is handed over: the folder that it is installed in may hold packages for another Python.
+_START = (
+    "import importlib.util as u, sys; i, d = sys.argv[1:3]; "
+    "s = u.spec_from_file_location('simfoundry', i, submodule_search_locations=[d]); "
+    "m = sys.modules['simfoundry'] = u.module_from_spec(s); s.loader.exec_module(m); "
+    "from simfoundry.verify.reader import main; sys.exit(main(sys.argv[3:]))"
+)
+
+PROBE_S = 60.0
+TIMEOUT_S = 180.0
+"""Seconds that an engine has for one build, its start included."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """How long to step a build [s], and how often to write down where things are [s]."""
+
+    seconds: float
+    every: float
+
+
+@dataclass(frozen=True)
+class Job:
+    """A build folder to read, and to step where ``run`` says so."""
+
+    build: Path
+    run: Run | None = None
+
+    def line(self) -> str:
+        """The job as the reader takes it."""
+        run = None if self.run is None else {"seconds": self.run.seconds, "every": self.run.every}
+        return json.dumps({"build": str(self.build.resolve()), "run": run}) + "\n"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a reader says to a job: facts, or moments where it ran; else ``error`` says what went wrong."""
+
+    facts: Facts | None
+    moments: tuple[Moment, ...]
+    error: str
+    seconds: float
+
+
+def command(python: Path, *arguments: str) -> list[str]:
+    """The command that runs the reader of this package under another interpreter."""
+    return [str(python), "-c", _START, str(_PACKAGE / "__init__.py"), str(_PACKAGE), *arguments]
+
+
+def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
+    """Which of ``module:distribution`` an interpreter can find, with versions."""
+    done = subprocess.run(
+        command(python, "--probe", *modules), capture_output=True, text=True, timeout=PROBE_S, check=True
+    )
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def ask(
+    python: Path,
+    engine: str,
+    jobs: Sequence[Job],
+    timeout: float = TIMEOUT_S,
+    report: Callable[[int], None] = lambda done: None,
+) -> list[Answer]:
+    """The answers of one engine to jobs, in order; ``report`` hears how many are done.
+
+    One process serves all of them. When it dies or hangs, that job's answer says so and a new one goes on from there.
+    """
+    answers: list[Answer] = []
+    while len(answers) < len(jobs):
+        for answer in _serve(python, engine, jobs[len(answers) :], timeout):
+            answers.append(answer)
+            report(len(answers))
+    return answers
+
+
+def _serve(python: Path, engine: str, jobs: Sequence[Job], timeout: float) -> Iterator[Answer]:
+    """Answers of one process, up to and including the job at which it failed."""
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(
+            command(python, engine), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
+        )
+        assert process.stdin is not None and process.stdout is not None
+        lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        threading.Thread(target=_listen, args=(process.stdout, lines), daemon=True).start()
+        try:
+            for job in jobs:
+                answer, alive = _one(process, lines, job, timeout, log)
+                yield answer
+                if not alive:
+                    return
+        finally:
+            process.kill()
+            process.wait()
+
+
+def _one(
+    process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: Job, timeout: float, log: IO[bytes]
+) -> tuple[Answer, bool]:
+    """The answer to a job, and whether the process can take another."""
+    start = time.monotonic()
+    try:
+        assert process.stdin is not None
+        process.stdin.write(job.line())
+        process.stdin.flush()
+        line = lines.get(timeout=timeout)
+    except queue.Empty:
+        return _failure(f"gave no answer in {timeout:g} s", log, start), False
+    except OSError:  # a broken pipe: it died before it could read
+        line = None
+    if line is None:
+        return _failure(_how_it_ended(process), log, start), False
+    data = json.loads(line)
+    seconds = time.monotonic() - start
+    if "error" in data:
+        return Answer(None, (), data["error"], seconds), True
+    return _decoded(data, seconds), True
+
+
+def _decoded(data: dict[str, Any], seconds: float) -> Answer:
+    facts = None if data["facts"] is None else Facts.from_json(data["facts"])
+    return Answer(facts, tuple(Moment.from_json(m) for m in data["moments"]), "", seconds)
+
+
+def _listen(stream: IO[str], lines: queue.SimpleQueue[str | None]) -> None:
+    for line in stream:
+        lines.put(line)
+    lines.put(None)
+
+
+def _how_it_ended(process: subprocess.Popen[str]) -> str:
+    code = process.wait()
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        return f"crashed: {signal.Signals(-code).name}"
+    except ValueError:
+        return f"crashed: signal {-code}"
+
+
+def _failure(what: str, log: IO[bytes], start: float) -> Answer:
+    """What happened, and the last thing that the engine said."""
+    log.seek(0)
+    said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
+    last = f"; it said: {said[-1][:200]}" if said else ""
+    return Answer(None, (), what + last, time.monotonic() - start)

@@ -1,0 +1,79 @@
+"""Read builds with one engine, in a process of its own: ``python -m simfoundry.verify.reader ENGINE``.
+
+Jobs come as lines of JSON on standard input, ``{"build": FOLDER, "run": null | {"seconds": s, "every": s}}``; each is
+answered by one line on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints
+goes to standard error. ``--probe`` says, as a line of JSON, which engines this interpreter could import, with versions.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from simfoundry.verify.readers import READERS, Session, open_build
+
+
+def main(arguments: list[str]) -> int:
+    """Answer every job; 0 unless the call itself is wrong."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # engines greet, warn and log where answers go
+    if arguments[:1] == ["--probe"]:
+        print(json.dumps(probe(arguments[1:])), file=answers, flush=True)
+        return 0
+    if len(arguments) != 1 or arguments[0] not in READERS:
+        print(f"name one engine: {', '.join(READERS)}", file=sys.stderr)
+        return 2
+    for line in sys.stdin:
+        print(json.dumps(answer(arguments[0], json.loads(line))), file=answers, flush=True)
+    return 0
+
+
+def probe(packages: list[str]) -> dict[str, str]:
+    """The versions of those ``module:distribution`` that can be found here, without importing any."""
+    found = {}
+    for entry in packages:
+        module, _, distribution = entry.partition(":")
+        try:
+            if importlib.util.find_spec(module) is None:
+                continue
+            found[entry] = importlib.metadata.version(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            found[entry] = "unknown"
+        except (ImportError, ValueError):
+            continue
+    return found
+
+
+def answer(engine: str, job: dict[str, Any]) -> dict[str, Any]:
+    """What the engine holds of a build, and where things are while it runs."""
+    try:
+        session = open_build(engine, Path(job["build"]))
+    except Exception as error:  # whatever the engine says against the build is the answer
+        return {"error": f"{type(error).__name__}: {error}"}
+    try:
+        moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
+        return {"facts": None if moments else session.facts().to_json(), "moments": moments}
+    except Exception as error:
+        return {"error": f"{type(error).__name__}: {error}"}
+    finally:
+        session.close()
+
+
+def run(session: Session, seconds: float, every: float) -> list[dict[str, Any]]:
+    """Where things are at the start and then about every ``every`` seconds, at whole steps."""
+    steps, stride = round(seconds / session.timestep), max(1, round(every / session.timestep))
+    moments = [session.moment(0.0).to_json()]
+    for k in range(1, steps + 1):
+        session.step()
+        if k % stride == 0 or k == steps:
+            moments.append(session.moment(k * session.timestep).to_json())
+    return moments
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,155 @@
+"""A Newton model, however it was made, and how it is read and stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import newton
+import numpy as np
+import warp as wp
+
+from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.verify.facts import (
+    ColliderFacts,
+    Facts,
+    JointFacts,
+    LinkFacts,
+    Moment,
+    Numbers,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+from simfoundry.verify.readers import TIMESTEP
+
+NO_LIMIT = 1e9
+"""Newton writes limits beyond this for joints that have none."""
+
+_Joint, _Geo = newton.JointType, newton.GeoType
+_TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
+_KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): "cylinder",
+          int(_Geo.CAPSULE): "capsule", int(_Geo.MESH): "mesh", int(_Geo.CONVEX_MESH): "mesh"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Names:
+    """How the labels of an importer say which link, collider and joint of the scene they stand for.
+
+    ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
+    the importer adds. ``static`` are poses of links that Newton merged into the world.
+    """
+
+    link: Callable[[str], str]
+    collider: Callable[[str], tuple[str, str] | None]
+    joint: Callable[[str], str | None]
+    static: Mapping[str, Pose]
+
+
+class NewtonSession:
+    """A model on the CPU, stepped by Newton's MuJoCo solver, which is the one of its solvers for articulated scenes."""
+
+    timestep = TIMESTEP
+
+    def __init__(self, model: newton.Model, names: Names) -> None:
+        self.model, self.names = model, names
+        self._bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
+        self._kinds = [int(k) for k in _array(model.joint_type)]
+        labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
+        self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
+        self._q_start, self._qd_start = _array(model.joint_q_start), _array(model.joint_qd_start)
+        self._state, self._next = model.state(), model.state()
+        if self._bodies:
+            newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
+        self._control = model.control()
+        self._solver: newton.solvers.SolverBase | None = None
+
+    def step(self) -> None:
+        """One step; contacts are MuJoCo's own, as everywhere with this solver."""
+        if self._solver is None:
+            self._solver = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True, enable_multiccd=True)
+        self._state.clear_forces()
+        self._solver.step(self._state, self._next, self._control, None, self.timestep)
+        self._state, self._next = self._next, self._state
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots from the bodies, positions of the joints from the generalised ones."""
+        q = _array(self._state.joint_q)
+        poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
+        return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
+
+    def facts(self) -> Facts:
+        """Bodies, static links and joints."""
+        model, poses, colliders = self.model, self._poses(), self._colliders()
+        mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
+        links = {
+            name: LinkFacts(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
+                            tuple(colliders.get(name, ())))
+            for name, k in self._bodies.items()
+        }  # fmt: skip
+        links |= {n: LinkFacts(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
+                  self.names.static.items() if n not in links}  # fmt: skip
+        joints = {name: self._joint(k) for name, k in self._joints.items()}
+        return Facts(links, joints, numbers(model.gravity.numpy()[0]))
+
+    def close(self) -> None:
+        """Newton frees its arrays with the objects."""
+
+    def _poses(self) -> dict[str, Pose]:
+        body_q = _array(self._state.body_q)
+        return dict(self.names.static) | {name: _pose(body_q[k]) for name, k in self._bodies.items()}
+
+    def _colliders(self) -> dict[str, list[ColliderFacts]]:
+        model = self.model
+        flags, kinds, owners = model.shape_flags.numpy(), model.shape_type.numpy(), model.shape_body.numpy()
+        transforms, scales = model.shape_transform.numpy(), model.shape_scale.numpy()
+        mu, restitution = model.shape_material_mu.numpy(), model.shape_material_restitution.numpy()
+        found: dict[str, list[ColliderFacts]] = {}
+        for k, label in enumerate(model.shape_label):
+            named = self.names.collider(label)
+            if named is None or not flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES):
+                continue
+            link, name = named
+            X_LG = _pose(transforms[k])
+            if owners[k] < 0:  # merged into the world
+                X_LG = self.names.static[link].inverse() @ X_LG
+            kind = _KINDS.get(int(kinds[k]), "other")
+            bounds = self._bounds(k, kind, scales[k], X_LG)
+            found.setdefault(link, []).append(ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k])))
+        return found
+
+    def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:
+        if kind == "mesh":
+            return mesh_bounds(np.asarray(self.model.shape_source[shape].vertices) * scale, X_LG)
+        size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
+        return shape_bounds(kind, size, X_LG)
+
+    def _joint(self, joint: int) -> JointFacts:
+        """Damping comes as a passive one from MJCF and as a drive's from USD."""
+        model, dof = self.model, int(self._qd_start[joint])
+        low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
+        X_CJ = _pose(model.joint_X_c.numpy()[joint])
+        return JointFacts(
+            type=_TYPES[self._kinds[joint]],
+            axis=numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
+            limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT else (),
+            damping=float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof]),
+            friction=float(model.joint_friction.numpy()[dof]),
+            armature=float(model.joint_armature.numpy()[dof]),
+            position=float(model.joint_q.numpy()[self._q_start[joint]]),
+        )
+
+
+def quiet() -> None:
+    """Warp tells of every kernel that it loads."""
+    wp.config.quiet = True
+
+
+def _array(values: wp.array | None) -> np.ndarray:
+    """The values; none where the model has no bodies or joints, for which Newton keeps no array."""
+    return np.zeros(0) if values is None else np.asarray(values.numpy())
+
+
+def _pose(transform: np.ndarray) -> Pose:
+    return Pose.of(transform[:3], from_xyzw(transform[3:]))

@@ -1,0 +1,44 @@
+"""Newton, from the usd build through its own ``load.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import newton
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from simfoundry.scene.frames import Pose
+from simfoundry.verify.readers import Session, load_module
+from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
+from simfoundry.verify.readers.usd import links
+
+
+def open_build(folder: Path) -> Session:
+    """The model of the stage; the surfaces have their own coefficients, because Newton knows no combine mode."""
+    quiet()
+    stage = load_module(folder / "load.py").load(own_friction=True, own_restitution=True)
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # else the importer passes over its attributes
+    builder.add_usd(stage)
+    return NewtonSession(builder.finalize(device="cpu"), _names(stage))
+
+
+def _names(stage: Usd.Stage) -> Names:
+    names = {str(prim.GetPath()): name for name, prim in links(stage).items()}
+    cache = UsdGeom.XformCache()
+    poses = {name: _pose(prim, cache) for name, prim in links(stage).items()}
+
+    def collider(label: str) -> tuple[str, str] | None:
+        link, _, name = label.partition("/Colliders/")
+        return (names[link], name) if name else None
+
+    def joint(label: str) -> str | None:
+        parts = label.split("/")
+        return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
+
+    return Names(names.__getitem__, collider, joint, poses)
+
+
+def _pose(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Pose:
+    return Pose.from_matrix(np.array(cache.GetLocalToWorldTransform(prim)).T)

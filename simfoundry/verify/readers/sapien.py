@@ -1,0 +1,152 @@
+"""SAPIEN (PhysX on the CPU), from the urdf build through its ``load_sapien.py``."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sapien
+from sapien import physx
+
+from simfoundry.scene.frames import Pose
+from simfoundry.verify.facts import (
+    ColliderFacts,
+    Facts,
+    JointFacts,
+    LinkFacts,
+    Moment,
+    Numbers,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+from simfoundry.verify.readers import TIMESTEP, Session, load_module
+
+_TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
+_ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
+"""From our shapes, along z, to PhysX's, along x."""
+
+_NO_LIMIT = 1e9
+
+
+def open_build(folder: Path) -> Session:
+    """The scene as its loader gives it."""
+    scene, world = load_module(folder / "load_sapien.py").load()
+    return SapienSession(scene, world, _collider_names(folder))
+
+
+def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
+    """The names of the collision shapes in the order of the files, which is PhysX's, by object and link."""
+    return {
+        (path.stem, link.get("name", "")): [c.get("name", "") for c in link.findall("collision")]
+        for path in folder.glob("*.urdf")
+        for link in ET.parse(path).getroot().findall("link")
+    }
+
+
+class SapienSession:
+    """A scene with its articulations and single bodies."""
+
+    timestep = TIMESTEP
+
+    def __init__(
+        self, scene: sapien.Scene, world: dict[str, Any], collider_names: dict[tuple[str, str], list[str]]
+    ) -> None:
+        self.scene, self.world = scene, world
+        self._names = collider_names
+        scene.timestep = self.timestep
+        self._links: dict[str, physx.PhysxRigidBaseComponent] = {}
+        self._joints: dict[str, physx.PhysxArticulationJoint] = {}
+        for name, item in world.items():
+            if isinstance(item, physx.PhysxArticulation):
+                for k, link in enumerate(item.links):
+                    self._links[name if k == 0 else f"{name}.{link.name}"] = link
+                self._joints |= {f"{name}.{joint.name}": joint for joint in item.active_joints}
+            else:
+                parts = (c for c in item.components if isinstance(c, physx.PhysxRigidBaseComponent))
+                self._links[name] = next(parts)
+
+    def step(self) -> None:
+        """One step."""
+        self.scene.step()
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots and positions of the joints."""
+        return Moment(time, {name: pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
+                      self._positions())  # fmt: skip
+
+    def facts(self) -> Facts:
+        """Links, joints, gravity."""
+        positions = self._positions()
+        return Facts(
+            links={name: self._link(name, link) for name, link in self._links.items()},
+            joints={name: _joint(joint, positions[name]) for name, joint in self._joints.items()},
+            gravity=numbers(self.scene.physx_system.config.gravity),
+        )
+
+    def close(self) -> None:
+        """SAPIEN frees the scene with the object."""
+
+    def _positions(self) -> dict[str, float]:
+        return {
+            f"{name}.{joint.name}": float(position)
+            for name, item in self.world.items()
+            if isinstance(item, physx.PhysxArticulation)
+            for joint, position in zip(item.active_joints, item.qpos, strict=True)
+        }
+
+    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkFacts:
+        """A static body has no mass in PhysX."""
+        item = name.partition(".")[0]
+        names = self._names[item, link.name]
+        colliders = tuple(_collider(n, s) for n, s in zip(names, link.collision_shapes, strict=True))
+        pose = pose_numbers(_pose(link.entity_pose))
+        if not hasattr(link, "mass"):
+            return LinkFacts(pose=pose, colliders=colliders)
+        X_LI = _pose(link.cmass_local_pose)
+        inertia = X_LI.rotation @ np.diag(np.asarray(link.inertia, dtype=np.float64)) @ X_LI.rotation.T
+        return LinkFacts(pose, float(link.mass), numbers(X_LI.p), numbers(inertia), colliders)
+
+
+def _collider(name: str, shape: physx.PhysxCollisionShape) -> ColliderFacts:
+    kind, bounds = _shape(shape)
+    material = shape.physical_material
+    return ColliderFacts(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
+
+
+def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, Numbers | None]:
+    X_LG = _pose(shape.local_pose)
+    match shape:
+        case physx.PhysxCollisionShapeBox():
+            return "box", shape_bounds("box", 2 * np.asarray(shape.half_size), X_LG)
+        case physx.PhysxCollisionShapeSphere():
+            return "sphere", shape_bounds("sphere", [shape.radius], X_LG)
+        case physx.PhysxCollisionShapeCylinder() | physx.PhysxCollisionShapeCapsule():
+            kind = "cylinder" if isinstance(shape, physx.PhysxCollisionShapeCylinder) else "capsule"
+            return kind, shape_bounds(kind, [shape.radius, 2 * shape.half_length], X_LG @ _ALONG_X.inverse())
+        case physx.PhysxCollisionShapeConvexMesh():
+            return "mesh", mesh_bounds(np.asarray(shape.vertices) * np.asarray(shape.scale), X_LG)
+    return "other", None
+
+
+def _joint(joint: physx.PhysxArticulationJoint, position: float) -> JointFacts:
+    """The loader's drive with a limited force is Coulomb friction, any other is damping."""
+    low, high = (float(v) for v in np.asarray(joint.limits).ravel())
+    holds = joint.force_limit < 1e9
+    axis = _pose(joint.pose_in_child).rotation[:, 0]
+    return JointFacts(
+        type=_TYPES.get(joint.type, "other"),
+        axis=numbers(axis),
+        limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
+        damping=0.0 if holds else float(joint.damping),
+        friction=float(joint.force_limit) if holds else 0.0,
+        armature=float(np.ravel(joint.armature)[0]),
+        position=position,
+    )
+
+
+def _pose(pose: sapien.Pose) -> Pose:
+    return Pose.of(pose.p, pose.q)

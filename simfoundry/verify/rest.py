@@ -1,0 +1,138 @@
+"""Each scene left alone for two seconds in every engine: things come to rest in the same places, or who disagrees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from simfoundry.scene.model import JointType, Scene, Sphere
+from simfoundry.verify.engines import Found
+from simfoundry.verify.facts import Moment, pose_of
+from simfoundry.verify.process import TIMEOUT_S, Job, Run, ask
+from simfoundry.verify.run import Report, Subject, Verdict
+
+LEFT_ALONE = Run(2.0, 2.0)
+
+NEAR_MM, NEAR_DEG = 1.0, 0.5
+"""How far from the others an engine may end, so that any two are within 2 mm and 1 degree."""
+
+
+@dataclass(frozen=True)
+class Rested:
+    """Where an engine left the things of a subject, held against the engine in the middle of all.
+
+    ``mm`` and ``deg`` are those of ``worst``, a thing or a joint.
+    """
+
+    subject: str
+    engine: str
+    mm: float
+    deg: float
+    worst: str
+    verdict: Verdict
+    error: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        return asdict(self) | {"verdict": self.verdict.value}
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where something ended: a point [m], and an orientation or an angle [rad]."""
+
+    point: tuple[float, ...]
+    q: tuple[float, ...] | None = None
+    angle: float = 0.0
+
+    def apart(self, other: _Place) -> tuple[float, float]:
+        """Millimetres and degrees to another."""
+        mm = 1000 * float(np.linalg.norm(np.subtract(self.point, other.point)))
+        turned = abs(self.angle - other.angle)
+        if self.q is not None and other.q is not None:
+            turned = pose_of((0, 0, 0, *self.q)).angle_to(pose_of((0, 0, 0, *other.q)))
+        return mm, math.degrees(turned)
+
+
+def settle_subjects(
+    subjects: Sequence[Subject], engines: Sequence[Found], report: Report, workers: int = 1, timeout: float = TIMEOUT_S
+) -> list[Rested]:
+    """Every subject in which something can move, in every engine that steps; nothing where that is only one."""
+    moving = [s for s in subjects if _moves(s.scene)]
+    stepping = [f for f in engines if f.engine.steps]
+    if len(stepping) < 2 or not moving:
+        return []
+
+    def one(found: Found) -> list[Moment | str]:
+        engine = found.engine
+        jobs = [Job(s.builds[engine.target], LEFT_ALONE) for s in moving]
+        answers = ask(found.python, engine.name, jobs, timeout, lambda done: report(engine.name, 1))
+        return [a.moments[-1] if a.moments else a.error for a in answers]
+
+    with ThreadPoolExecutor(max(1, workers)) as pool:
+        ends = list(pool.map(one, stepping))
+    names = [f.engine.name for f in stepping]
+    return [r for k, s in enumerate(moving) for r in judged(s, {n: e[k] for n, e in zip(names, ends, strict=True)})]
+
+
+def judged(subject: Subject, ends: Mapping[str, Moment | str]) -> list[Rested]:
+    """The verdict on each engine; ``ends`` are its last moments, or what went wrong."""
+    places = {name: _places(subject.scene, end) for name, end in ends.items() if isinstance(end, Moment)}
+    things = _things(subject.scene)
+    middle = {thing: _medoid([p[thing] for p in places.values()]) for thing in things} if places else {}
+    results = []
+    for name, end in ends.items():
+        if isinstance(end, str):
+            results.append(Rested(subject.name, name, math.nan, math.nan, "", Verdict.FAILED, end))
+            continue
+        apart = {thing: places[name][thing].apart(middle[thing]) for thing in things}
+        worst = max(things, key=lambda t: max(apart[t][0] / NEAR_MM, apart[t][1] / NEAR_DEG))
+        near = all(mm <= NEAR_MM and deg <= NEAR_DEG for mm, deg in apart.values())
+        results.append(Rested(subject.name, name, *apart[worst], worst, Verdict.OK if near else Verdict.MISMATCH))
+    return results
+
+
+def spread(scene: Scene, ends: Sequence[Moment]) -> tuple[float, float]:
+    """The most that any two engines are apart, in millimetres and degrees."""
+    places = [_places(scene, end) for end in ends]
+    pairs = [a[t].apart(b[t]) for a, b in combinations(places, 2) for t in _things(scene)]
+    return max((mm for mm, _ in pairs), default=0.0), max((deg for _, deg in pairs), default=0.0)
+
+
+def _moves(scene: Scene) -> bool:
+    return bool(_things(scene))
+
+
+def _things(scene: Scene) -> list[str]:
+    """Free objects, and joints that are neither fixed nor of more than one number."""
+    one = (JointType.REVOLUTE, JointType.CONTINUOUS, JointType.PRISMATIC)
+    free = [o.name for o in scene.objects if not o.fixed]
+    return free + [f"{o.name}.{j.name}" for o in scene.objects for j in o.joints if j.type in one]
+
+
+def _places(scene: Scene, end: Moment) -> dict[str, _Place]:
+    places = {}
+    for item in scene.objects:
+        if not item.fixed:
+            # A ball has no up side: it may have rolled on the spot.
+            ball = all(isinstance(c.geometry, Sphere) for link in item.links for c in link.colliders)
+            pose = end.poses[item.name]
+            places[item.name] = _Place(pose[:3], None if ball else pose[3:])
+        for joint in item.joints:
+            name = f"{item.name}.{joint.name}"
+            if joint.type is JointType.PRISMATIC:
+                places[name] = _Place((end.joints[name],))
+            elif name in end.joints:
+                places[name] = _Place((0.0,), angle=end.joints[name])
+    return places
+
+
+def _medoid(places: Sequence[_Place]) -> _Place:
+    """The place that is nearest to all others."""
+    return min(places, key=lambda p: sum(sum(p.apart(other)) for other in places))

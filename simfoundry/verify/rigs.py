@@ -1,0 +1,153 @@
+"""The small machines that behaviours are measured on, as lowered scenes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from simfoundry.scene.frames import Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.scene.model import (
+    Box,
+    Collider,
+    Cylinder,
+    Joint,
+    JointType,
+    Link,
+    Mesh,
+    Primitive,
+    Scene,
+    SceneObject,
+    Sphere,
+    Visual,
+)
+
+GRAVITY = 9.81
+"""m/s^2, downwards."""
+
+_GREY = frozen_array([0.6, 0.6, 0.65, 1.0])
+_BLUE = frozen_array([0.25, 0.45, 0.8, 1.0])
+
+
+def scene_of(name: str, *objects: SceneObject) -> Scene:
+    """A scene with the usual gravity."""
+    return Scene(name=name, gravity=frozen_array([0.0, 0.0, -GRAVITY]), objects=objects)
+
+
+def posed(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Pose:
+    """A pose from a position [m] and fixed-axis angles [rad]."""
+    return Pose.of([x, y, z], quat_from_rpy(roll, pitch, yaw))
+
+
+def solid(
+    name: str, shape: Primitive, X_WO: Pose, mass: float = 0.2, friction: float = 0.5, restitution: float = 0.0,
+    fixed: bool = False,
+) -> SceneObject:  # fmt: skip
+    """One primitive, solid, about its frame."""
+    link = _link("body", mass, moments(shape, mass), np.zeros(3), shape, friction, restitution)
+    return SceneObject(name, name, fixed, X_WO, (link,))
+
+
+def moments(shape: Primitive, mass: float) -> Array:
+    """Principal moments of a solid box, ball or cylinder [kg m^2], shape (3,)."""
+    match shape:
+        case Box(size=size):
+            x, y, z = size
+            return mass / 12 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+        case Sphere(radius=r):
+            return np.full(3, 0.4 * mass * r * r)
+        case Cylinder(radius=r, height=h):
+            side = mass * (3 * r * r + h * h) / 12
+            return np.array([side, side, mass * r * r / 2])
+    raise ValueError(f"no rig is made of {type(shape).__name__}")
+
+
+def box(x: float, y: float, z: float) -> Box:
+    """A box of full extents [m]."""
+    return Box(frozen_array([x, y, z]))
+
+
+def lopsided(name: str, X_WO: Pose) -> SceneObject:
+    """A ball whose centre of mass lies beside its frame, with an inertia that no axis diagonalises."""
+    turn = posed(0, 0, 0, 0.4, -0.3, 0.9).rotation
+    inertia = turn @ np.diag([2e-4, 3e-4, 4e-4]) @ turn.T
+    link = _link("body", 0.4, inertia, np.array([0.02, -0.01, 0.03]), Sphere(0.05), 0.5, 0.0)
+    return SceneObject(name, name, False, X_WO, (link,))
+
+
+def wedge(name: str, X_WO: Pose, friction: float = 0.5) -> SceneObject:
+    """A convex mesh of six vertices that lies on its largest face, 0.12 m x 0.08 m x 0.05 m."""
+    x, y, z = 0.12, 0.08, 0.05
+    vertices = np.array([[0, 0, 0], [x, 0, 0], [0, y, 0], [x, y, 0], [0, 0, z], [0, y, z]]) - [x / 3, y / 2, 0.0]
+    faces = [[0, 2, 1], [1, 2, 3], [0, 4, 2], [2, 4, 5], [0, 1, 4], [2, 5, 3], [1, 3, 4], [3, 5, 4]]
+    mesh = Mesh(frozen_array(vertices), np.array(faces, dtype=np.int32))
+    inertia = np.diag([2e-4, 2.6e-4, 3.6e-4])
+    link = Link(
+        "body", 0.24, frozen_array([0.0, 0.0, z / 3]), frozen_array(inertia),
+        (Visual("shape", mesh, _BLUE),), (Collider("shape", mesh, friction, 0.0),),
+    )  # fmt: skip
+    return SceneObject(name, name, False, X_WO, (link,))
+
+
+def ramps(degrees: Sequence[float], mu_box: float, mu_ramp: float, gap: float = 2e-4) -> Scene:
+    """A box on each of several fixed ramps, side by side along y, sliding towards -x if it slides."""
+    objects = []
+    for k, angle in enumerate(degrees):
+        X_WR = posed(0.0, 0.4 * k, 1.0, pitch=-math.radians(angle))
+        objects.append(solid(f"ramp{k}", box(2.4, 0.3, 0.06), X_WR, 20.0, mu_ramp, fixed=True))
+        X_RB = Pose.of([0.7, 0.0, 0.03 + 0.02 + gap])
+        objects.append(solid(f"box{k}", box(0.1, 0.08, 0.04), X_WR @ X_RB, 0.3, mu_box))
+    return scene_of("ramps", *objects)
+
+
+def jointed(
+    name: str, kind: JointType, axis: Sequence[float], bob: tuple[float, Array, Array], X_WO: Pose,
+    limits: tuple[float, float] | None, damping: float = 0.0, friction: float = 0.0, position: float = 0.0,
+) -> SceneObject:  # fmt: skip
+    """A mount that is fixed to the world and a bob that moves in it: ``bob`` is mass, centre of mass and inertia."""
+    mass, com, inertia = bob
+    mount = _link("mount", 1.0, moments(box(0.04, 0.04, 0.04), 1.0), np.zeros(3), box(0.04, 0.04, 0.04), 0.5, 0.0)
+    shape = box(0.03, 0.03, 0.03)
+    moving = Link(
+        "bob", mass, frozen_array(com), frozen_array(inertia),
+        (Visual("shape", shape, _BLUE, Pose.of(com)),), (Collider("shape", shape, 0.5, 0.0, Pose.of(com)),),
+    )  # fmt: skip
+    joint = Joint(
+        "joint", kind, "mount", "bob", Pose.of([0.0, 0.0, 0.0]), frozen_array(axis), limits,
+        damping=damping, friction=friction, position=position,
+    )  # fmt: skip
+    return SceneObject(name, name, True, X_WO, (mount, moving), (joint,))
+
+
+def pendulum(amplitude: float, damping: float = 0.0) -> SceneObject:
+    """A physical pendulum, 0.5 kg at 0.4 m below a hinge along y, let go at an angle [rad] from hanging."""
+    mass, length = 0.5, 0.4
+    inertia = moments(box(0.05, 0.07, 0.09), mass)
+    bob = (mass, np.array([0.0, 0.0, -length]), np.diag(inertia))
+    return jointed("pendulum", JointType.REVOLUTE, [0, 1, 0], bob, posed(0.1, -0.2, 1.0, yaw=0.7), (-1.5, 1.5),
+                   damping=damping, position=amplitude)  # fmt: skip
+
+
+def pendulum_constants() -> tuple[float, float]:
+    """Moment of inertia about the hinge [kg m^2] and restoring torque per radian [N m/rad] of :func:`pendulum`."""
+    mass, length = 0.5, 0.4
+    about_com = float(moments(box(0.05, 0.07, 0.09), mass)[1])
+    return about_com + mass * length**2, mass * GRAVITY * length
+
+
+def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 5.0) -> SceneObject:
+    """One kilogram on a vertical rail, free to fall by ``travel`` [m] from its upper end; positive is down."""
+    bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
+    return jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
+                   damping=damping, friction=friction)  # fmt: skip
+
+
+def _link(
+    name: str, mass: float, inertia: Array, com: Array, shape: Primitive, friction: float, restitution: float
+) -> Link:
+    tensor = np.diag(inertia) if np.ndim(inertia) == 1 else (inertia + inertia.T) / 2
+    return Link(
+        name, mass, frozen_array(com), frozen_array(tensor),
+        (Visual("shape", shape, _GREY),), (Collider("shape", shape, friction, restitution),),
+    )  # fmt: skip

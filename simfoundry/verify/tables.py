@@ -1,0 +1,144 @@
+"""The results as text: a table of specs by engines, one of behaviours, and what is behind every cell that is not ok."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from simfoundry.verify.behaviours import Behaviour
+from simfoundry.verify.compare import Difference
+from simfoundry.verify.engines import Engine, Found
+from simfoundry.verify.rest import Rested
+from simfoundry.verify.run import Measured, Reading, Verdict
+
+ABSENT = "not installed"
+SHOWN = 12
+"""How many differences of one subject in one engine are printed; JSON has all."""
+
+
+def reading_cell(reading: Reading) -> str:
+    """``ok``, ``ok, 3 lost``, ``2 mismatches`` or ``failed``."""
+    found = reading.comparison
+    if found is None:
+        return "failed"
+    if found.mismatches:
+        return f"{len(found.mismatches)} mismatch{'es' if len(found.mismatches) > 1 else ''}"
+    return f"ok, {len(found.covered)} lost" if found.covered else "ok"
+
+
+def readings_table(readings: Sequence[Reading], engines: Mapping[str, Found | None]) -> str:
+    """Specs down, engines across."""
+    cells = {(r.subject, r.engine): reading_cell(r) for r in readings}
+    subjects = list(dict.fromkeys(r.subject for r in readings))
+    rows = [["", *engines], *([s, *(cells.get((s, e), ABSENT) for e in engines)] for s in subjects)]
+    return _aligned(rows)
+
+
+def measured_cell(measured: Measured) -> str:
+    """The value; marked where it is known to be off, or wrong."""
+    if measured.value is None:
+        return "failed"
+    marks = {Verdict.OK: "", Verdict.KNOWN: " *", Verdict.MISMATCH: " (!)"}
+    return f"{measured.value:.4g}{marks[measured.verdict]}"
+
+
+def behaviours_table(
+    results: Sequence[Measured], behaviours: Sequence[Behaviour], engines: Mapping[str, Found | None]
+) -> str:
+    """Behaviours down, engines across; a star marks what an engine is known not to do."""
+    names = [name for name, found in engines.items() if found is not None and found.engine.steps]
+    cells = {(m.behaviour, m.engine): measured_cell(m) for m in results}
+    rows = [["", "answer", *names]]
+    for b in behaviours:
+        answer = f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip()
+        rows.append([b.title, answer, *(cells.get((b.name, n), "") for n in names)])
+    return _aligned(rows)
+
+
+def rested_cell(rested: Rested) -> str:
+    """How far an engine ends from the others."""
+    if rested.verdict is Verdict.FAILED:
+        return "failed"
+    return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is Verdict.MISMATCH else "")
+
+
+def rested_table(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> str:
+    """Specs down, engines across."""
+    names = [name for name in engines if any(r.engine == name for r in rested)]
+    cells = {(r.subject, r.engine): rested_cell(r) for r in rested}
+    subjects = dict.fromkeys(r.subject for r in rested)
+    return _aligned([["after 2 s", *names], *([s, *(cells.get((s, n), "") for n in names)] for s in subjects)])
+
+
+def details(readings: Iterable[Reading], results: Iterable[Measured], rested: Iterable[Rested] = ()) -> list[str]:
+    """A line for everything that is wrong, and for what an engine is known not to do."""
+    lines: list[str] = []
+    for reading in readings:
+        where = f"{reading.subject} in {reading.engine}"
+        if reading.comparison is None:
+            lines.append(f"{where}: {reading.error}")
+            continue
+        wrong = reading.comparison.mismatches
+        lines += [f"{where}: {difference_line(d)}" for d in wrong[:SHOWN]]
+        if len(wrong) > SHOWN:
+            lines.append(f"{where}: and {len(wrong) - SHOWN} more")
+    for m in results:
+        if m.verdict is Verdict.FAILED:
+            lines.append(f"{m.behaviour} in {m.engine}: {m.error}")
+        elif m.verdict is Verdict.MISMATCH:
+            lines.append(f"{m.behaviour} in {m.engine}: {m.value:.5g} is outside of the tolerance")
+    for r in rested:
+        if r.verdict is Verdict.FAILED:
+            lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
+        elif r.verdict is Verdict.MISMATCH:
+            away = f"{r.mm:.2f} mm and {r.deg:.2f} deg from where other engines leave it"
+            lines.append(f"{r.subject} left alone in {r.engine}: {r.worst} ends {away}")
+    return lines
+
+
+def known_lines(readings: Iterable[Reading], results: Iterable[Measured]) -> list[str]:
+    """What engines do not keep, each reason once, with how often it was seen."""
+    counts: dict[str, int] = {}
+    for reading in readings:
+        for d in reading.comparison.covered if reading.comparison else ():
+            line = f"{reading.engine}: {d.quantity}: {d.covered}"
+            counts[line] = counts.get(line, 0) + 1
+    lines = [f"{line} ({n} x)" for line, n in counts.items()]
+    return lines + [f"{m.engine}: {m.behaviour} {m.value:.4g}: {m.reason}" for m in results if m.reason]
+
+
+def stale_lines(readings: Iterable[Reading]) -> list[str]:
+    """Losses that a report claims and the engine does not show."""
+    return [
+        f"{r.subject} in {r.engine}: the loss report names {path}, but the engine holds it exactly"
+        for r in readings
+        for path in (r.comparison.stale if r.comparison else ())
+    ]
+
+
+def difference_line(d: Difference) -> str:
+    """Object, quantity, expected, got, relative error."""
+    error = f" (off by {d.error:.2g})" if d.error not in (float("inf"),) and d.error == d.error else ""
+    return f"{d.name}: {d.quantity}: expected {value_text(d.expected)}, got {value_text(d.got)}{error}"
+
+
+def value_text(value: object) -> str:
+    """A value as people read it: six digits, ``none`` for nothing."""
+    if value is None:
+        return "none"
+    if isinstance(value, list | tuple):
+        return "(" + " ".join(value_text(v) for v in value) + ")" if value else "none"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def absent_line(engine: Engine) -> str:
+    """How to get an engine that was not found."""
+    return f"{engine.name}: {ABSENT}: {engine.install}, or name its interpreter: --python {engine.family}=PATH"
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        rest = (cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))
+        lines.append("  ".join([row[0].ljust(widths[0]), *rest]).rstrip())
+    return "\n".join(lines)

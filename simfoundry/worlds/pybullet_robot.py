@@ -1,0 +1,97 @@
+"""A robot in PyBullet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.scene.robot import Gripper
+from simfoundry.worlds.robot import unknown_joint
+
+Call = Callable[..., Any]
+"""A function of PyBullet's by name, for one client; or the loader's that lets a motor hold a position."""
+
+
+class PybulletRobotHandle:
+    """A :class:`~simfoundry.worlds.robot.WorldRobot` over PyBullet: targets are those of its position motors.
+
+    ``facts`` are the robot's in ``world.json``.
+    """
+
+    def __init__(self, call: Call, hold: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
+        self._call, self._hold, self._name, self._body, self._facts = call, hold, name, body, facts
+        infos = [call("getJointInfo", body, k) for k in range(call("getNumJoints", body))]
+        self._index = {info[1].decode(): k for k, info in enumerate(infos)}
+        self._limits = {info[1].decode(): (float(info[8]), float(info[9])) for info in infos}
+        self._links = {info[12].decode(): k for k, info in enumerate(infos)}
+        self._links[call("getBodyInfo", body)[0].decode()] = -1
+        self._gripper = Gripper({}, {n: tuple(pair) for n, pair in facts["gripper"].items()}, facts["follow"])
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The arm's joints by the scene's names, in order."""
+        return tuple(self._facts["arm"])
+
+    def positions(self) -> dict[str, float]:
+        """Where the arm's joints are now [rad or m]."""
+        return {name: self._position(joint) for name, joint in self._facts["arm"].items()}
+
+    def _position(self, joint: str) -> float:
+        return float(self._call("getJointState", self._body, self._index[joint])[0])
+
+    def set_targets(self, targets: Mapping[str, float]) -> None:
+        """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
+        for name, target in targets.items():
+            if name not in self._facts["arm"]:
+                raise unknown_joint(self._name, name, self.joints)
+            self._drive(self._facts["arm"][name], target)
+
+    def _drive(self, joint: str, target: float) -> None:
+        low, high = self._limits[joint]
+        if low <= high:
+            target = min(max(target, low), high)
+        self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
+
+    def gripper(self) -> float:
+        """How far the gripper is closed, from 0, open, to 1."""
+        if not self._gripper.joints:
+            return 0.0
+        return self._gripper.closed(self._position(next(iter(self._gripper.joints))))
+
+    def set_gripper(self, closed: float) -> None:
+        """How far the gripper is to close: 0 open, 1 closed."""
+        share = min(max(closed, 0.0), 1.0)
+        for joint, (start, end) in self._gripper.joints.items():
+            if joint in self._facts["motors"]:
+                self._drive(joint, start + share * (end - start))
+
+    def frame(self, name: str) -> Pose:
+        """Pose in the world of a frame, or of a link by the model's name; a KeyError lists the links there are."""
+        known = self._facts["frames"].get(name)
+        link = known["link"] if known is not None else name
+        if link not in self._links:
+            raise KeyError(f"robot {self._name!r} has no link {link!r}; there are: {', '.join(self._links)}")
+        X_LF = Pose.of(known["p"], known["q_wxyz"]) if known is not None else Pose.of()
+        return self._link_pose(self._links[link]) @ X_LF
+
+    def _link_pose(self, index: int) -> Pose:
+        p, q = self._call("getDynamicsInfo", self._body, index)[3:5]
+        X_LI = Pose.of(p, from_xyzw(q))
+        if index == -1:
+            p, q = self._call("getBasePositionAndOrientation", self._body)
+        else:
+            p, q = self._call("getLinkState", self._body, index, computeForwardKinematics=True)[:2]
+        return Pose.of(p, from_xyzw(q)) @ X_LI.inverse()
+
+    def reset(self) -> None:
+        """Go to where the scene has it, at rest, with the motors holding it there."""
+        for name, position in self._facts["joints"].items():
+            self._call("resetJointState", self._body, self._index[name], position, 0.0)
+        for name, motor in self._facts["motors"].items():
+            self._drive(name, motor["target"])
+
+    def halt(self) -> None:
+        """Set the velocities of its joints to zero."""
+        for name in self._facts["joints"]:
+            self._call("resetJointState", self._body, self._index[name], self._position(name), 0.0)

@@ -1,0 +1,82 @@
+"""Every scene of ``specs/`` in every engine that is found: ``python -m tests.corpora.verify``.
+
+Prints what ``simfoundry verify specs/scenes`` prints, and the figures that are promised: what differs from the scene
+without the loss report saying so; slip angle, fall, period and decay of each engine; and how far any two engines are
+apart after each scene was left alone for two seconds. Engines that are not in this Python are found by
+``SIMFOUNDRY_ENGINES``, as the command does. Exit code 1 if a bar is missed.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from simfoundry.scene.lower import lower_file
+from simfoundry.verify import tables
+from simfoundry.verify.behaviours import BEHAVIOURS
+from simfoundry.verify.engines import ENGINES, Found, find, interpreters
+from simfoundry.verify.page import summary
+from simfoundry.verify.rest import Rested, settle_subjects
+from simfoundry.verify.run import Measured, Reading, Subject, Verdict, built, measure_behaviours, read_subjects
+from tests.specs.documents import SCENES
+
+HARD = ("free_fall", "slip_angle", "period", "decay", "settled_mm", "settled_deg")
+"""The behaviours that have a bar; of the others the figure is reported."""
+
+
+def main() -> int:
+    """Prove all engines that are here; returns the exit code."""
+    found = find(ENGINES, interpreters([]))
+    here = [f for f in found.values() if f is not None]
+    workers = os.cpu_count() or 1
+    with tempfile.TemporaryDirectory(prefix="simfoundry-verify-") as folder:
+        subjects = _subjects(Path(folder), here)
+        readings = read_subjects(subjects, here, _tell, workers)
+        results = measure_behaviours(BEHAVIOURS, here, _tell, workers)
+        rested = settle_subjects(subjects, here, _tell, workers)
+    for table in (
+        tables.readings_table(readings, found),
+        tables.behaviours_table(results, BEHAVIOURS, found),
+        tables.rested_table(rested, found),
+        "\n".join(tables.details(readings, results, rested)),
+        "\n".join(tables.known_lines(readings, results)),
+        "\n".join(tables.stale_lines(readings)),
+        "\n".join(tables.absent_line(e) for e in ENGINES if found[e.name] is None),
+        summary(readings, results, rested),
+    ):
+        if table:
+            print(table + "\n")
+    failures = _failures(readings, results, rested)
+    print("\n".join(failures) if failures else f"every bar is met in {', '.join(f.engine.name for f in here)}")
+    return 1 if failures else 0
+
+
+def _subjects(folder: Path, here: Sequence[Found]) -> list[Subject]:
+    targets = [f.engine.target for f in here]
+    return [
+        built(path.name.removesuffix(".scene.yaml"), lower_file(path), targets, folder / path.stem) for path in SCENES
+    ]
+
+
+def _failures(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested]) -> list[str]:
+    """A line for every bar that is missed."""
+    wrong = [r for r in readings if r.verdict in (Verdict.MISMATCH, Verdict.FAILED)]
+    lines = [f"read-back: {r.subject} in {r.engine}: {tables.reading_cell(r)}" for r in wrong]
+    lines += [
+        f"behaviour: {m.behaviour} in {m.engine}: {tables.measured_cell(m)}"
+        for m in results
+        if m.verdict is Verdict.FAILED or (m.verdict is Verdict.MISMATCH and m.behaviour in HARD)
+    ]
+    apart = [r for r in rested if r.verdict is not Verdict.OK]
+    return lines + [f"at rest: {r.subject} in {r.engine}: {tables.rested_cell(r)} {r.worst}" for r in apart]
+
+
+def _tell(*_: object) -> None:
+    print(".", end="", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""Where robots' models are found, and what happens where they are not."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from simfoundry.backends import compile_scene
+from simfoundry.scene.lower import lower_file
+from simfoundry.scene.robot import ModelFormat
+from simfoundry.scene.robot_files import NoModelError, find_model, model_files
+from simfoundry.scene.robots import OWN_MODELS, read_models
+from simfoundry.spec.robot import ROBOTS
+from tests.cli.command import run
+from tests.conftest import REPOSITORY
+
+SPECS = sorted((REPOSITORY / "specs" / "scenes").glob("*.scene.yaml"))
+WITH_ROBOTS = [path for path in SPECS if path.name.split(".")[0] in ("droid", "yam")]
+
+PLAIN = """\
+<robot name="plain">
+  <link name="base"/>
+  <link name="tip"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+  <joint name="turn" type="revolute">
+    <parent link="base"/><child link="tip"/><limit lower="-1" upper="1" effort="5" velocity="1"/>
+  </joint>
+</robot>
+"""
+
+OBJ = "mtllib tip.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    """A URDF whose mesh has materials and a texture."""
+    (tmp_path / "pack" / "meshes").mkdir(parents=True)
+    (tmp_path / "pack" / "urdf").mkdir()
+    urdf = tmp_path / "pack" / "urdf" / "plain.urdf"
+    urdf.write_text(PLAIN.format(mesh="package://pack/meshes/tip.obj"))
+    (tmp_path / "pack" / "meshes" / "tip.obj").write_text(OBJ)
+    (tmp_path / "pack" / "meshes" / "tip.mtl").write_text("newmtl a\nmap_Kd tip.png\n")
+    (tmp_path / "pack" / "meshes" / "tip.png").write_bytes(b"png")
+    return urdf
+
+
+@pytest.mark.parametrize("name", sorted(ROBOTS))
+def test_what_is_known_of_a_robot_and_its_models_agree(name: str) -> None:
+    models = read_models(REPOSITORY / "simfoundry" / "robots" / f"{name}.yaml")
+    described = [m for m in (models.mjcf, models.urdf, models.usd) if m is not None]
+    assert described
+    for model in described:
+        assert set(model.links) == set(ROBOTS[name].links)
+        assert [f"joint{k}" for k in range(1, len(model.joints) + 1)] == list(ROBOTS[name].home)
+        assert model.gripper is not None
+        assert set(model.gripper.follow) <= {*model.gripper.joints, *model.gripper.follow}
+        assert next(iter(model.gripper.joints)) not in model.gripper.follow
+
+
+def test_a_model_names_all_its_files(plain: Path) -> None:
+    assert [path.name for path in model_files(plain)] == ["plain.urdf", "tip.obj", "tip.mtl", "tip.png"]
+    (plain.parent.parent / "meshes" / "tip.obj").unlink()
+    with pytest.raises(NoModelError, match=r"plain.urdf needs tip.obj, and .*tip.obj is not there"):
+        model_files(plain)
+
+
+def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "robot").mkdir()
+    (tmp_path / "robot" / "robot.xml").write_text("<mujoco/>")
+    (tmp_path / "robot" / "hand.xml").write_text("<mujoco/>")
+    (tmp_path / "secret.xml").write_text("<mujoco/>")
+    package, module = ModuleType("robot_descriptions"), ModuleType("robot_descriptions.toy_mj_description")
+    package.__path__ = []
+    module.__dict__.update(PACKAGE_PATH=str(tmp_path / "robot"), MJCF_PATH=str(tmp_path / "robot" / "robot.xml"))
+    monkeypatch.setitem(sys.modules, "robot_descriptions", package)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.toy_mj_description", module)
+    document = tmp_path / "a.scene.yaml"
+    toy = "robot_descriptions:toy_mj_description"
+    assert find_model(toy, document, ".xml") == (tmp_path / "robot" / "robot.xml").resolve()
+    assert find_model(f"{toy}/hand.xml", document, ".xml") == (tmp_path / "robot" / "hand.xml").resolve()
+    with pytest.raises(NoModelError, match="leaves the description"):
+        find_model(f"{toy}/../secret.xml", document, ".xml")
+    with pytest.raises(NoModelError, match="has no urdf file"):
+        find_model(toy, document, ".urdf")
+    with pytest.raises(NoModelError, match="`robot_descriptions` has no `tin_description`; update it"):
+        find_model("robot_descriptions:tin_description", document, ".xml")
+
+
+@pytest.fixture
+def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)  # as if it were not installed
+    monkeypatch.delenv(OWN_MODELS, raising=False)
+
+
+@pytest.mark.parametrize("path", WITH_ROBOTS, ids=lambda path: path.name.split(".")[0])
+@pytest.mark.usefixtures("without_models")
+def test_a_scene_compiles_without_the_models_of_its_robots(path: Path) -> None:
+    scene = lower_file(path)
+    assert scene.robots == ()
+    for target in ("mjcf", "pybullet", "urdf", "usd"):
+        losses = {loss.path: loss.reason for loss in compile_scene(scene, target).losses}
+        robots = {"droid": ["arm"], "yam": ["left", "right"]}[scene.name]
+        for robot in robots:
+            assert losses[f"robots.{robot}"].startswith("no model found: install its models with `pip install robot_")
+        carried = [path for path in losses if path.startswith("cameras.")]
+        assert len(carried) == len(robots)
+
+
+@pytest.mark.usefixtures("without_models")
+def test_strict_compiles_want_the_models(tmp_path: Path) -> None:
+    scene = str(WITH_ROBOTS[0])
+    assert run("compile", scene, "-t", "urdf", "-o", str(tmp_path / "a")).code == 0
+    assert run("compile", scene, "-t", "urdf", "-o", str(tmp_path / "b"), "--strict").code == 1
+    report = json.loads((tmp_path / "a" / "loss.json").read_text())
+    assert any("no model found" in loss["reason"] for loss in report["urdf"])
+
+
+def test_a_scene_names_its_own_robot(plain: Path, tmp_path: Path) -> None:
+    scene = tmp_path / "own.scene.yaml"
+    text = "simfoundry: scene/1\nname: own\nrobots:\n  bot:\n    model: {urdf: pack/urdf/plain.urdf}\n"
+    scene.write_text(text + "    joints: {turn: 0.25}\n    reach: 0.4\n")
+    robot = lower_file(scene).robot("bot")
+    native = robot.models[ModelFormat.URDF]
+    assert (robot.reach, robot.opening, robot.start(native)) == (0.4, None, {"turn": 0.25})
+    before = native.digest
+    (plain.parent.parent / "meshes" / "tip.png").write_bytes(b"another")
+    assert lower_file(scene).robot("bot").models[ModelFormat.URDF].digest != before
+
+
+@pytest.mark.usefixtures("plain")
+def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
+    scene = tmp_path / "own.scene.yaml"
+    text = "simfoundry: scene/1\nname: own\nrobots:\n  bot:\n    model: {urdf: pack/urdf/plain.urdf}\n"
+    scene.write_text(text + "    joints: {elbow: 0.25}\n")
+    done = run("compile", str(scene), "-t", "urdf", "-o", str(tmp_path / "out"))
+    assert done.code == 2
+    assert "robot `bot`: plain.urdf has no joint `elbow`; there are: turn" in (done.out + done.err)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mjcf: {file: a.xml, arms: 2}", "mjcf.arms: Extra inputs are not permitted; docs/robots.md has the form"),
+        ("mjcf: [", "is not a robot file"),
+        ("- 1", "the file: Input should be an object"),
+    ],
+)
+def test_a_faulty_robot_file_is_explained(
+    text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "yam.yaml").write_text(text)
+    monkeypatch.setenv(OWN_MODELS, str(tmp_path))
+    done = run("compile", str(REPOSITORY / "specs/scenes/yam.scene.yaml"), "-t", "urdf", "-o", str(tmp_path / "out"))
+    assert done.code == 2
+    assert said in (done.out + done.err)
+    assert "Traceback" not in (done.out + done.err)
+
+
+def test_an_own_model_stands_in_for_the_known_one(own_models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    robot = lower_file(REPOSITORY / "specs" / "scenes" / "yam.scene.yaml").robot("left")
+    assert robot.models[ModelFormat.MJCF].file.parent.name == "i2rt_yam_menagerie"
+    assert robot.models[ModelFormat.URDF].file.name == "yam.urdf"
+    assert (robot.reach, robot.opening) == (0.70, 0.076)

@@ -1,0 +1,153 @@
+"""Robots that move and grasp, in MuJoCo and in PyBullet."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import ModelFormat
+from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.worlds.mounted import camera_now
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from tests.conftest import REPOSITORY
+from tests.robots.reach import Reach, grasp_and_lift, move
+
+ONE_DEGREE = math.radians(1)
+
+
+def test_the_2f85_lifts_a_cube_by_friction_in_mujoco(lift: Scene) -> None:
+    world = MujocoWorld(lift)
+    arm = world.robot("arm")
+    assert arm.gripper() == pytest.approx(0, abs=0.01)
+    p, targets = grasp_and_lift(world, grasp=0.185, rise=0.12)
+    assert p[2] > 0.02 + 0.10
+    assert np.hypot(*(p[:2] - [0.5, 0.0])) < 0.03
+    assert 0.3 < arm.gripper() < 0.8  # held open by the cube
+    touching = {frozenset((c.a, c.b)) for c in world.contacts()}
+    assert frozenset(("arm", "cube")) in touching
+    assert frozenset(("desk", "cube")) not in touching
+    reached = arm.positions()
+    assert max(abs(reached[name] - target) for name, target in targets.items()) < ONE_DEGREE
+
+
+def test_the_panda_hand_lifts_a_cube_by_friction_in_pybullet(panda_lift: Scene) -> None:
+    world = _pybullet(panda_lift)
+    p, targets = grasp_and_lift(world, grasp=0.125, rise=0.15)
+    arm = world.robot("arm")
+    assert p == pytest.approx([0.5, 0.0, 0.17], abs=0.003)
+    assert arm.gripper() == pytest.approx(0.5, abs=0.05)  # half open: the cube is 4 cm wide, the hand opens by 8
+    reached = arm.positions()
+    assert max(abs(reached[name] - target) for name, target in targets.items()) < ONE_DEGREE
+    world.reset()
+    assert world.state().poses["cube"].p == pytest.approx([0.5, 0.0, 0.02])
+    assert arm.positions() == pytest.approx(dict(panda_lift.robot("arm").positions))
+    assert arm.gripper() == pytest.approx(0, abs=1e-6)
+    world.step(250)  # the motors hold it there again
+    assert arm.positions() == pytest.approx(dict(panda_lift.robot("arm").positions), abs=1e-3)
+    world.close()
+
+
+@pytest.mark.parametrize("closed", [0.0, 0.35, 1.0])
+def test_grippers_go_where_they_are_told_in_both_engines(lift: Scene, panda_lift: Scene, closed: float) -> None:
+    for world in (MujocoWorld(lift), _pybullet(panda_lift)):
+        arm = world.robot("arm")
+        arm.set_gripper(closed)
+        world.step(1000)
+        assert arm.gripper() == pytest.approx(closed, abs=0.03)
+        arm.set_gripper(7.0)  # more than closed is closed
+        world.step(1000)
+        assert arm.gripper() == pytest.approx(1.0, abs=0.03)
+        world.close()
+
+
+def test_fingers_of_the_converted_2f85_move_together_in_pybullet(lift: Scene) -> None:
+    """The closed loops of the linkage are cut; what they do is done by gears."""
+    world = _pybullet(lift)
+    arm = world.robot("arm")
+    arm.set_gripper(0.5)
+    world.step(1000)
+    body = world._robots["arm"]._body
+    index = world._robots["arm"]._index
+    at = {name: world._call("getJointState", body, k)[0] for name, k in index.items()}
+    assert at["left_driver_joint"] == pytest.approx(0.41, abs=0.01)
+    for name in ("right_driver_joint", "left_spring_link_joint", "right_follower_joint"):
+        assert at[name] == pytest.approx(at["left_driver_joint"], abs=0.01), name
+    world.close()
+
+
+def test_what_stands_in_for_the_linkage_is_what_it_does(lift: Scene) -> None:
+    world = MujocoWorld(lift)
+    world.robot("arm").set_gripper(0.9)
+    world.step(1500)
+    gripper = lift.robot("arm").models[ModelFormat.MJCF].gripper
+    assert gripper is not None
+    for name, leader in gripper.follow.items():
+        follower, lead = (world.data.joint(f"arm.{n}").qpos[0] for n in (name, leader.joint))
+        assert lead > 0.6
+        assert follower == pytest.approx(leader.multiplier * lead + leader.offset, abs=0.02), name
+
+
+def test_both_engines_have_the_hand_where_kinematics_has_it(panda_lift: Scene) -> None:
+    robot = panda_lift.robot("arm")
+    reach, q = Reach(robot), {f"joint{k}": v for k, v in enumerate([0.3, -0.5, 0.2, -2.0, 0.4, 1.9, -0.6], 1)}
+    expected = reach.hand(q)
+    mujoco, bullet = MujocoWorld(panda_lift), _pybullet(panda_lift)
+    for name, value in q.items():
+        mujoco.data.joint(f"arm.panda_{name}").qpos[0] = value
+        handle = bullet._robots["arm"]
+        bullet._call("resetJointState", handle._body, handle._index[f"panda_{name}"], value, 0.0)
+    for world in (mujoco, bullet):
+        _same_pose(world.robot("arm").frame("hand"), expected)
+        _same_pose(world.robot("arm").frame("base"), robot.X_WB)
+    bullet.close()
+
+
+def test_a_mounted_camera_is_where_the_hand_has_carried_it(panda_lift: Scene) -> None:
+    mounted = panda_lift.mounted[0]
+    q = {f"joint{k}": v for k, v in enumerate([0.3, -0.5, 0.2, -2.0, 0.4, 1.9, -0.6], 1)}
+    for world in (MujocoWorld(panda_lift), _pybullet(panda_lift)):
+        before = camera_now(world, mounted)
+        move(world, q, 2.0)
+        world.step(500)
+        now, arm = camera_now(world, mounted), world.robot("arm")
+        assert np.linalg.norm(now.X_WC.p - before.X_WC.p) > 0.1
+        _same_pose(now.X_WC, Reach(panda_lift.robot("arm")).hand(arm.positions()) @ mounted.camera.X_WC)
+        assert (now.name, now.fx, now.width) == ("wrist", 50, 64)
+        world.close()
+
+
+def test_the_page_s_python_runs(own_models: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    page = (REPOSITORY / "docs" / "robots.md").read_text()
+    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    monkeypatch.chdir(REPOSITORY)
+    for block in re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE):
+        exec(compile(block, "docs/robots.md", "exec"), {})
+    assert "'joint7'" in capsys.readouterr().out
+
+
+def test_a_joint_that_is_not_there_is_named(lift: Scene, panda_lift: Scene) -> None:
+    for world in (MujocoWorld(lift), _pybullet(panda_lift)):
+        with pytest.raises(KeyError, match="robot 'arm' has no joint 'elbow'; there are: joint1, joint2"):
+            world.robot("arm").set_targets({"elbow": 0.0})
+        with pytest.raises(KeyError, match="no robot 'leg'; there are: arm"):
+            world.robot("leg")
+        world.close()
+
+
+def _pybullet(scene: Scene) -> Any:
+    pytest.importorskip("pybullet")
+    from simfoundry.worlds.pybullet_world import PybulletWorld
+
+    return PybulletWorld(scene)
+
+
+def _same_pose(found: Pose, expected: Pose) -> None:
+    assert found.p == pytest.approx(expected.p, abs=1e-5)
+    assert found.angle_to(expected) < 1e-5

@@ -1,0 +1,107 @@
+"""``simfoundry verify``: exit codes, JSON, the page."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from simfoundry.verify.behaviours import BEHAVIOURS
+from simfoundry.verify.compare import Comparison, Difference
+from simfoundry.verify.engines import engine_called
+from simfoundry.verify.page import page
+from simfoundry.verify.run import Measured, Reading, Verdict
+from tests.cli.command import run
+
+SCENE = """simfoundry: scene/1
+name: small
+objects:
+  table: {fixed: true, shape: {box: [1, 1, 0.04]}, mass: 20}
+  cup: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.3, pose: {xyz: [0, 0, 0.07]}}
+"""
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "small.scene.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+def test_a_good_scene(spec: Path, tmp_path: Path) -> None:
+    html = tmp_path / "report.html"
+    done = run("verify", spec.parent, "--engine", "mujoco", "--engine", "usd", "--no-behaviours", "--html", html)
+    assert done.code == 0, done.out + done.err
+    assert "small" in done.out and "0 differ" in done.out
+    text = html.read_text()
+    assert "data:image/png;base64," in text and "<td class='ok'" in text and "http" not in text
+
+
+def test_a_false_build(spec: Path, tmp_path: Path) -> None:
+    assert run("compile", spec, "-t", "mjcf", "-o", tmp_path / "build").code == 0
+    xml = tmp_path / "build" / "mjcf" / "scene.xml"
+    xml.write_text(xml.read_text().replace('mass="0.3"', 'mass="0.4"'))
+    done = run("verify", spec, "--build", tmp_path / "build", "--engine", "mujoco", "--no-behaviours", "--json")
+    assert done.code == 1
+    data = done.json
+    assert data["ok"] is False
+    (reading,) = data["readings"]
+    (wrong,) = reading["mismatches"]
+    assert (wrong["name"], wrong["quantity"], wrong["expected"], wrong["got"]) == ("cup", "mass", 0.3, 0.4)
+    assert wrong["error"] == pytest.approx(1 / 3)
+
+
+def test_a_build_that_does_not_load(spec: Path, tmp_path: Path) -> None:
+    assert run("compile", spec, "-t", "mjcf", "-o", tmp_path / "build").code == 0
+    (tmp_path / "build" / "mjcf" / "scene.xml").write_text("<mujoco><nonsense/></mujoco>")
+    done = run("verify", spec, "--build", tmp_path / "build", "--engine", "mujoco", "--no-behaviours")
+    assert done.code == 1
+    assert "small in mujoco: ValueError: XML Error" in done.out
+
+
+def test_a_missing_engine_is_a_line_unless_it_is_required(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_ENGINES", "")
+    done = run("verify", spec, "--engine", "mujoco", "--engine", "sapien", "--no-behaviours")
+    if "pip install sapien" not in done.out:
+        pytest.skip("SAPIEN is installed here")
+    assert done.code == 0
+    assert "not installed" in done.out
+    required = run("verify", spec, "--require", "sapien", "--no-behaviours")
+    assert required.code == 1
+    assert "sapien is required and was not found" in required.err
+
+
+def test_what_cannot_be(spec: Path, tmp_path: Path) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for arguments, message in (
+        (["--engine", "bullet"], "no engine is called `bullet`"),
+        ([str(empty)], "holds no scenes"),
+        (["--no-behaviours"], "there is nothing to verify"),
+        (["--build", str(empty)], "--build takes one scene"),
+        ([str(spec), "--build", str(empty), "--engine", "mujoco"], "holds none of mjcf"),
+    ):
+        done = run("verify", *arguments)
+        assert done.code == 2, arguments
+        assert message in done.err
+        assert "Traceback" not in done.err
+    shutil.rmtree(empty)
+
+
+def test_the_page_escapes_every_text() -> None:
+    evil = "<script>alert('x')</script>\"&"
+    wrong = Difference(evil, "mass", evil, evil, 1.0)
+    lost = Difference(evil, "friction", 1.0, 2.0, 1.0, covered=evil)
+    readings = [
+        Reading(evil, "mujoco", Comparison(3, (wrong,), (lost,), (evil,)), "", 0.1),
+        Reading(evil, "usd", None, evil, 0.1),
+    ]
+    results = [Measured("free_fall", "mujoco", 2.0, Verdict.KNOWN, evil, ""),
+               Measured("period", "mujoco", None, Verdict.FAILED, "", evil)]  # fmt: skip
+    text = page(readings, results, BEHAVIOURS, {"mujoco": None, "usd": None}, {evil: b"png"})
+    assert "<script" not in text
+    assert text.count("&lt;script&gt;") >= 8
+    assert 'alt="' not in text  # attributes are in single quotes, which are escaped, too
+    assert "alert('x')" not in text
+    assert engine_called("mujoco").name in text

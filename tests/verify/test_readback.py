@@ -1,0 +1,211 @@
+"""Builds as MuJoCo, PyBullet and USD hold them; and builds that were tampered with, each of which must be found."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.scene.model import Scene
+from simfoundry.verify.compare import compare
+from simfoundry.verify.engines import engine_called
+from simfoundry.verify.expected import expected_facts
+from simfoundry.verify.facts import Facts
+from simfoundry.verify.process import Job, ask
+from simfoundry.verify.run import Subject, built
+from tests.scenes import full_scene
+
+HERE = Path(sys.executable)
+ENGINES = ("mujoco", "pybullet", "usd")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return full_scene()
+
+
+@pytest.fixture(scope="module")
+def subject(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Subject:
+    return built("full", scene, ["mjcf", "pybullet", "usd"], tmp_path_factory.mktemp("builds"))
+
+
+@pytest.fixture(scope="module")
+def facts(subject: Subject) -> dict[str, Facts]:
+    """What each engine says of the untouched build."""
+    found = {}
+    for name in ENGINES:
+        if name == "pybullet":
+            pytest.importorskip("pybullet", reason="PyBullet is not installed")
+        (answer,) = ask(HERE, name, [Job(subject.builds[engine_called(name).target])], timeout=60)
+        assert answer.error == ""
+        assert answer.facts is not None
+        found[name] = answer.facts
+    return found
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_what_an_engine_holds_is_what_the_scene_says(
+    name: str, scene: Scene, subject: Subject, facts: dict[str, Facts]
+) -> None:
+    engine = engine_called(name)
+    found = compare(scene, facts[name], engine, subject.losses[engine.target])
+    assert [str(d) for d in found.mismatches] == []
+    assert found.compared > 150
+    covered = {(d.name, d.quantity) for d in found.covered}
+    wedge = {(f"wedge.{part}", "friction") for part in ("ramp", "heel", "knob")}
+    assert covered == (wedge if name == "pybullet" else set())  # Bullet has one friction a link
+    assert found.stale == ()
+
+
+def test_the_engines_tell_what_they_should(facts: dict[str, Facts]) -> None:
+    """A reader that tells nothing would agree with everything."""
+    scene = full_scene()
+    for name, told in facts.items():
+        wanted = expected_facts(scene, engine_called(name).target)
+        assert set(told.links) == set(wanted.links)
+        assert set(told.joints) == set(wanted.joints)
+        assert told.gravity is not None
+        for link in told.links.values():
+            assert link.pose is not None
+            assert link.colliders is not None
+            assert all(c.friction is not None and c.kind not in (None, "other") for c in link.colliders)
+        for joint in told.joints.values():
+            assert None not in (joint.type, joint.axis, joint.limits, joint.damping, joint.friction, joint.position)
+    pairs, wanted_pairs = facts["mujoco"].pairs or {}, expected_facts(scene, "mjcf").pairs or {}
+    assert len(wanted_pairs) > 100
+    assert {name: pairs.get(name) for name in wanted_pairs} == pytest.approx(dict(wanted_pairs), rel=1e-9)
+
+
+def replaced(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+Falsify = Callable[[Path], None]
+
+
+def heavier(folder: Path) -> None:
+    replaced(folder / "scene.xml", 'mass="0.31"', 'mass="0.311"')
+
+
+def wider_limit(folder: Path) -> None:
+    replaced(folder / "scene.xml", 'range="0 0.28"', 'range="0 0.281"')
+
+
+def slippery(folder: Path) -> None:
+    replaced(folder / "scene.xml", 'friction="0.1 0.005 0.0001"', 'friction="0.11 0.005 0.0001"')
+
+
+def slippery_pair(folder: Path) -> None:
+    text = (folder / "scene.xml").read_text(encoding="utf-8")
+    start = text.index("<pair ")
+    end = text.index("/>", start)
+    (folder / "scene.xml").write_text(text[:start] + text[end + 2 :], encoding="utf-8")
+
+
+def renamed(folder: Path) -> None:
+    replaced(folder / "scene.xml", '<body name="puck"', '<body name="duck"')
+
+
+def shifted(folder: Path) -> None:
+    text = (folder / "scene.xml").read_text(encoding="utf-8")
+    start = text.index('<body name="table" pos="') + len('<body name="table" pos="')
+    replaced(folder / "scene.xml", text[start : start + 4], "0.46")
+
+
+def drag(folder: Path) -> None:
+    replaced(folder / "scene.xml", 'damping="4"', 'damping="4.001"')
+
+
+def other_shape(folder: Path) -> None:
+    text = (folder / "scene.xml").read_text(encoding="utf-8")
+    can = text[text.index('<geom class="collider" name="can.shape"') :]
+    replaced(folder / "scene.xml", can, can.replace('type="cylinder"', 'type="capsule"', 1))
+
+
+def bullet_friction(folder: Path) -> None:
+    """The friction that one coefficient of a link approximates may not leave the range of what it stands for."""
+    world = json.loads((folder / "world.json").read_text())
+    world["objects"]["wedge"]["links"]["body"]["lateral_friction"] = 0.9
+    (folder / "world.json").write_text(json.dumps(world))
+
+
+def bullet_pose(folder: Path) -> None:
+    world = json.loads((folder / "world.json").read_text())
+    world["objects"]["crate"]["p"][0] += 0.001
+    (folder / "world.json").write_text(json.dumps(world))
+
+
+def usd_mass(folder: Path) -> None:
+    replaced(folder / "scene.usda", "float physics:mass = 0.35", "float physics:mass = 0.36")
+
+
+def usd_limit(folder: Path) -> None:
+    replaced(folder / "scene.usda", "float physics:upperLimit = 0.28", "float physics:upperLimit = 0.3")
+
+
+FALSE: dict[str, tuple[str, Falsify, str, str]] = {
+    "mass": ("mujoco", heavier, "wedge", "mass"),
+    "limit": ("mujoco", wider_limit, "cabinet.slide", "limits"),
+    "friction": ("mujoco", slippery, "puck.shape", "friction"),
+    "pair": ("mujoco", slippery_pair, " and ", "friction"),
+    "name": ("mujoco", renamed, "duck", "link"),
+    "pose": ("mujoco", shifted, "table", "position"),
+    "damping": ("mujoco", drag, "cabinet.slide", "damping"),
+    "shape": ("mujoco", other_shape, "can.shape", "shape"),
+    "bullet friction": ("pybullet", bullet_friction, "wedge.ramp", "friction"),
+    "bullet pose": ("pybullet", bullet_pose, "crate", "position"),
+    "usd mass": ("usd", usd_mass, "can", "mass"),
+    "usd limit": ("usd", usd_limit, "cabinet.slide", "limits"),
+}
+
+
+@pytest.mark.parametrize("what", FALSE)
+def test_a_false_build_is_found(what: str, scene: Scene, tmp_path: Path) -> None:
+    name, falsify, where, quantity = FALSE[what]
+    pytest.importorskip({"usd": "pxr"}.get(name, name))
+    engine = engine_called(name)
+    false = built("full", scene, [engine.target], tmp_path)
+    falsify(false.builds[engine.target])
+    (answer,) = ask(HERE, name, [Job(false.builds[engine.target])], timeout=60)
+    assert answer.facts is not None, answer.error
+    found = compare(scene, answer.facts, engine, false.losses[engine.target])
+    assert any(where in d.name and d.quantity == quantity for d in found.mismatches), found.mismatches
+
+
+def test_a_loss_covers_its_own_quantity_and_no_other(scene: Scene) -> None:
+    engine = engine_called("mujoco")
+    wanted = expected_facts(scene, "mjcf")
+    slide = dataclasses.replace(wanted.joints["cabinet.slide"], armature=0.0, damping=9.0)
+    told = dataclasses.replace(wanted, joints={**wanted.joints, "cabinet.slide": slide})
+    lost = [Loss("cabinet.slide.armature", Fidelity.DROPPED, "there is none"),
+            Loss("cabinet.hinge.damping", Fidelity.DROPPED, "of another joint"),
+            Loss("cabinet.friction", Fidelity.DROPPED, "of its surfaces")]  # fmt: skip
+    found = compare(scene, told, engine, lost)
+    assert [(d.name, d.quantity) for d in found.mismatches] == [("cabinet.slide", "damping")]
+    assert [(d.quantity, d.covered) for d in found.covered] == [("armature", "there is none")]
+    assert set(found.stale) == {"cabinet.hinge.damping", "cabinet.friction"}
+
+
+def test_nothing_is_passed_over_in_silence(scene: Scene) -> None:
+    engine = engine_called("mujoco")
+    wanted = expected_facts(scene, "mjcf")
+    nan = dataclasses.replace(wanted.links["ball"], mass=float("nan"))
+    none = dataclasses.replace(wanted.links["can"], mass=None)
+    bare = dataclasses.replace(wanted.links["crate"], colliders=())
+    links = {**wanted.links, "ball": nan, "can": none, "crate": bare, "ghost": none}
+    del links["fan.rotor"]
+    found = compare(scene, dataclasses.replace(wanted, links=links, pairs=None), engine, [])
+    assert sorted((d.name, d.quantity) for d in found.mismatches) == [
+        ("ball", "mass"),
+        ("can", "mass"),
+        ("crate", "colliders"),
+        ("fan.rotor", "link"),
+        ("ghost", "link"),
+    ]
