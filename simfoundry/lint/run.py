@@ -17,8 +17,10 @@ def lint(loaded: Loaded, seen: set[Path] | None = None) -> tuple[Diagnostic, ...
     are passed over; those that are looked at are added to it.
     """
     seen = set() if seen is None else seen
-    path = loaded.path.absolute()
-    if path in seen or loaded.spec is None or loaded.document is None or loaded.errors:
+    if loaded.spec is None or loaded.document is None or loaded.errors:
+        return ()
+    path = Path(loaded.document.file).absolute()
+    if path in seen:
         return ()
     seen.add(path)
     findings = [d for used in loaded.uses.values() for d in lint(used, seen)]

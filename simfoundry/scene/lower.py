@@ -40,6 +40,7 @@ from simfoundry.scene.poses import pose as pose
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.robot_files import NoModelError
 from simfoundry.scene.robots import lower_robot
+from simfoundry.scene.source import Source
 from simfoundry.spec import base
 from simfoundry.spec.asset import AssetSpec, JointSpec
 from simfoundry.spec.asset import Drive as DriveSpec
@@ -50,6 +51,7 @@ from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.positions import Written, position
 from simfoundry.spec.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
 from simfoundry.spec.variants import variant_names, variant_of
+from simfoundry.spec.write import to_data
 
 Progress = Callable[[str, int, int], None]
 
@@ -88,7 +90,14 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
         background=None if around is None else lower_background(loaded, around, pose(around.pose)),
         no_contact=no_contact,
+        source=Source.of(_file_in_project(loaded), to_data(spec)),
     )
+
+
+def _file_in_project(loaded: Loaded) -> str:
+    """Where a document lies, counted from its project, so that it is the same on every machine."""
+    path = loaded.path.resolve()
+    return path.relative_to(loaded.root).as_posix() if path.is_relative_to(loaded.root) else path.name
 
 
 def viewer(spec: SceneSpec) -> Pose | None:

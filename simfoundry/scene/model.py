@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from simfoundry.assets.splat import Gaussians
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.robot import Robot
+from simfoundry.scene.source import Source
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +319,8 @@ class Scene:
     """A whole scene, lowered: world poses, inertias, convex parts and materials all explicit.
 
     ``left_out`` is what the spec says beyond that; every target reports it as lost. ``no_contact`` are pairs of links
-    of different objects, by qualified name, that pass through each other.
+    of different objects, by qualified name, that pass through each other. ``source`` is the document itself, for
+    targets that can give it back.
     """
 
     name: str
@@ -332,6 +334,7 @@ class Scene:
     mounted: tuple[MountedCamera, ...] = ()
     background: Background | None = None
     no_contact: tuple[tuple[str, str], ...] = ()
+    source: Source | None = None
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""

@@ -50,6 +50,7 @@ CODES = {
     "SF409": "a thing out of every camera's view",
     "SF410": "things that overlap",
     "SF411": "a thing that nothing carries",
+    "SF421": "a change of a stage that a spec cannot say",
     "SF501": "a capture whose files do not fit together",
     "SF502": "a capture without usable depth",
     "SF503": "a capture without a support plane",
@@ -85,6 +86,11 @@ class Diagnostic:
     path: str = ""
     hint: str = ""
     about: tuple[str, ...] = ()
+
+    @property
+    def document(self) -> str:
+        """The file alone where ``file`` names a place in it in another way than by lines, as ``a.usda</World/cup>``."""
+        return self.file.partition("</")[0]
 
     def to_json(self) -> dict[str, Any]:
         """A plain mapping for ``--json``."""

@@ -23,11 +23,18 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
     """
     data = full(spec)
     data.pop("extends", None)
-    if folder is not None and into is not None and folder.resolve() != into.resolve():
-        step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
-        for pattern in file_patterns(type(spec)):
-            data = _moved(data, pattern, step)
+    if folder is not None and into is not None:
+        data = relocated(data, type(spec), folder, into)
     return write_tree(plain_tree(data), type(spec))
+
+
+def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
+    """Data of a document in ``folder`` whose files are named from ``into``."""
+    if folder.resolve() != into.resolve():
+        step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
+        for pattern in file_patterns(model):
+            data = _moved(data, pattern, step)
+    return data
 
 
 def digest(text: str) -> str:

@@ -10,6 +10,7 @@ from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaders import LOADERS
 from simfoundry.spec.text import Document, YamlError, parse, read
 from simfoundry.spec.validate import sound_part, validate
 
@@ -21,10 +22,12 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     """Read and check one document; the findings say what is wrong, nothing is raised.
 
     Documents that it uses are taken from ``known`` where they are, and added to it. With ``text``, that is checked as
-    if it were what the file holds.
+    if it were what the file holds. A file that is no YAML is read by the one of ``LOADERS`` for its suffix.
     """
-    root = (root or project_root(path)).resolve()
     known = {} if known is None else known
+    if text is None and path.suffix.lower() in LOADERS:
+        return LOADERS[path.suffix.lower()](path, known)
+    root = (root or project_root(path)).resolve()
     try:
         document = read(path) if text is None else parse(text, str(path))
     except YamlError as error:
@@ -36,17 +39,24 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
     document, findings, bases = compose(document, kind, root)
     if any(d.code not in ("SF003", "SF201") for d in findings):  # a base is missing, and with it most of what is said
         return Loaded(path, root, None, tuple(findings), document, tuple(bases))
+    return checked(Loaded(path, root, None, tuple(findings), document, tuple(bases)), kind, known)
+
+
+def checked(read: Loaded, kind: str, known: Known) -> Loaded:
+    """A document of a kind that was read, whole, with what it extends: its types, its names and its files checked."""
+    path, root, document, bases, findings = read.path, read.root, read.document, read.bases, list(read.findings)
+    assert document is not None
     model = model_of(kind)
     spec, wrong = validate(model, document)
     sound = spec if spec is not None else sound_part(model, document)
-    loaded = Loaded(path, root, None if findings else spec, (), document, tuple(bases))
+    loaded = Loaded(path, root, None if findings else spec, (), document, bases)
 
     def use(target: Path, kinds: tuple[str, ...]) -> Loaded | None:
         return _use(target, kinds, root, known)
 
     findings += [*wrong, *check(loaded, sound, spec is not None, use)]
     kept, silenced = sift(findings, spec.allow if spec is not None else {})
-    return Loaded(path, root, loaded.spec, tuple(kept), document, tuple(bases), loaded.uses, tuple(silenced))
+    return Loaded(path, root, loaded.spec, tuple(kept), document, bases, loaded.uses, tuple(silenced))
 
 
 def load_scene(path: Path) -> Loaded:

@@ -12,6 +12,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity, SpecError, render
 from simfoundry.spec.load import load
 from simfoundry.spec.scene import SceneSpec
+from tests.frontends.stages import project
 
 BAD = Path(__file__).parent / "bad"
 CASES = sorted(p.name for p in BAD.glob("*.yaml"))
@@ -30,12 +31,22 @@ def with_nul(path: Path) -> None:
     path.write_bytes(b"simfoundry: scene/1\nname: a\0b\n")
 
 
+def edited_stage(path: Path) -> None:
+    import simfoundry.cli  # noqa: F401 - the command line reads stages
+
+    made = project(path.parent)
+    stage = made.edit()
+    stage.GetPrimAtPath("/World/Objects/cabinet/tray").GetAttribute("physics:mass").Set(9.0)
+    made.save(stage).rename(path)
+
+
 MADE: dict[str, Callable[[Path], object]] = {
     "SF001_absent.scene.yaml": Path.exists,
     "SF001_folder.scene.yaml": Path.mkdir,
     "SF001_latin1.scene.yaml": not_utf8,
     "SF002_nul.scene.yaml": with_nul,
     "SF005_too_large.scene.yaml": too_large,
+    "SF421_mass_of_a_link.usda": edited_stage,
 }
 
 
@@ -52,7 +63,7 @@ def findings_of(path: Path, root: Path) -> list[Diagnostic]:
 
 
 def compare(name: str, findings: list[Diagnostic], root: Path, update: bool) -> None:
-    golden = BAD / name.replace(".yaml", ".txt")
+    golden = BAD / Path(name).with_suffix(".txt").name
     shown = render(findings).replace(str(root), "<project>") + "\n"
     if update:
         golden.write_text(shown)
@@ -86,7 +97,7 @@ def test_every_code_of_documents_and_meshes_has_an_example() -> None:
 
 
 def test_no_golden_is_left_over() -> None:
-    assert {p.name for p in BAD.glob("*.txt")} == {n.replace(".yaml", ".txt") for n in (*CASES, *MADE)}
+    assert {p.name for p in BAD.glob("*.txt")} == {Path(n).with_suffix(".txt").name for n in (*CASES, *MADE)}
 
 
 def test_only_lints_are_warnings(monkeypatch: pytest.MonkeyPatch) -> None:

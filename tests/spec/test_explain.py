@@ -24,6 +24,7 @@ NOT_SHOWN = {
     "SF503": "needs a whole picture without a table",
     "SF504": "needs a whole picture of an empty table",
     "SF505": "needs a whole picture of something that cannot be fitted",
+    "SF421": "needs a stage that was compiled and edited",
 }
 """Codes whose pages show no example, and why."""
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 # A white diffuse surface has radiance 1 under an irradiance of pi. A normalised distant light states its irradiance;
 # a normalised sphere gives intensity / (4 d^2) at the distance d, here 1 m; a dome states its radiance.
-_FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
+FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DOME: 1.0}
 _POINT_RADIUS = 0.02
 
 
@@ -35,7 +35,7 @@ def define_light(scope: Sdf.PrimSpec, light: Light) -> None:
         case LightType.DOME:
             prim = define(scope, light.name, "DomeLight")
     attribute(prim, "inputs:color", "color3f", vec3f(linear_from_srgb(light.rgb)))
-    attribute(prim, "inputs:intensity", "float", rounded(light.intensity * _FULL[light.type]))
+    attribute(prim, "inputs:intensity", "float", rounded(light.intensity * FULL[light.type]))
     if light.type is not LightType.DOME:
         attribute(prim, "inputs:normalize", "bool", True)
     place(prim, light.X_WL)

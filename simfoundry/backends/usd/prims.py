@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import number
 from simfoundry.scene.frames import IDENTITY, Pose
 
 if TYPE_CHECKING:
     from pxr import Gf, Sdf
+
+
+Written = dict[str, dict[str, Any]]
+"""Values of attributes, and first targets of relationships, by the path of their prim and their name."""
+
+_written: ContextVar[Written | None] = ContextVar("written", default=None)
+
+
+@contextmanager
+def recorded() -> Iterator[Written]:
+    """All that is authored inside the block: what was just written is slow to read back from a layer."""
+    written: Written = {}
+    token = _written.set(written)
+    try:
+        yield written
+    finally:
+        _written.reset(token)
+
+
+def _record(prim: Sdf.PrimSpec, name: str, value: object) -> None:
+    written = _written.get()
+    if written is not None:
+        written.setdefault(prim.path.pathString, {})[name] = value
 
 
 @cache
@@ -48,6 +73,7 @@ def attribute(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, u
     spec = Sdf.AttributeSpec(prim, name, value_type(type_name), variability, declaresCustom=custom)
     if value is not None:
         spec.default = value
+        _record(prim, name, value)
 
 
 def connect(prim: Sdf.PrimSpec, name: str, type_name: str, source: str) -> None:
@@ -63,6 +89,7 @@ def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
     paths = [path.StripAllVariantSelections() for path in targets]
     custom = name.startswith("simfoundry:")
     Sdf.RelationshipSpec(prim, name, custom=custom).targetPathList.explicitItems = paths
+    _record(prim, name, paths[0] if paths else None)
 
 
 def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) -> None:

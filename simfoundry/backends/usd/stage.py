@@ -17,8 +17,9 @@ from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.prims import attribute, define, rounded, vec3f
+from simfoundry.backends.usd.prims import attribute, define, recorded, rounded, vec3f
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
+from simfoundry.backends.usd.source import write_source
 from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
 
 if TYPE_CHECKING:
@@ -30,15 +31,18 @@ def compile_usd(scene: Scene) -> Artifact:
 
     Below the default prim ``/World`` lie ``Physics``, ``Objects/<object>/<link>/{Visuals,Colliders}/<name>``,
     ``Objects/<object>/Joints/<joint>``, ``Robots``, ``Background``, ``Cameras``, ``Lights``, ``Looks`` and
-    ``Contacts``. The stage's own prims start with a capital, the scene's names do not, so the two never meet. A name
-    that is none, or is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
+    ``Contacts``. The stage's own prims start with a capital, the scene's names do not, so the two never meet. The
+    document behind the scene is kept in metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or
+    is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     from pxr import Sdf
 
     check_names(scene)
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    with Sdf.ChangeBlock():
+    with Sdf.ChangeBlock(), recorded() as written:
         robots = _define_world(layer, scene)
+        if scene.source is not None:
+            write_source(layer, scene.source, written)
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
     contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files

@@ -18,7 +18,7 @@ def render(report: Report) -> str:
 
 
 def _command(d: Diagnostic, folder: Path) -> str:
-    path = absolute(d.file)
+    path = absolute(d.document)
     file = (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
     place = {"line": str(d.line), "col": str(d.column)} if d.line else {}
     properties = ",".join(f"{k}={_property(v)}" for k, v in {"file": file, **place, "title": d.code}.items())

@@ -51,7 +51,7 @@ def _rule(code: str, page: Page | None) -> dict[str, Any]:
 
 
 def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
-    place: dict[str, Any] = {"artifactLocation": _artifact(d.file, folder)}
+    place: dict[str, Any] = {"artifactLocation": _artifact(d.document, folder)}
     if d.line:
         place["region"] = {"startLine": d.line, "startColumn": max(1, d.column)}
     location: dict[str, Any] = {"physicalLocation": place}

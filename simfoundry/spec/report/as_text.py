@@ -21,7 +21,7 @@ def summary(report: Report) -> str:
     if not report.findings:
         return f"no findings in {_count(report.documents, 'document')}"
     counts = [_count(n, what) for n, what in ((report.errors, "error"), (report.warnings, "warning")) if n]
-    faulty = len({d.file for d in report.findings})
+    faulty = len({d.document for d in report.findings})
     of = f"{faulty} of {report.documents} documents" if report.documents > 1 else "1 document"
     return f"{' and '.join(counts)} in {of}"
 

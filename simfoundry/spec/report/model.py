@@ -48,8 +48,9 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> Report:
         seen.setdefault(absolute(name), name)
     findings: set[Diagnostic] = set()
     for finding in dict.fromkeys(d for each in checked for d in each.findings):
-        name = seen.setdefault(absolute(finding.file), finding.file)
-        findings.add(finding if name == finding.file else replace(finding, file=name))
+        name = seen.setdefault(absolute(finding.document), finding.document)
+        file = name + finding.file.removeprefix(finding.document)
+        findings.add(finding if file == finding.file else replace(finding, file=file))
     return Report(files, len(seen), tuple(ordered(findings)))
 
 

@@ -1,0 +1,165 @@
+"""The document behind a scene, kept in the stage, and what the stage said when it was written.
+
+Metadata of prims is composed by USD, so it survives flattening, crates, sublayers and references. In ``customData``,
+under ``simfoundry``, the default prim has the document (``document``, without the parts that have a prim of their own)
+and each part its own data (``spec``) with its place in the document (``part``): a prim that is copied or deleted takes
+them along. ``built`` is what the backend wrote, so that a reader knows what a person changed afterwards.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.backends.usd.prims import Written
+from simfoundry.scene.source import Source
+
+if TYPE_CHECKING:
+    from pxr import Sdf
+
+KEY = "simfoundry"
+"""The key of our dictionary in ``customData`` and in ``customLayerData``."""
+
+SCOPES = {"objects": "Objects", "robots": "Robots", "cameras": "Cameras", "lights": "Lights"}
+"""Sections of a document whose members have prims, and the scopes below the default prim in which these lie."""
+
+VIEW_ONLY = (
+    *("extent", "purpose", "visibility", "xformOp", "semantics:", "info:", "primvars:", "normals", "material:"),
+    *("physics:approximation", "faceVarying", "subdivision", "doubleSided", "orientation"),
+)
+"""Starts of attributes that say how a prim is shown or found; ``at`` has what the transforms come to."""
+
+_NUMBER = "%.9g"
+
+
+def write_source(layer: Sdf.Layer, source: Source, written: Written) -> None:
+    """Write ``source`` into the prims of a finished ``layer``, of which ``written`` has the values."""
+    world = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
+    document = dict(source.data)
+    below = _by_part(written, f"{world.path}/")
+    for section, scope in SCOPES.items():
+        members = dict(document.get(section, {}))
+        for name, data in members.items():
+            prim = layer.GetPrimAtPath(f"{world.path}/{scope}/{name}")
+            if prim:
+                said = _built(below.get(f"{scope}/{name}", {}), written)
+                said = _posture(said) if section == "robots" else said
+                _add(prim, {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
+                members[name] = None
+        if members:
+            document[section] = members
+    about = {"kind": source.kind, "file": source.file, "digest": source.digest}
+    _add(world, {**about, "document": _lines(document)})
+    layer.pseudoRoot.SetInfo("customLayerData", {KEY: about})
+
+
+def _by_part(written: Written, above: str) -> dict[str, Written]:
+    """What was written, by scope and name below ``above``, and there by path relative to that prim."""
+    found: dict[str, Written] = {}
+    for path, values in written.items():
+        scope, _, rest = path.removeprefix(above).partition("/")
+        name, _, relative = rest.partition("/")
+        found.setdefault(f"{scope}/{name}", {})[relative] = values
+    return found
+
+
+def _built(part: Written, written: Written) -> Written:
+    """What a part and the prims below it say, by path relative to it; of itself by the empty path."""
+    said_by = {}
+    for relative, values in part.items():
+        said = {**observed(values), **_bound(values, written)}
+        if "xformOpOrder" in values:
+            said["at"] = _transform(values)
+        if said:
+            said_by[relative] = said
+    return said_by
+
+
+def _posture(said: Written) -> Written:
+    """Of what the prims of a robot say only where it is and how it stands: its model is its own."""
+    states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
+    base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
+    return base | {path: values for path, values in states.items() if values}
+
+
+def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """The values among those of a prim's attributes that mean something to the document, as plain data."""
+    said = {}
+    for name in sorted(attributes):
+        value = plain(attributes[name])
+        if value is not None and not name.startswith(VIEW_ONLY):
+            said[name] = value
+    return said
+
+
+def plain(value: Any) -> Any:
+    """A value of USD as plain data: numbers to nine digits, vectors and quaternions (w first) as lists.
+
+    None for all else, arrays among it.
+    """
+    match value:
+        case bool() | int():
+            return value
+        case float():
+            return float(_NUMBER % value)
+        case str():
+            return str(value)
+    kind = type(value).__name__
+    if kind.endswith("Array"):
+        return None
+    if kind.startswith("Quat"):
+        return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
+    if kind.startswith("Vec"):
+        return [v if type(v) is int else float(_NUMBER % v) for v in value]
+    return None
+
+
+def _transform(values: Mapping[str, Any]) -> list[float]:
+    """Position, quaternion and scale of a prim in its parent."""
+    position, turn, scale = (values.get(f"xformOp:{name}") for name in ("translate", "orient", "scale"))
+    return [
+        *([0.0, 0.0, 0.0] if position is None else plain(position)),
+        *([1.0, 0.0, 0.0, 0.0] if turn is None else plain(turn)),
+        *([1.0, 1.0, 1.0] if scale is None else plain(scale)),
+    ]
+
+
+def _bound(values: Mapping[str, Any], written: Written) -> dict[str, Any]:
+    """How a shape looks and touches: values of the materials that are bound to it."""
+    said: dict[str, Any] = {}
+    if "material:binding" in values:
+        path = str(values["material:binding"])
+        said["look"] = look({name: written.get(f"{path}/{name}", {}) for name in ("Surface", "Texture")})
+    if "material:binding:physics" in values:
+        said["contact"] = contact(written[str(values["material:binding:physics"])])
+    return said
+
+
+def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
+    """Scene-linear red, green, blue, and opacity of a material of ours; a texture is multiplied by them.
+
+    ``material`` has the attributes of its shaders by the shaders' names. None where it is not of our making any more.
+    """
+    surface, texture = material.get("Surface", {}), material.get("Texture", {})
+    color = texture.get("inputs:scale") if texture else surface.get("inputs:diffuseColor")
+    opacity = surface.get("inputs:opacity")
+    return None if color is None or opacity is None else [*plain(color)[:3], plain(opacity)]
+
+
+def contact(material: Mapping[str, Any]) -> list[float] | None:
+    """Friction and restitution of a contact material, each as PhysX has it and as the surface's own."""
+    names = ("physics:dynamicFriction", f"{KEY}:friction", "physics:restitution", f"{KEY}:restitution")
+    values = [plain(material.get(name)) for name in names]
+    return None if None in values else values
+
+
+def _lines(data: Mapping[str, Any]) -> str:
+    """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
+    entries = [f"{json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
+    return "{" + ",\n ".join(entries) + "}"
+
+
+def _add(prim: Sdf.PrimSpec, entries: Mapping[str, str]) -> None:
+    custom = dict(prim.customData)
+    prim.SetInfo("customData", {**custom, KEY: {**custom.get(KEY, {}), **entries}})
