@@ -1,6 +1,6 @@
-"""How long a check takes from the shell, and where the time goes: prints medians, asserts nothing.
+"""How long `check`, `fmt`, `diff` and `merge` take from the shell, and where a check's time goes: prints medians.
 
-    python -m tests.benchmarks.check_speed [RUNS]
+    python -m tests.benchmarks.language [RUNS]
 
 Times of a busy machine mean little; the ratios to a bare start of Python and to the imports of others do.
 """
@@ -70,6 +70,29 @@ def inside(runs: int, path: Path) -> dict[str, float]:
     return {name: statistics.median(values) for name, values in times.items()}
 
 
+def commands(runs: int, path: Path) -> dict[str, float]:
+    """Medians of the commands that work on a scene of 1,000 objects."""
+    command = ("-m", "simfoundry.cli.main")
+    text = path.read_text()
+    ours, theirs = path.with_name("ours.scene.yaml"), path.with_name("theirs.scene.yaml")
+    ours.write_text(text.replace("yaw_deg: 35}", "yaw_deg: 36}"))
+    theirs.write_text(text.replace("name: many", "name: more"))
+    out = str(path.with_name("merged.scene.yaml"))
+    return {
+        "fmt of 1000 objects": seconds(runs, *command, "fmt", "--diff", str(path)),
+        "diff of 1000 objects": seconds(runs, *command, "diff", str(path), str(ours)),
+        "merge of 1000 objects": seconds(runs, *command, "merge", str(path), str(ours), str(theirs), "-o", out),
+    }
+
+
+def tree(runs: int, folder: Path) -> dict[str, float]:
+    """The median of a check of 1,000 scenes of ten objects."""
+    folder.mkdir()
+    for k in range(1000):
+        (folder / f"scene_{k}.scene.yaml").write_text(scene(10))
+    return {"check of 1000 scenes": seconds(runs, "-m", "simfoundry.cli.main", "check", str(folder))}
+
+
 def main(runs: int) -> None:
     """Print the table."""
     bare = seconds(runs, "-c", "pass")
@@ -80,6 +103,8 @@ def main(runs: int) -> None:
             path.write_text(scene(count))
             rows[f"check of {count} objects"] = seconds(runs, "-m", "simfoundry.cli.main", "check", str(path))
             rows |= {f"  of {count}: {name}": value for name, value in inside(runs, path).items()}
+        rows |= commands(runs, path)
+        rows |= tree(max(1, runs // 4), Path(folder) / "tree")
     for name, value in rows.items():
         print(f"{name:<28} {value * 1000:7.1f} ms {value / bare:7.1f} x")
 
