@@ -54,9 +54,7 @@ def _link(link: LinkDraft, shelf: Shelf, materials: dict[str, Any]) -> dict[str,
         if uniform is None and part.use != "visual":
             parts[name]["material"] = _material(part, link, materials)
     if uniform is not None:
-        out |= {
-            key: value for key, value in zip(("friction", "restitution"), uniform, strict=True) if value is not None
-        }
+        out |= uniform
     if any(isinstance(part.geometry, MeshDraft) and part.use != "visual" for part in link.parts):
         out["collision"] = link.collision
         if link.inertia is None:
@@ -85,23 +83,35 @@ def _surface(link: LinkDraft) -> dict[str, Any]:
     return out
 
 
-def _uniform(link: LinkDraft) -> tuple[float | None, float | None] | None:
-    """Friction and restitution that all parts of a link have; None where they differ."""
-    touching = [p for p in link.parts if p.use != "visual"]
-    surfaces = {_contact(part, link) for part in touching} or {(link.friction, link.restitution)}
-    return surfaces.pop() if len(surfaces) == 1 else None
+WORDS = (
+    ("friction", "friction"), ("restitution", "restitution"),
+    ("torsional", "torsional_friction"), ("rolling", "rolling_friction"),
+)  # fmt: skip
+"""What a surface says, in drafts and in documents."""
 
 
-def _contact(part: PartDraft, link: LinkDraft) -> tuple[float | None, float | None]:
-    friction = link.friction if part.friction is None else part.friction
-    restitution = link.restitution if part.restitution is None else part.restitution
-    return friction, restitution
+def _uniform(link: LinkDraft) -> dict[str, float] | None:
+    """What all parts of a link say of their surface; None where they differ, or where only a material can say it."""
+    touching = [_contact(part, link) for part in link.parts if part.use != "visual"]
+    if not touching:
+        return {}
+    alike = all(surface == touching[0] for surface in touching)
+    return touching[0] if alike and touching[0].keys() <= {"friction", "restitution"} else None
+
+
+def _contact(part: PartDraft, link: LinkDraft) -> dict[str, float]:
+    """What is said of the surface of a part, by the part or else by its link."""
+    said = {}
+    for word, name in WORDS:
+        value = getattr(link, word) if getattr(part, word) is None else getattr(part, word)
+        if value is not None and (value or name in ("friction", "restitution")):
+            said[name] = float(value)
+    return said
 
 
 def _material(part: PartDraft, link: LinkDraft, materials: dict[str, Any]) -> str:
-    """The name of a material with the friction and restitution of a part."""
-    friction, restitution = _contact(part, link)
-    data = {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
+    """The name of a material with the surface of a part."""
+    data = _contact(part, link)
     name = next((n for n, known in materials.items() if known == data), None)
     if name is None:
         name = f"surface_{len(materials) + 1}"
@@ -194,12 +204,13 @@ def inline_data(body: BodyDraft) -> dict[str, Any] | None:
     part = link.parts[0]
     if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or not _is_plain(link, part):
         return None
+    if _uniform(link) is None:
+        return None
     out = {"shape": to_data(part.geometry)} | _surface(link)
     out.pop("inertial", None)
     if body.fixed and link.assumed:
         out.pop("density", None)
-    friction, restitution = _contact(part, link)
-    out |= {k: v for k, v in (("friction", friction), ("restitution", restitution)) if v is not None}
+    out |= _uniform(link) or {}
     if part.color is not None:
         out["color"] = color_data(part.color)
     if body.category is not None:
@@ -246,7 +257,7 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
             assets[called] = asset_spec(body, called, shelf, built)
             inline = object_data(body, f"{folder}/{called}.asset.yaml")
             joints = dict(zip((j.name for j in body.joints), assets[called].joints, strict=True))
-            state = {joints[j.name]: float(j.position) for j in body.joints if j.position}
+            state = {joints[j.name]: float(j.position) for j in body.joints if j.position and j.mimic is None}
             if state:
                 inline["joints"] = state
         objects[called] = inline

@@ -68,6 +68,9 @@ class PartDraft:
     color: Rgba | None = None
     friction: float | None = None
     restitution: float | None = None
+    torsional: float | None = None
+    rolling: float | None = None
+    """Resistance against spinning and rolling [m]."""
 
 
 @dataclass(eq=False)
@@ -86,6 +89,8 @@ class LinkDraft:
     density: float | None = None
     friction: float | None = None
     restitution: float | None = None
+    torsional: float | None = None
+    rolling: float | None = None
     collision: str = "hull"
     assumed: str = ""
     """Who assumed the mass or density, where the file gives none."""

@@ -19,6 +19,9 @@ WIDEST_GYRATION = 2.0
 ROUNDING = 0.01
 """Share by which moments may miss the triangle inequality through rounding."""
 
+SURFACE = ("friction", "restitution", "torsional", "rolling")
+"""What a link says about the surfaces of its parts."""
+
 WORLD = ("world", "map", "universe")
 """Names of a root link that stand for the world."""
 
@@ -71,8 +74,9 @@ def _join(body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraf
     for part in child.parts:
         part.X_LG = joint.X_PC @ part.X_LG
         part.name = child.name if len(child.parts) == 1 else f"{child.name}_{part.name}"
-        part.friction = child.friction if part.friction is None else part.friction
-        part.restitution = child.restitution if part.restitution is None else part.restitution
+        for word in SURFACE:
+            if getattr(part, word) is None:
+                setattr(part, word, getattr(child, word))
     parent.parts += child.parts
     body.joints.remove(joint)
     del body.links[child.name]
@@ -85,7 +89,9 @@ def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) 
     frame.parts = child.parts
     for part in frame.parts:
         part.X_LG = X_PC @ part.X_LG
-    frame.mass, frame.friction, frame.restitution = child.mass, child.friction, child.restitution
+    frame.mass = child.mass
+    for word in SURFACE:
+        setattr(frame, word, getattr(child, word))
     frame.com = None if child.com is None else X_PC.apply(child.com)
     frame.inertia = None if child.inertia is None else X_PC.rotation @ child.inertia @ X_PC.rotation.T
     body.joints.remove(joint)

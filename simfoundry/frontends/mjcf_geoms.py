@@ -88,8 +88,13 @@ class Geoms:
         part.use = self.use(geom)
         if part.use != "visual":
             part.friction = float(model.geom_friction[geom, 0])
-            if int(model.geom_condim[geom]) == 1:
+            dimensions = int(model.geom_condim[geom])
+            if dimensions == 1:
                 part.friction = 0.0
+            if dimensions >= 4:
+                part.torsional = float(model.geom_friction[geom, 1])
+            if dimensions >= 6:
+                part.rolling = float(model.geom_friction[geom, 2])
         material = int(model.geom_matid[geom])
         textured = material >= 0 and self.texture(material) >= 0
         if textured and not isinstance(part.geometry, MeshDraft):

@@ -241,7 +241,6 @@ def _contact_details(draft: Draft, model: Any) -> None:
     """Note contact parameters beyond Coulomb friction."""
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     counts = {
-        "torsional and rolling friction of geoms": sum(int(model.geom_condim[g]) > 3 for g in touching),
         "`solref` and `solimp` of geoms": sum(
             not (
                 np.allclose(model.geom_solref[g], (0.02, 1))

@@ -37,7 +37,7 @@ GROUND = (20.0, 20.0, 0.1)
 _READ = ("link", "joint", "material")
 _READ_IN_JOINT = ("origin", "axis", "limit", "dynamics", "mimic", "parent", "child")
 _READ_IN_LINK = ("inertial", "visual", "collision", "contact")
-_READ_IN_CONTACT = ("lateral_friction", "restitution", "inertia_scaling")
+_READ_IN_CONTACT = ("lateral_friction", "restitution", "spinning_friction", "rolling_friction", "inertia_scaling")
 
 
 def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
@@ -114,9 +114,10 @@ class _Urdf:
             self.inertial(link, inertial)
         contact = element.first("contact")
         if contact is not None:
-            friction, restitution = contact.first("lateral_friction"), contact.first("restitution")
-            link.friction = None if friction is None else max(0.0, friction.number("value"))
-            link.restitution = None if restitution is None else min(1.0, max(0.0, restitution.number("value")))
+            words = ("lateral_friction", "spinning_friction", "rolling_friction", "restitution")
+            said = [None if (e := contact.first(w)) is None else max(0.0, e.number("value")) for w in words]
+            link.friction, link.torsional, link.rolling, restitution = said
+            link.restitution = None if restitution is None else min(1.0, restitution)
         shown = [p for e in element.all("visual") for p in self.part(e, "visual", link.name)]
         touching = [p for e in element.all("collision") for p in self.part(e, "collision", link.name)]
         link.parts = _united(shown, touching)

@@ -108,6 +108,34 @@ def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
     assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-6)
 
 
+def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="a"><geom size="0.1"/>
+      <body name="b" pos="1 0 0"><joint name="j" axis="0 1 0" ref="10"/>
+        <geom size="0.1" condim="6" friction="0.7 0.02 0.003"/>
+        <body name="c" pos="1 0 0"><joint name="k" axis="0 1 0" stiffness="3" springref="20"/><geom size="0.1"/>
+          <body name="d" pos="1 0 0"><joint name="m" axis="0 1 0" ref="30"/><geom size="0.1"/></body></body></body>
+      </body>
+      <body name="e" pos="0 0 5"><joint name="ball" type="ball"/><geom size="0.1"/></body></worldbody>
+      <equality><joint joint1="m" joint2="j" polycoef="0.1 -2 0 0 0"/></equality>
+      <contact><exclude body1="a" body2="c"/></contact>
+      <actuator><position name="servo" joint="j" kp="50" kv="4" gear="2" forcerange="-6 6"/><motor joint="k"/></actuator>
+    </mujoco>"""
+    report, scene = importing("m.xml", text)
+    thing = scene.object("a")
+    j, k, m = thing.joints
+    assert j.drive is not None and k.drive is not None and m.mimic is not None
+    assert (j.drive.stiffness, j.drive.damping, j.drive.force_limit) == pytest.approx((200, 16, 12))
+    assert (k.drive.stiffness, k.drive.target) == pytest.approx((3, np.radians(20)))
+    offset = np.radians(30) + 0.1 + 2 * np.radians(10)
+    assert (m.mimic.joint, m.mimic.multiplier) == ("j", -2)
+    assert m.mimic.offset == pytest.approx(offset)
+    assert thing.no_contact == (("a", "c"),)
+    collider = thing.links[1].colliders[0]
+    assert (collider.friction, collider.torsional_friction, collider.rolling_friction) == (0.7, 0.02, 0.003)
+    assert scene.object("e").joints[0].type is JointType.BALL
+    assert "actuator number 2" in {n.what for n in report.notes}
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

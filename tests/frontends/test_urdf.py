@@ -142,6 +142,25 @@ def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
     assert import_file(source, out, Options(force=True)).meshes == 1
 
 
+def test_mimic_and_contact_are_kept(importing: Importing) -> None:
+    contact = """<contact><lateral_friction value="0.8"/><spinning_friction value="0.01"/>
+        <rolling_friction value="0.002"/><restitution value="0.3"/></contact>"""
+    limit = '<limit lower="-1" upper="1" effort="0" velocity="0"/>'
+    text = _robot(
+        _link("a", INERTIAL + BOX + contact), _link("b"), _link("c"), _joint("revolute", limit),
+        _joint("revolute", limit + '<mimic joint="j" multiplier="-0.5" offset="0.1"/>', "k", "a", "c"),
+    )  # fmt: skip
+    report, scene = importing("a.urdf", text)
+    (thing,) = scene.objects
+    follower = next(j for j in thing.joints if j.name == "k")
+    assert follower.mimic is not None
+    assert (follower.mimic.joint, follower.mimic.multiplier, follower.mimic.offset) == ("j", -0.5, 0.1)
+    collider = thing.links[0].colliders[0]
+    assert (collider.friction, collider.restitution) == (0.8, 0.3)
+    assert (collider.torsional_friction, collider.rolling_friction) == (0.01, 0.002)
+    assert report.notes == ()
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
