@@ -43,6 +43,11 @@ def make_sound(draft: Draft, file: str) -> None:
 
 
 def _start_inside(draft: Draft, joint: JointDraft) -> None:
+    target = joint.drive.target if joint.drive is not None else None
+    if joint.limits is not None and target is not None and not joint.limits[0] <= target <= joint.limits[1]:
+        why = "it pulls to a place beyond the limits of its joint, which cannot be said"
+        draft.dropped(f"drive of joint `{joint.name}`", why, f"to {target:.4g}")
+        joint.drive = None
     if joint.limits is None or joint.limits[0] <= joint.position <= joint.limits[1]:
         return
     margin = 1e-6 * (joint.limits[1] - joint.limits[0])  # a number on the limit may be rounded past it

@@ -118,7 +118,8 @@ def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
       <body name="e" pos="0 0 5"><joint name="ball" type="ball"/><geom size="0.1"/></body></worldbody>
       <equality><joint joint1="m" joint2="j" polycoef="0.1 -2 0 0 0"/></equality>
       <contact><exclude body1="a" body2="c"/></contact>
-      <actuator><position name="servo" joint="j" kp="50" kv="4" gear="2" forcerange="-6 6"/><motor joint="k"/></actuator>
+      <actuator><position name="servo" joint="j" kp="50" kv="4" gear="2" forcerange="-6 6"/>
+        <motor joint="k"/></actuator>
     </mujoco>"""
     report, scene = importing("m.xml", text)
     thing = scene.object("a")
