@@ -47,6 +47,10 @@ def _packages(_context: click.Context, _option: click.Parameter, values: tuple[s
     "--scene", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="The scene document that a task of the authors' release is for.",
 )  # fmt: skip
+@click.option(
+    "--onto", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
 @json_option
@@ -56,17 +60,25 @@ def command(
     out: Path | None,
     packages: dict[str, Path],
     scene: Path | None,
+    onto: Path | None,
     force: bool,
     strict: bool,
     as_json: bool,
 ) -> int:
     """Import URDF, MJCF, USD, or a scene or task of the authors' release, as a scene, an asset or a task.
 
+    A stage that `compile` wrote gives its own document back, with what was edited in it since: into OUT where that is
+    there, or into the document named by --onto.
+
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
     Nothing is written for a file that is refused. Exit code 2 where one was refused.
     """
     from simfoundry.frontends.convert import Options, import_file
 
+    if onto is not None or (len(files) == 1 and _is_ours(files[0])):
+        if len(files) > 1:
+            raise CannotError("--onto takes one stage")
+        return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
     options = Options(packages, force, scene)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
@@ -80,6 +92,38 @@ def command(
     if out is None or out.name.endswith(".yaml"):
         raise CannotError("several files need a folder to go to: `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether a file is a stage that was compiled from one of our documents."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
+        return False
+    from simfoundry.frontends.usd_spec import StageError, carrier
+    from simfoundry.frontends.usd_spec.stage import open_stage
+
+    try:
+        return carrier(open_stage(path)) is not None
+    except StageError:
+        return False  # whoever imports it says why it cannot be read
+
+
+def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
+    from simfoundry.frontends.usd_spec import import_stage
+
+    before = out.read_bytes() if out.is_file() else None
+    imported = import_stage(path, out, onto, force)
+    changed = before != out.read_bytes()
+    notes = [{"prim": n.prim, "message": n.message, "hint": n.hint} for n in imported.notes]
+    if as_json:
+        report = {"source": str(path), "out": str(out), "changed": changed}
+        print_json({**report, "notes": notes, "disputed": list(imported.disputed)})
+    else:
+        click.echo(f"{out}  from the stage {path}: " + ("written" if changed else "nothing to change"))
+        for note in imported.notes:
+            click.echo(f"  not taken over: {note.prim}: {note.message}" + (f"; {note.hint}" if note.hint else ""))
+        for disputed in imported.disputed:
+            click.echo(f"  edited in the document, too: {disputed}; the stage's word stands")
+    return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
 
 
 def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bool, as_json: bool) -> int:

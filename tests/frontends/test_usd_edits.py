@@ -19,6 +19,7 @@ from simfoundry.spec.load import load
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse
 from simfoundry.spec.write import to_data
+from tests.cli.command import run
 from tests.frontends.stages import DESK, OVERLAY, Project, project
 
 if TYPE_CHECKING:
@@ -483,3 +484,19 @@ def test_a_robot_stands_where_it_was_put_and_its_posture_is_told(tmp_path: Path)
     imported = made.onto(stage)
     assert imported.text == text.replace("arm.xml}}", "arm.xml}, pose: {xyz: [0.1, 0.05, 0]}}")
     assert [note.prim for note in imported.notes] == [str(turn.GetPath())]
+
+
+def test_the_command_writes_the_edit_into_the_document(desk: Project) -> None:
+    stage = desk.edit()
+    translate(stage, f"{OBJECTS}/cup", 0.61, -0.05, 0.05)
+    path = desk.save(stage)
+    out = desk.document.with_name("edited.scene.yaml")
+    out.write_text(DESK)
+    done = run("import", path, "-o", out, "--json")
+    assert done.code == 0, done.err
+    assert done.json["changed"] is True and done.json["notes"] == []
+    assert out.read_text() == DESK.replace(
+        "place: {on: desk, right_of: plate, gap: 0.05}  # within reach", "pose: {xyz: [0.61, -0.05, 0.05]}"
+    )
+    again = run("import", path, "--onto", out)
+    assert again.code == 0 and again.out.strip().endswith("nothing to change")
