@@ -8,8 +8,9 @@ from typing import Protocol
 
 from simfoundry.backends.artifact import number
 from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import Geometry, JointType, Link, Scene, SceneObject
+from simfoundry.scene.model import Geometry, JointType, Link, Scene
 from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.trees import Tree, trees
 
 
 class Split(Protocol):
@@ -24,19 +25,21 @@ def physics_manifest(scene: Scene, split: Split) -> bytes:
     """The file; collision shapes go by the names and in the order of the URDF."""
     data = {
         "gravity": [_number(v) for v in scene.gravity],
-        "objects": {item.name: _object(item, split) for item in scene.objects},
+        "objects": {tree.name: _object(tree, split) for item in scene.objects for tree in trees(item)},
     }
     return (json.dumps(data, indent=2) + "\n").encode()
 
 
-def _object(item: SceneObject, split: Split) -> dict[str, object]:
+def _object(tree: Tree, split: Split) -> dict[str, object]:
+    """What one URDF lacks: an object, or a part of one that moves freely."""
     joints = {
         joint.name: {"friction": _number(joint.friction), "armature": _number(joint.armature)}
-        for joint in item.joints
+        for joint in tree.joints
         if joint.type is not JointType.FIXED
     }
-    links = {link.name: _surfaces(link, split) for link in item.links}
-    return {"links": links, "joints": joints, "silent": [list(pair) for pair in silent_pairs(item)]}
+    links = {link.name: _surfaces(link, split) for link in tree.links}
+    silent = [list(pair) for pair in silent_pairs(tree.owner) if links.keys() >= set(pair)]
+    return {"links": links, "joints": joints, "silent": silent}
 
 
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:

@@ -33,7 +33,7 @@ class Tested(Model):
     """How this profile was put to the test."""
 
     how: Literal["run", "checked"] = Field(
-        description="`run`: loaded and stepped in the simulator; `checked`: read as code, nothing was run."
+        description="`run`: loaded in the simulator by its loader; `checked`: read as code, nothing was run."
     )
     versions: tuple[str, ...] = Field((), description="Releases of the simulator that it was run with.")
     note: Words | None = Field(None, description="What was seen on the way.")

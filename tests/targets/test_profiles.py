@@ -9,12 +9,14 @@ import os
 import re
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene
+from simfoundry.scene.lower import lower_file
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.targets.combine import RULES
 from simfoundry.targets.compile import compile_target
@@ -202,3 +204,15 @@ def test_the_profile_of_the_page_holds(tmp_path: Path) -> None:
     losses = {loss.path: loss.reason for loss in compile_target(full_scene(), target).losses}
     assert "gravity" not in losses and losses["restitution"] == "it has soft contacts (never)"
     assert losses["friction"].startswith("my_sim takes the average of a pair")
+
+
+def test_physics_and_poses_speak_of_the_same_files(tmp_path: Path) -> None:
+    files = compile_target(lower_file(write_everything(tmp_path)), find_target("sapien")).files
+    poses, physics = (json.loads(files[name]) for name in ("poses.json", "physics.json"))
+    assert list(physics["objects"]) == list(poses) and "cabinet.lid" in poses  # the lid is loose: a URDF of its own
+    for name, item in physics["objects"].items():
+        robot = ET.fromstring(files[poses[name]["urdf"]])
+        links = [link.get("name") for link in robot.findall("link")]
+        assert list(item["links"]) == links
+        assert all(set(pair) <= set(links) for pair in item["silent"])
+        assert set(poses[name]["joints"]) <= set(item["joints"])
