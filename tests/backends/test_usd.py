@@ -7,7 +7,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from simfoundry.backends.artifact import Artifact, Fidelity
+from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.backends.usd import compile_usd
 from simfoundry.backends.usd.joints import joint_frame
@@ -610,16 +609,3 @@ def hundred_objects() -> Scene:
         X_WO = pose(0.2 * (k % 10), 0.2 * (k // 10), 0.5, 0.1 * k, 0.2, -0.03 * k)
         items.append(dataclasses.replace(shapes[k % 3], name=f"item_{k}", X_WO=X_WO))
     return scene_of(*items)
-
-
-def test_a_hundred_objects_compile_quickly() -> None:
-    scene = hundred_objects()
-    compile_usd(scene)
-
-    def seconds() -> float:
-        start = time.process_time()
-        artifact: Artifact = compile_usd(scene)
-        assert len(artifact.files) == 6
-        return time.process_time() - start
-
-    assert min(seconds() for _ in range(5)) < 0.08  # measured 0.03 s; twice that is room for a slower machine

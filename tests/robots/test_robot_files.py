@@ -131,7 +131,7 @@ def test_strict_compiles_want_the_models(tmp_path: Path) -> None:
     assert run("compile", scene, "-t", "urdf", "-o", str(tmp_path / "a")).code == 0
     assert run("compile", scene, "-t", "urdf", "-o", str(tmp_path / "b"), "--strict").code == 1
     report = json.loads((tmp_path / "a" / "loss.json").read_text())
-    assert any("no model found" in loss["reason"] for loss in report["urdf"])
+    assert any("no model found" in loss["reason"] for loss in report["urdf"]["losses"])
 
 
 def test_a_scene_names_its_own_robot(plain: Path, tmp_path: Path) -> None:
