@@ -67,5 +67,5 @@ hooks: $(READY) ## Run the checks at each commit
 	$(BIN)/pre-commit install
 
 clean: ## Remove the environment, caches and build outputs
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist tests/editor/node_modules .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find simfoundry tests -name __pycache__ -type d -prune -exec rm -rf {} +
