@@ -134,5 +134,5 @@ def measure(path: Path) -> MeshFacts:
         full = mass.mesh(*hull(vertices, limit=len(vertices))).volume
         corners = tuple((float(x), float(y), float(z)) for x, y, z in hull(vertices)[0])
     except MeshError:
-        pass
+        pass  # flat or a point: it has no hull, and the finding is that of its volume
     return MeshFacts(extent(parts), triangles, gaps, volume, full, corners)

@@ -151,13 +151,25 @@ def _guarded(source: Path, target: Path, options: Options) -> Report:
     """The report on one file of many: what goes wrong with it stops no other."""
     from simfoundry.errors import SimfoundryError
     from simfoundry.frontends.convert import Report, import_file
+    from simfoundry.spec.diagnostics import SpecError
 
     try:
-        return import_file(source, target, options)
-    except SimfoundryError as error:
+        return _brought_back(source, target, options) if _is_ours(source) else import_file(source, target, options)
+    except (SimfoundryError, SpecError) as error:
         return Report(str(source), None, error=str(error))
     except Exception as error:  # a fault of ours, or of a library: it is reported, and the rest goes on
         return Report(str(source), None, error=f"{source}: it broke the importer: {type(error).__name__}: {error}")
+
+
+def _brought_back(source: Path, target: Path, options: Options) -> Report:
+    """The report on a stage of ours, whose own document is written."""
+    from simfoundry.frontends.convert import Report
+    from simfoundry.frontends.drafts import Note, NoteKind
+    from simfoundry.frontends.usd_spec import import_stage
+
+    imported = import_stage(source, target, None, options.force)
+    notes = tuple(Note(NoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
+    return Report(str(source), str(target), "a compiled stage", notes=notes)
 
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:

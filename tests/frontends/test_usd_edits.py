@@ -500,3 +500,16 @@ def test_the_command_writes_the_edit_into_the_document(desk: Project) -> None:
     )
     again = run("import", path, "--onto", out)
     assert again.code == 0 and again.out.strip().endswith("nothing to change")
+
+
+def test_a_folder_of_stages_comes_back_as_their_documents(desk: Project) -> None:
+    folder = desk.stage.parent.parent / "many"
+    folder.mkdir()
+    for name in ("one", "two"):
+        Path(folder / f"{name}.usda").write_bytes(desk.stage.read_bytes())
+    done = run("import", folder, "-o", desk.document.parent, "--json")
+    assert done.code == 0, done.err
+    assert [report["format"] for report in done.json["files"]] == ["a compiled stage"] * 2
+    for name in ("one", "two"):
+        text = desk.document.with_name(f"{name}.scene.yaml").read_text()
+        assert parse(text).data == to_data(SceneSpec.model_validate(parse(DESK).data))

@@ -62,6 +62,13 @@ FILES = {
 }
 
 
+def assert_slip(folder: Path, file: str, slip: tuple[str, str], code: str, line: int, words: str) -> None:
+    """One slip, ``right`` and ``wrong``, gives one finding at its line."""
+    ((got_code, got_line, message),) = found(folder, file, *slip)
+    assert (got_code, got_line) == (code, line)
+    assert words in message
+
+
 def found(folder: Path, file: str, right: str = "", wrong: str = "") -> list[tuple[str, int, str]]:
     """Code, line and message of what is found in ``file`` where ``right`` is replaced by ``wrong``."""
     for name, text in FILES.items():
@@ -97,9 +104,7 @@ def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
     ],
 )
 def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    ((got_code, got_line, message),) = found(tmp_path, "kitchen.scene.yaml", right, wrong)
-    assert (got_code, got_line) == (code, line)
-    assert words in message
+    assert_slip(tmp_path, "kitchen.scene.yaml", (right, wrong), code, line, words)
 
 
 @pytest.mark.parametrize(
@@ -125,9 +130,7 @@ def test_slips_in_a_scene(tmp_path: Path, right: str, wrong: str, code: str, lin
     ],
 )
 def test_slips_in_a_task(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    ((got_code, got_line, message),) = found(tmp_path, "store.task.yaml", right, wrong)
-    assert (got_code, got_line) == (code, line)
-    assert words in message
+    assert_slip(tmp_path, "store.task.yaml", (right, wrong), code, line, words)
 
 
 @pytest.mark.parametrize(
@@ -144,9 +147,7 @@ def test_slips_in_a_task(tmp_path: Path, right: str, wrong: str, code: str, line
     ],
 )
 def test_slips_in_a_recipe(tmp_path: Path, right: str, wrong: str, code: str, line: int, words: str) -> None:
-    ((got_code, got_line, message),) = found(tmp_path, "kitchens.cousins.yaml", right, wrong)
-    assert (got_code, got_line) == (code, line)
-    assert words in message
+    assert_slip(tmp_path, "kitchens.cousins.yaml", (right, wrong), code, line, words)
 
 
 FOAM = """\
