@@ -1,0 +1,1 @@
+"""Policies: what is asked for actions, near or over a wire."""
