@@ -49,10 +49,12 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     if not moved:
         return None
     longest = max(moved.values(), key=lambda way: float(np.linalg.norm(way)))
-    axis = longest / np.linalg.norm(longest)
-    first = tuple(k for k, way in moved.items() if way @ axis > 0)
-    second = tuple(k for k, way in moved.items() if way @ axis <= 0) or (base,)  # one jaw closes against the palm
-    return Fingers((Thing(name, name, first, False), Thing(name, name, second, False)), base, axis)
+    first = tuple(k for k, way in moved.items() if way @ longest > 0)
+    second = tuple(k for k in moved if k not in first)
+    ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
+    axis = (ways[0] - ways[1]) / np.linalg.norm(ways[0] - ways[1])  # what both do, as reaching out, is no closing
+    sides = Thing(name, name, first, False), Thing(name, name, second or (base,), False)
+    return Fingers(sides, base, axis)  # one jaw alone closes against the palm
 
 
 def _positions(body: Body, gripper: Gripper, end: int) -> dict[str, Array]:

@@ -345,14 +345,13 @@ def _settled(terms: Terms, a: Thing) -> None:
 
 
 def _not_held(context: Context, terms: Terms, a: Thing) -> None:
-    hands = context.hands
-    if hands:
-        held = partial(_held, context, a, hands)
+    if context.bodies.robots:
+        held = partial(_held, context, a)
         terms.must_also(held, lambda v: -v, lambda v, ok: "" if ok else f"a robot holds `{a.name}`")
 
 
-def _held(context: Context, a: Thing, hands: list[tuple[str, Fingers]], view: View) -> Array:
-    return held_by(context, view, a, hands)
+def _held(context: Context, a: Thing, view: View) -> Array:
+    return held_by(context, view, a, context.hands)
 
 
 def _over(a: Thing, b: Thing, value: float) -> str:

@@ -13,6 +13,7 @@ from simfoundry.backends.robots import mujoco_model, read_robot
 from simfoundry.scene.frames import IDENTITY, Array
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
+from simfoundry.scene.robot import Robot
 
 TURNED = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0]])
 TURNED[3:] /= np.sqrt(2)
@@ -136,24 +137,20 @@ class Bodies:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
-        made = {r.name: as_object(r, read_robot(r, n, f"{r.name}.")) for r in scene.robots if (n := mujoco_model(r))}
-        self.robots = tuple(made)
-        self._items: dict[str, SceneObject] = {o.name: o for o in scene.objects}
-        self._items |= {name: one.item for name, one in made.items()}
-        self._made = made
+        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r))
         self._bodies: dict[str, Body] = {}
 
     def __getitem__(self, name: str) -> Body:
         if name not in self._bodies:
-            item = self._items[name]
-            forms = tuple(_form(link) for link in item.links)
-            self._bodies[name] = Body(item, forms, self._made.get(name))
+            made = _robot_object(self.scene.robot(name)) if name in self.robots else None
+            item = self.scene.object(name) if made is None else made.item
+            self._bodies[name] = Body(item, tuple(_form(link) for link in item.links), made)
         return self._bodies[name]
 
     @property
     def items(self) -> tuple[SceneObject, ...]:
         """All bodies as objects."""
-        return tuple(self._items.values())
+        return tuple(self[name].item for name in (*self.objects, *self.robots))
 
     def thing(self, argument: str) -> Thing:
         """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
@@ -161,7 +158,9 @@ class Bodies:
         body = self._body(owner)
         links = body.item.links
         if part and body.robot is not None:
-            part = body.robot.links.get(part, part)
+            native = mujoco_model(self.scene.robot(owner))
+            link = part if native is None else native.frame(part).link
+            part = body.robot.links.get(link, link)
         if part:
             moved = {joint.name: joint.child for joint in body.item.joints}
             name = part if any(link.name == part for link in links) else moved.get(part)
@@ -189,11 +188,17 @@ class Bodies:
         return tuple(ended)
 
     def _body(self, name: str) -> Body:
-        if name in self._items:
+        names = (*self.objects, *self.robots)
+        if name in names:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
             raise PredicateError(f"no model of robot `{name}` is found, so its shape is unknown; see docs/robots.md")
-        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(self._items) or 'none'}")
+        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
+
+
+def _robot_object(robot: Robot) -> RobotObject | None:
+    native = mujoco_model(robot)
+    return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 
 
 def _form(link: Link) -> Form | None:
