@@ -65,13 +65,13 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
     names = _names([model.body(b).name.removeprefix(read.prefix) for b in bodies])
     moving = {b: int(model.body_jntadr[b]) for b in bodies if model.body_jntnum[b]}
     axes = list(moving.values())
-    joint_names = _names([model.joint(j).name.removeprefix(read.prefix) for j in axes])
-    joints_of = dict(zip(axes, joint_names.values(), strict=True))
+    joints = joint_names(robot, read)
+    joints_of = dict(zip(axes, joints.values(), strict=True))
     link_of = dict(zip(bodies, names.values(), strict=True))
     shift = {b: np.array(model.jnt_pos[moving[b]]) if b in moving else np.zeros(3) for b in bodies}
     links = tuple(_link(model, b, link_of[b], shift[b]) for b in bodies)
-    drives, (mimics, loops) = _drives(read, joints_of), _mimics(read, joint_names)
-    joints = []
+    drives, (mimics, loops) = _drives(read, joints_of), _mimics(read, joints)
+    rows = []
     for b in bodies[1:]:
         parent = int(model.body_parentid[b])
         X_PC = Pose.of(-shift[parent]) @ _pose(model.body_pos[b], model.body_quat[b]) @ Pose.of(shift[b])
@@ -79,12 +79,19 @@ def as_object(robot: Robot, read: MujocoRobot) -> RobotObject:
         name = joints_of[joint] if joint is not None else f"{link_of[b]}_mount"
         one = _joint(model, read.qpos, joint, name, (link_of[parent], link_of[b]), X_PC)
         mimic = mimics.get(name)
-        joints.append(replace(one, mimic=mimic, drive=drives.get(name) if mimic is None else None))
+        rows.append(replace(one, mimic=mimic, drive=drives.get(name) if mimic is None else None))
     root = bodies[0]
     X_WO = robot.X_WB @ _pose(model.body_pos[root], model.body_quat[root]) if root else robot.X_WB
     apart = tuple(combinations([link.name for link in links], 2))  # hulls overlap where the meshes do not
-    item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(joints), apart)
-    return RobotObject(item, names, joint_names, loops)
+    item = SceneObject(robot.name, "robot", True, X_WO, links, tuple(rows), apart)
+    return RobotObject(item, names, joints, loops)
+
+
+def joint_names(robot: Robot, read: MujocoRobot) -> dict[str, str]:
+    """The joints of the item by those of the model. Raises :class:`RobotModelError` for what is no tree."""
+    model = read.model
+    moving = (int(model.body_jntadr[b]) for b in _bodies(robot, model) if model.body_jntnum[b])
+    return _names([model.joint(j).name.removeprefix(read.prefix) for j in moving])
 
 
 def _bodies(robot: Robot, model: mujoco.MjModel) -> list[int]:

@@ -88,7 +88,8 @@ class World(Protocol):
     def reset(self, state: SceneState | None = None) -> None:
         """Go to ``state``, at rest; without one, to the state that the scene describes.
 
-        What ``state`` does not mention is as the scene describes it. A KeyError names what is not in the scene.
+        What ``state`` does not mention is as the scene describes it; its speeds are not taken up. Robots hold where they
+        are put. A KeyError names what is not in the scene.
         """
         ...
 
@@ -101,7 +102,7 @@ class World(Protocol):
         ...
 
     def state(self) -> SceneState:
-        """Poses of all objects and positions of all joints, now."""
+        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
         ...
 
     def contacts(self) -> list[Contact]:
@@ -170,7 +171,8 @@ def complete_state(scene: Scene, state: SceneState | None) -> SceneState:
             name = f"{item.name}.{joint.name}"
             if joint.mimic is not None and name not in state.joints:
                 joints[name] = _led(item.name, joint, by_name, joints)
-    return SceneState.of({**initial.poses, **state.poses}, joints, {**initial.motions, **state.motions})
+    motions = {**initial.motions, **state.motions}
+    return SceneState.of({**initial.poses, **state.poses}, joints, motions, state.robots)
 
 
 def _led(owner: str, joint: Joint, by_name: Mapping[str, Joint], joints: Mapping[str, float]) -> float:

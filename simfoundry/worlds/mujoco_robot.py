@@ -64,6 +64,10 @@ class MujocoRobotHandle:
             found[name] = (float(low), float(high))
         return found
 
+    def is_driven(self, name: str) -> bool:
+        """Whether a joint of the arm has an actuator."""
+        return self._servos[name] is not None
+
     def set_targets(self, targets: Mapping[str, float]) -> None:
         """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
         for name, target in targets.items():
@@ -95,7 +99,10 @@ class MujocoRobotHandle:
         if gripper is None:
             return
         share = min(max(closed, 0.0), 1.0)
+        led = {} if gripper.command else gripper.follow  # no servo moves what follows another
         for name, (start, end) in (gripper.command or gripper.joints).items():
+            if name in led:
+                continue
             self._command(self._model.actuator(f"{self._robot.name}.{name}").id, start + share * (end - start))
 
     def frame(self, name: str) -> Pose:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -20,7 +22,8 @@ from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Link
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
 from simfoundry.worlds.offscreen import MujocoRenderer
-from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds.robot_state import check_robots, mjcf_rows
+from simfoundry.worlds.speed import reach
 
 if TYPE_CHECKING:
     import mujoco
@@ -48,6 +51,12 @@ class MujocoWorld:
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
         self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
         self._renderer: MujocoRenderer | None = None
+        self._moving = [_Moving(self.model, item) for item in scene.objects if item.joints or not item.fixed]
+        self._arms = {robot.name: mjcf_rows(robot) for robot in scene.robots}
+        self._arm_qpos = {
+            name: [int(self.model.joint(f"{name}.{row.other}").qposadr[0]) for row in rows]
+            for name, rows in self._arms.items()
+        }
         self.reset()
 
     def _free_qpos(self, tree: Tree) -> int:
@@ -61,6 +70,7 @@ class MujocoWorld:
     def reset(self, state: SceneState | None = None) -> None:
         """Go to ``state``, at rest; without one, to the state that the scene describes."""
         full = complete_state(self.scene, state)
+        check_robots(self.scene, self._arms, state)
         self._mujoco.mj_resetDataKeyframe(self.model, self.data, self.model.key("initial").id)
         for name, pose in full.poses.items():
             if name in self._free:
@@ -78,7 +88,18 @@ class MujocoWorld:
                 elif joint.type is JointType.FREE:
                     X_OL = link_poses(item, full.of_object(item))
                     self._put(self._qpos[name], full.poses[item.name] @ X_OL[joint.child])
+        for name, positions in full.robots.items():
+            self._put_robot(name, positions)
         self._mujoco.mj_forward(self.model, self.data)
+
+    def _put_robot(self, name: str, positions: Mapping[str, float]) -> None:
+        """Put a robot's joints somewhere, with its servos holding it there."""
+        for row, at in zip(self._arms[name], self._arm_qpos[name], strict=True):
+            if row.joint in positions:
+                self.data.qpos[at] = positions[row.joint]
+        arm = self.robot(name)
+        arm.set_targets({n: q for n, q in arm.positions().items() if arm.is_driven(n)})
+        arm.set_gripper(arm.gripper())
 
     def _put(self, start: int, pose: Pose) -> None:
         self.data.qpos[start : start + 7] = [*pose.p, *pose.q]
@@ -93,7 +114,7 @@ class MujocoWorld:
         self.data.qvel[:] = 0.0
 
     def state(self) -> SceneState:
-        """Poses of all objects and positions of all joints, now."""
+        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
         poses = {item.name: self._object_pose(item) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -112,7 +133,14 @@ class MujocoWorld:
             if X_OT:
                 found = free_motions(item, SceneState(poses, joints, motions).of_object(item), X_OT)
                 motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
-        return SceneState.of(poses, joints, motions)
+        qpos, qvel = self.data.qpos, self.data.qvel
+        robots = {
+            name: dict(zip((row.joint for row in rows), qpos[self._arm_qpos[name]].tolist(), strict=True))
+            for name, rows in self._arms.items()
+            if rows
+        }
+        speeds = {moving.name: moving.speed(qvel) for moving in self._moving}
+        return SceneState.of(poses, joints, motions, robots, speeds)
 
     def contacts(self) -> list[Contact]:
         """Contacts between different objects, now."""
@@ -198,7 +226,7 @@ class MujocoWorld:
             drive=self._drive(joint),
         )
 
-    def robot(self, name: str) -> WorldRobot:
+    def robot(self, name: str) -> MujocoRobotHandle:
         """The robot called ``name``; a KeyError lists the names there are."""
         return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
 
@@ -253,3 +281,31 @@ class MujocoWorld:
     ) -> None:
         """Close."""
         self.close()
+
+
+class _Moving:
+    """The velocities of an object that can move: of its ``free`` bodies the first of six, the others turn or slide."""
+
+    def __init__(self, model: mujoco.MjModel, item: SceneObject) -> None:
+        self.name, self._reach = item.name, reach(item)
+        free = [free_joint_name(tree) for tree in trees(item) if not tree.fixed]
+        self._free = [int(model.joint(name).dofadr[0]) for name in free]
+        self._turning: list[int] = []
+        self._sliding: list[int] = []
+        for joint in item.joints:
+            if joint.type not in (JointType.FIXED, JointType.FREE):
+                dof = int(model.joint(f"{item.name}.{joint.name}").dofadr[0])
+                slides = joint.type is JointType.PRISMATIC
+                (self._sliding if slides else self._turning).extend(range(dof, dof + (1 if joint.has_axis else 3)))
+
+    def speed(self, qvel: Array) -> float:
+        """A bound on the speed of its fastest point [m/s]."""
+        fastest = 0.0
+        for start in self._free:
+            x, y, z, a, b, c = qvel[start : start + 6].tolist()
+            fastest = max(fastest, math.hypot(x, y, z) + math.hypot(a, b, c) * self._reach)
+        for dof in self._sliding:
+            fastest += abs(float(qvel[dof]))
+        for dof in self._turning:
+            fastest += abs(float(qvel[dof])) * 2 * self._reach
+        return fastest

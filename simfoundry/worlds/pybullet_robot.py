@@ -90,12 +90,30 @@ class PybulletRobotHandle:
             p, q = self._call("getLinkState", self._body, index, computeForwardKinematics=True)[:2]
         return Pose.of(p, from_xyzw(q)) @ X_LI.inverse()
 
-    def reset(self) -> None:
-        """Go to where the scene has it, at rest, with the motors holding it there."""
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """All joints that move, by the model's names."""
+        return tuple(self._facts["joints"])
+
+    def model_positions(self) -> dict[str, float]:
+        """Where all joints that move are [rad or m], by the model's names."""
+        names = self.moving
+        states = self._call("getJointStates", self._body, [self._index[name] for name in names])
+        return {name: float(state[0]) for name, state in zip(names, states, strict=True)}
+
+    def reset(self, positions: Mapping[str, float] | None = None) -> None:
+        """Go to where the scene has it, or joints by the model's names to ``positions`` [rad or m], at rest.
+
+        The motors hold it there, and what follows a joint is where that leads it.
+        """
+        given = dict(positions or {})
+        for joint, follow in self._gripper.follow.items():
+            if follow["joint"] in given:  # type: ignore[index]
+                given.setdefault(joint, follow["multiplier"] * given[follow["joint"]] + follow["offset"])  # type: ignore[index]
         for name, position in self._facts["joints"].items():
-            self._call("resetJointState", self._body, self._index[name], position, 0.0)
+            self._call("resetJointState", self._body, self._index[name], given.get(name, position), 0.0)
         for name, motor in self._facts["motors"].items():
-            self._drive(name, motor["target"])
+            self._drive(name, given.get(name, motor["target"]))
 
     def halt(self) -> None:
         """Set the velocities of its joints to zero."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import importlib.util
 import json
+import math
 import os
 import sys
 import tempfile
@@ -29,6 +30,8 @@ from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
 from simfoundry.worlds.robot import WorldRobot
+from simfoundry.worlds.robot_state import check_robots, engine_positions, positions_of, urdf_rows
+from simfoundry.worlds.speed import reach
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -63,6 +66,8 @@ class PybulletWorld:
         self._joints: dict[str, tuple[int, int]] = {}
         for tree in self._trees.values():
             self._index_names(tree)
+        self._arms = {name: urdf_rows(scene.robot(name), handle.moving) for name, handle in self._robots.items()}
+        self._reach = {item.name: reach(item) for item in scene.objects if item.joints or not item.fixed}
         self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
         self.reset()
 
@@ -91,6 +96,7 @@ class PybulletWorld:
     def reset(self, state: SceneState | None = None) -> None:
         """Go to ``state``, at rest; without one, to the state that the scene describes."""
         full = complete_state(self.scene, state)
+        check_robots(self.scene, self._arms, state)
         for name, pose in full.poses.items():
             self._put(name, pose)
         for name, position in full.joints.items():
@@ -104,8 +110,8 @@ class PybulletWorld:
             if tree.free_joint is not None:
                 X_OL = link_poses(item, full.of_object(item))
                 self._put(tree.name, full.poses[item.name] @ X_OL[tree.root.name])
-        for robot in self._robots.values():
-            robot.reset()
+        for name, robot in self._robots.items():
+            robot.reset(engine_positions(self._arms[name], full.robots.get(name, {})))
 
     def _put(self, name: str, pose: Pose) -> None:
         """Put the base of a body at a pose in the world, at rest."""
@@ -137,7 +143,7 @@ class PybulletWorld:
             robot.halt()
 
     def state(self) -> SceneState:
-        """Poses of all objects and positions of all joints, now."""
+        """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
         poses = {item.name: self._link_pose(self.bodies[item.name], BASE) for item in self.scene.objects}
         joints: dict[str, float] = {}
         motions: dict[str, Pose] = {}
@@ -153,7 +159,25 @@ class PybulletWorld:
                 X_OT = {j.child: X_OW @ self._link_pose(self.bodies[item.qualified(j.child)], BASE) for j in free}
                 found = free_motions(item, positions, X_OT)
                 motions |= {f"{item.name}.{name}": motion for name, motion in found.items()}
-        return SceneState.of(poses, joints, motions)
+        robots = {n: positions_of(self._arms[n], r.model_positions()) for n, r in self._robots.items() if self._arms[n]}
+        return SceneState.of(poses, joints, motions, robots, self._speeds())
+
+    def _speeds(self) -> dict[str, float]:
+        """A bound on the speed of the fastest point of each object that can move [m/s]."""
+        speeds = dict.fromkeys(self._reach, 0.0)
+        for name, tree in self._trees.items():
+            if not tree.fixed:
+                v, w = self._call("getBaseVelocity", self.bodies[name])
+                own = tree.owner.name
+                speeds[own] = max(speeds[own], math.hypot(*v) + math.hypot(*w) * self._reach[own])
+        for name, at in self._joints.items():
+            own = name.partition(".")[0]
+            if self._is_ball(name):
+                speeds[own] += math.hypot(*self._call("getJointStateMultiDof", *at)[1]) * 2 * self._reach[own]
+            else:
+                slides = self._call("getJointInfo", *at)[2] == self._bullet.JOINT_PRISMATIC
+                speeds[own] += abs(self._call("getJointState", *at)[1]) * (1.0 if slides else 2 * self._reach[own])
+        return speeds
 
     def _is_ball(self, name: str) -> bool:
         body, index = self._joints[name]

@@ -1,0 +1,97 @@
+"""Joint positions of robots in a state: those of the robot's canonical model, whatever model an engine has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from simfoundry.backends.robot_object import joint_names
+from simfoundry.backends.robots import RobotModelError, mujoco_model, read_robot
+from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import Gripper, ModelFormat, NativeModel, Robot
+from simfoundry.scene.state import SceneState
+
+
+class Row(NamedTuple):
+    """A ``joint`` of the canonical model is at ``scale`` times where joint ``other`` of an engine's is, + ``offset``."""
+
+    joint: str
+    other: str
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+Rows = tuple[Row, ...]
+
+
+def mjcf_rows(robot: Robot) -> Rows:
+    """For the model that MuJoCo has, which is the canonical one; empty where no predicate knows the robot."""
+    native = mujoco_model(robot)
+    return () if native is None else tuple(Row(joint, other) for other, joint in _names(robot, native).items())
+
+
+def urdf_rows(robot: Robot, moving: Iterable[str]) -> Rows:
+    """For the URDF that PyBullet has, whose joints ``moving`` are.
+
+    Where the robot has both, an MJCF and a URDF of its own, their arms' joints are paired in order and their grippers'
+    by how far they are closed.
+    """
+    native, urdf = mujoco_model(robot), robot.best(ModelFormat.URDF)
+    if native is None:
+        return ()
+    names = _names(robot, native)
+    if urdf is None:  # converted: it has the canonical names
+        return tuple(Row(name, name) for name in names.values() if name in set(moving))
+    if urdf is native:
+        return tuple(Row(joint, other) for other, joint in names.items() if other in set(moving))
+    arm = [Row(names[native.joints.get(n, n)], urdf.joints.get(n, n)) for n in native.joints or urdf.joints]
+    if native.gripper is None or urdf.gripper is None:
+        return tuple(arm)
+    return (*arm, *_gripper(names, native.gripper, urdf.gripper))
+
+
+def _names(robot: Robot, native: NativeModel) -> dict[str, str]:
+    try:
+        return joint_names(robot, read_robot(robot, native, f"{robot.name}."))
+    except RobotModelError:  # a robot with balls and free joints has no canonical model
+        return {}
+
+
+def _gripper(names: dict[str, str], own: Gripper, other: Gripper) -> Iterator[Row]:
+    """The gripper's joints of the canonical model by those of the other: in pairs, or all by the first."""
+    theirs = list(other.joints.items())
+    if len(theirs) != len(own.joints):
+        theirs = theirs[:1] * len(own.joints)
+    found = {}
+    for (joint, (opened, closed)), (name, (start, end)) in zip(own.joints.items(), theirs, strict=True):
+        scale = (closed - opened) / (end - start)
+        found[joint] = Row(names[joint], name, scale, opened - scale * start)
+    yield from found.values()
+    for joint, follow in own.follow.items():
+        if joint not in found and follow.joint in found:
+            _, name, scale, offset = found[follow.joint]
+            yield Row(names[joint], name, follow.multiplier * scale, follow.multiplier * offset + follow.offset)
+
+
+def positions_of(rows: Rows, at: Mapping[str, float]) -> dict[str, float]:
+    """Canonical positions [rad or m] from those of the engine's joints."""
+    return {row.joint: row.scale * at[row.other] + row.offset for row in rows}
+
+
+def engine_positions(rows: Rows, canonical: Mapping[str, float]) -> dict[str, float]:
+    """Positions [rad or m] of the engine's joints from canonical ones; of two rows of one joint the first counts."""
+    found: dict[str, float] = {}
+    for row in rows:
+        if row.joint in canonical:
+            found.setdefault(row.other, (canonical[row.joint] - row.offset) / row.scale)
+    return found
+
+
+def check_robots(scene: Scene, rows: Mapping[str, Rows], state: SceneState | None) -> None:
+    """Raise a KeyError that names the robot or joint of a state that the scene lacks."""
+    for name, joints in state.robots.items() if state is not None else ():
+        scene.robot(name)
+        known = [row.joint for row in rows.get(name, ())]
+        unknown = sorted(set(joints) - set(known))
+        if unknown and known:
+            raise KeyError(f"no joint {unknown[0]!r} in robot {name!r}; there are: {', '.join(known)}")
