@@ -58,6 +58,7 @@ COMMANDS = {
     "diff": "Say what changed between two documents or revisions.",
     "doctor": "Say what is installed, what is missing and how to get it.",
     "explain": "Explain the code of a finding, or list all codes.",
+    "export": "Write a task in a format that others read.",
     "flatten": "Write a document out in full, with all that it extends and every default.",
     "fmt": "Write documents in their canonical form; comments stay.",
     "git": "Let git show and merge documents by meaning.",
