@@ -1,0 +1,1 @@
+"""A scripted policy that cheats: it sees the true state, plans grasps and paths on it, and acts as any policy does."""

@@ -1,0 +1,150 @@
+"""Where a gripper can take a thing: across what its fingers can close on, found on the thing's colliders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.evaluate.expert.jaws import Jaws
+from simfoundry.evaluate.expert.solids import Part, Span, bounds, crossings
+from simfoundry.scene.frames import Array, Pose
+
+YAWS = 12
+"""Directions of closing about the direction of approach, over half a turn; each counts twice, with the hand turned."""
+
+ACROSS, ALONG = 17, 12
+"""Most lines across the hand and along its approach."""
+
+SPACING = 0.006
+"""Least distance between lines [m]."""
+
+FACING = 0.92
+"""Fingers meet surfaces that face them at least this much: the cosine, within the cone of friction."""
+
+CLEARANCE = 0.004
+"""Room left beside each finger when it comes [m]."""
+
+PRELOAD = 0.012
+"""How much wider than the thing the open fingers come, on each side [m], where the gripper is that wide."""
+
+TIP = 0.006
+"""How far behind the tip of the pads what is taken lies at least [m]."""
+
+ALIKE = 0.004
+"""Neighbouring lines whose spans differ by less than this [m] are one surface for the pads."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grasp:
+    """A hand about to close: ``X_WH`` when closed; it comes with its fingers at share ``open`` and closes on ``width``.
+
+    ``cost`` is smaller for better ones.
+    """
+
+    X_WH: Pose
+    width: float
+    open: float
+    cost: float
+
+
+def down(tilts: tuple[float, ...] = (0.0,)) -> list[Array]:
+    """Directions of approach, shape (3,): straight down, and tilted by angles [rad] towards eight sides."""
+    found = []
+    for tilt in tilts:
+        for side in range(8 if tilt else 1):
+            angle = side * math.pi / 4
+            found.append(_tilted(tilt, angle))
+    return found
+
+
+def _tilted(tilt: float, angle: float) -> Array:
+    return np.array([math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), -math.cos(tilt)])
+
+
+def rotations(approach: Array) -> Iterator[Array]:
+    """Rotations of the hand whose z is ``approach``, with closing directions y all around."""
+    side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    side = np.cross(approach, side)
+    side /= np.linalg.norm(side)
+    other = np.cross(approach, side)
+    for k in range(YAWS):
+        angle = k * math.pi / YAWS
+        y = math.cos(angle) * side + math.sin(angle) * other
+        yield np.column_stack([np.cross(y, approach), y, approach])
+
+
+def grasps(shape: tuple[Part, ...], center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+    """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
+    found: list[Grasp] = []
+    for approach in approaches:
+        for R in rotations(approach):
+            found += _along(shape, center, jaws, R)
+    flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
+    both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
+    return sorted(both, key=lambda g: g.cost)
+
+
+def _along(shape: tuple[Part, ...], center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
+    """Grasps with the hand turned by R."""
+    low, high = bounds(shape, R)
+    across = _grid(low[0], high[0], ACROSS)
+    along = _grid(low[2], high[2], ALONG)
+    a, h = np.meshgrid(across, along, indexing="ij")
+    y = (low[1] + high[1]) / 2
+    starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R.T
+    lines = crossings(shape, starts, R[:, 1])
+    spans = [[_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))]
+    tilt = math.acos(min(1.0, max(-1.0, -float(R[2, 2]))))
+    for i in range(len(across)):
+        for j in range(len(along)):
+            for span in spans[i][j]:
+                middle = R @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
+                area = _area(spans, i, j, span)
+                share, first, tip = jaws.at_width(span.width)
+                opened = jaws.at_width(min(span.width + 2 * PRELOAD, jaws.opening))[0]
+                aside = middle - center
+                aside = aside - (aside @ R[:, 2]) * R[:, 2]
+                off = float(np.linalg.norm(aside))
+                tight = max(0.0, 0.008 - (jaws.opening - span.width) / 2) / 0.008
+                for depth in ((first + tip) / 2, tip - TIP):
+                    shallow = 0.15 if depth > (first + tip) / 2 else 0.0
+                    cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
+                    yield Grasp(_pose(R, middle - R[:, 2] * depth), span.width, opened, cost)
+
+
+def _grid(low: float, high: float, most: int) -> Array:
+    """Coordinates from a little inside ``low`` to a little inside ``high``, at least :data:`SPACING` apart."""
+    count = int(np.clip((high - low) / SPACING, 1, most))
+    return low + (np.arange(count) + 0.5) * (high - low) / count
+
+
+def _holdable(spans: list[Span], jaws: Jaws) -> list[Span]:
+    """Single pieces and runs of pieces that the fingers can close on from both ends."""
+    widest = jaws.opening - 2 * CLEARANCE
+    found = []
+    for i, first in enumerate(spans):
+        for last in spans[i:]:
+            facing = min(first.facing, last.facing)
+            if last.end - first.start <= widest and facing >= FACING:
+                found.append(Span(first.start, last.end, facing))
+    return found
+
+
+def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
+    """Share of the lines around one that meet the same surfaces: how much of the pads will touch."""
+    around = [(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1) if di or dj]
+    alike = 0
+    for k, m in around:
+        if 0 <= k < len(spans) and 0 <= m < len(spans[k]):
+            near = (max(abs(other.start - span.start), abs(other.end - span.end)) for other in spans[k][m])
+            alike += min(near, default=math.inf) < ALIKE
+    return alike / len(around)
+
+
+def _pose(R: Array, p: Array) -> Pose:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, p
+    return Pose.from_matrix(matrix)

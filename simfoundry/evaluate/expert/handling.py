@@ -1,0 +1,173 @@
+"""Taking a thing up and putting it down, with one hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.pace import CAREFUL
+from simfoundry.evaluate.expert.places import PlaceAt
+from simfoundry.evaluate.expert.reach import Held, Path, Reach
+from simfoundry.evaluate.expert.solids import parts
+from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.worlds.footing import center_of_mass
+
+STANDOFF = 0.09
+"""How far before a grasp the hand stops to look [m]."""
+
+LIFT = 0.12
+"""How high a thing is lifted before it is carried away [m]."""
+
+ABOVE = 0.08
+"""How far above its place a thing comes [m]."""
+
+DROP = 0.006
+"""How high above its place a thing is let go [m]."""
+
+RELEASE = 0.012
+"""How far each finger opens to let go [m]."""
+
+TRIES, PLACES = 160, 40
+"""How many grasps and places are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class PickPlan:
+    """A grasp that can be carried out: ways to stop before it, to it, and up from it."""
+
+    grasp: Grasp
+    to: Path
+    down: Path
+    up: Path
+
+
+@dataclass(frozen=True, eq=False)
+class PutPlan:
+    """A place that can be reached: the way above it, down to it, and back."""
+
+    to: Path
+    down: Path
+    back: Path
+    open: float
+
+
+def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> Script:
+    """Take a thing up, so that it can go to one of ``places`` afterwards."""
+    worker.sync()
+    plan = plan_pick(worker, robot, name, places)
+    if plan is None:
+        raise FailedError(f"{robot} finds no grasp of {name}")
+    worker.share[robot] = plan.grasp.open
+    yield from worker.follow(robot, plan.to)
+    yield from worker.settle(robot)
+    yield from worker.follow(robot, plan.down, CAREFUL)
+    yield from worker.settle(robot)
+    yield from worker.grip(robot, 1.0)
+    X_HO = worker.now.robots[robot].X_WH.inverse() @ worker.now.state.poses[name]
+    worker.held[robot] = Held(name, X_HO)
+    yield from worker.follow(robot, plan.up, CAREFUL)
+    yield from worker.settle(robot)
+
+
+def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
+    """The first grasp that the arm can reach, lift and bring to a place; None where there is none."""
+    reach = worker.reaches[robot]
+    state = worker.now.state
+    item = worker.scene.object(name)
+    center = center_of_mass(item, state.poses[name])
+    q = worker.q[robot]
+    for tilts in ((0.0,), (0.35, 0.7)):
+        found = grasps(parts(item, state), center, reach.jaws, down(tilts))
+        for grasp in found[:TRIES]:
+            plan = _reached(reach, q, grasp, name, state.poses[name])
+            if plan is None:
+                continue
+            held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
+            if places is None or any(_can_put(reach, plan.up[-1], held, grasp, p) for p in places[:PLACES]):
+                worker.cell.put(name, state.poses[name])
+                way = reach.way(q, plan.down[0], grasp.open)
+                if way is not None:
+                    return PickPlan(grasp, way, plan.down, plan.up)
+            worker.cell.put(name, state.poses[name])
+    return None
+
+
+def _reached(reach: Reach, q: Array, grasp: Grasp, name: str, X_WO: Pose) -> PickPlan | None:
+    """The way to a grasp from just before it, and up again."""
+    before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
+    start = reach.arm.solve_any(before, q, reach.rng)
+    if start is None or not reach.clear(start, grasp.open):
+        return None
+    way = reach.line(start, grasp.X_WH, grasp.open, gap=0.001)
+    if way is None:
+        return None
+    closed = reach.jaws.at_width(grasp.width)[0]
+    if not reach.clear(way[-1], closed, gap=0.001, ignore=[name]):
+        return None
+    raised = Pose.of(grasp.X_WH.p + np.array([0.0, 0.0, LIFT]), grasp.X_WH.q)
+    up = reach.line(way[-1], raised, closed, ignore=[name])
+    return None if up is None else PickPlan(grasp, [], way, up)
+
+
+def _can_put(reach: Reach, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
+    """Whether the hand can be where it lets a thing go, and just above."""
+    X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
+    posture = reach.arm.solve_any(X_WH, q, reach.rng)
+    if posture is None:
+        return False
+    closed = reach.jaws.at_width(grasp.width)[0]
+    if not reach.clear(posture, closed, held, gap=0.001):
+        return False
+    return reach.arm.solve(_over(X_WH, ABOVE), posture) is not None
+
+
+def _over(X: Pose, height: float) -> Pose:
+    return Pose.of(X.p + np.array([0.0, 0.0, height]), X.q)
+
+
+def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
+    """Put down what the hand holds, at the first of ``places`` that it can reach."""
+    held = worker.held[robot]
+    worker.sync()
+    plan = plan_put(worker, robot, places)
+    if plan is None:
+        raise FailedError(f"{robot} finds no place for {held.name}")
+    yield from worker.follow(robot, plan.to)
+    yield from worker.settle(robot)
+    yield from worker.follow(robot, plan.down, CAREFUL)
+    yield from worker.settle(robot)
+    del worker.held[robot]
+    yield from worker.grip(robot, plan.open)
+    yield from worker.follow(robot, plan.back, CAREFUL)
+    yield from worker.wait(0.4)
+
+
+def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
+    """The first place that the arm can bring what it holds to, let go and leave; None where there is none."""
+    reach = worker.reaches[robot]
+    reading = worker.now.robots[robot]
+    held = Held(worker.held[robot].name, reading.X_WH.inverse() @ worker.now.state.poses[worker.held[robot].name])
+    share = reading.gripper
+    width = float(np.interp(share, reach.jaws.share, reach.jaws.width))
+    opened = reach.jaws.at_width(min(width + 2 * RELEASE, reach.jaws.opening))[0]
+    q = worker.q[robot]
+    for place in places:
+        goal = _over(place.X_WO, DROP) @ held.X_HO.inverse()
+        posture = reach.arm.solve_any(goal, q, reach.rng)
+        if posture is None or not reach.clear(posture, share, held, gap=0.001):
+            continue
+        rise = reach.line(posture, _over(goal, ABOVE), share, held)
+        if rise is None:
+            continue
+        way = reach.way(q, rise[-1], share, held)
+        if way is None:
+            continue
+        worker.cell.put(held.name, place.X_WO)
+        back = Pose.of(goal.p - STANDOFF * goal.rotation[:, 2], goal.q)
+        leave = reach.line(posture, back, opened, ignore=[held.name]) or rise[::1]
+        return PutPlan(way, rise[::-1], leave, opened)
+    return None

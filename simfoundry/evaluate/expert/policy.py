@@ -1,0 +1,115 @@
+"""The expert as a policy: it is given the task, sees the truth, and answers with actions as any other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.evaluate.expert.handling import pick, put
+from simfoundry.evaluate.expert.places import places
+from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
+from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
+from simfoundry.scene.frames import Array
+
+CHUNK = 3
+"""Actions in an answer: a fifth of a second at 15 Hz, so that a lost grasp is seen soon."""
+
+ATTEMPTS = 4
+"""How often a step is tried before the next is."""
+
+
+class Expert:
+    """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
+
+    def __init__(self, task, judge) -> None:
+        self._task = task
+        self._holds = judge
+        self._worker = Worker(task.scene, task.robots, task.control_hz)
+        self._script: Script | None = None
+        self.log: list[str] = []
+
+    @property
+    def name(self) -> str:
+        """What reports call it."""
+        return "expert"
+
+    @property
+    def action_space(self) -> ActionSpace:
+        """What the arm's numbers mean."""
+        return ActionSpace.JOINT_POSITION
+
+    @property
+    def cameras(self) -> Mapping[str, ImageSize]:
+        """None: it sees the truth."""
+        return MappingProxyType({})
+
+    def reset(self, instruction: str, seed: int) -> None:
+        """Begin a rollout."""
+        self._worker.begin(seed)
+        self._script = None
+        self.log = []
+
+    def infer(self, observation: Observation) -> Array:
+        """The next actions, shape (3, numbers of an action)."""
+        self._worker.look(observation)
+        if self._script is None:
+            self._script = self._work()
+        rows = []
+        for _ in range(CHUNK):
+            next(self._script)
+            rows.append(self._worker.command())
+        return np.array(rows)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def _work(self) -> Script:
+        """Every step of the task, then what of the goal does not hold, and then stillness."""
+        for step in steps(self._task.goal, self._task.subtasks):
+            yield from self._achieve(step)
+        for _ in range(ATTEMPTS):
+            for step in goal_steps(self._task.goal):
+                yield from self._achieve(step)
+        while True:
+            yield
+
+    def _achieve(self, step: Step) -> Script:
+        for _ in range(ATTEMPTS):
+            if self._holds(step.until, self._worker.now.state):
+                return
+            try:
+                yield from self._do(step)
+            except FailedError as error:
+                self.log.append(f"{step.until}: {error}")
+                yield from self._recover()
+        self.log.append(f"{step.until}: given up")
+
+    def _do(self, step: Step) -> Script:
+        worker = self._worker
+        robot = self._task.robots[0]
+        match step.skill:
+            case Skill.PICK:
+                yield from pick(worker, robot, step.args[0], None)
+            case Skill.PUT_ON | Skill.PUT_IN:
+                thing, target = step.args
+                inside = step.skill is Skill.PUT_IN
+                found = places(worker.scene, worker.now.state, thing, target, inside)
+                if not found:
+                    raise FailedError(f"there is no place for {thing} at {target}")
+                if robot not in worker.held:
+                    yield from pick(worker, robot, thing, found)
+                yield from put(worker, robot, found)
+
+    def _recover(self) -> Script:
+        """Let go, and back to where the arm began."""
+        worker = self._worker
+        for robot, reach in worker.reaches.items():
+            worker.held.pop(robot, None)
+            yield from worker.grip(robot, 0.0)
+            worker.sync()
+            way = reach.way(worker.q[robot], reach.arm.home, 0.0)
+            yield from worker.follow(robot, way or [worker.q[robot], reach.arm.home])
