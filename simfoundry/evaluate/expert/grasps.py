@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.evaluate.expert.solids import Part, Span, bounds, crossings
+from simfoundry.evaluate.expert.solids import Solid, Span, bounds, crossings
 from simfoundry.scene.frames import Array, Pose
 
 YAWS = 12
@@ -76,7 +76,7 @@ def rotations(approach: Array) -> Iterator[Array]:
         yield np.column_stack([np.cross(y, approach), y, approach])
 
 
-def grasps(shape: tuple[Part, ...], center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
     """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
     found: list[Grasp] = []
     for approach in approaches:
@@ -87,7 +87,7 @@ def grasps(shape: tuple[Part, ...], center: Array, jaws: Jaws, approaches: list[
     return sorted(both, key=lambda g: g.cost)
 
 
-def _along(shape: tuple[Part, ...], center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
+def _along(shape: Solid, center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
     """Grasps with the hand turned by R."""
     low, high = bounds(shape, R)
     across = _grid(low[0], high[0], ACROSS)

@@ -11,7 +11,7 @@ from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
-from simfoundry.evaluate.expert.solids import parts
+from simfoundry.evaluate.expert.solids import solid
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.worlds.footing import center_of_mass
@@ -81,7 +81,7 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
     center = center_of_mass(item, state.poses[name])
     q = worker.q[robot]
     for tilts in ((0.0,), (0.35, 0.7)):
-        found = grasps(parts(item, state), center, reach.jaws, down(tilts))
+        found = grasps(solid(item, state), center, reach.jaws, down(tilts))
         for grasp in found[:TRIES]:
             plan = _reached(reach, q, grasp, name, state.poses[name])
             if plan is None:
