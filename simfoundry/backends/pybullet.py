@@ -111,8 +111,8 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         "gravity": _numbers(scene.gravity),
         "timestep": timestep,
         "objects": {tree.name: _object(tree, resistances, timestep) for tree in parts},
-        "cameras": {camera.name: _camera(camera) for camera in scene.cameras},
-        "lighting": _lighting(scene.lights),
+        "cameras": {camera.name: camera_arguments(camera) for camera in scene.cameras},
+        "lighting": lighting_arguments(scene.lights),
         "relations": [str(relation) for relation in scene.relations],
     }
     if robots:
@@ -275,7 +275,7 @@ def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]
     return [[a, b] for a, b in pairs if a[0] != b[0]]
 
 
-def _camera(camera: Camera) -> dict[str, object]:
+def camera_arguments(camera: Camera) -> dict[str, object]:
     """Arguments of ``getCameraImage``; both matrices column by column, as OpenGL wants them."""
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     view = flip @ camera.X_WC.inverse().matrix
@@ -287,7 +287,7 @@ def _camera(camera: Camera) -> dict[str, object]:
     }
 
 
-def _lighting(lights: tuple[Light, ...]) -> dict[str, object]:
+def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     """Arguments of ``getCameraImage``: the first light with a place or direction, and the sum of the domes; or none."""
     if not lights:
         return {}

@@ -31,6 +31,14 @@ def _packages(_context: click.Context, _option: click.Parameter, values: tuple[s
     return out
 
 
+def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    pairs = [value.partition("=") for value in values]
+    for name, equals, item in pairs:
+        if not name or not equals or not item:
+            raise click.BadParameter(f"`{name}` is not NAME=OBJECT")
+    return {name: item for name, _, item in pairs}
+
+
 @click.command()
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option(
@@ -45,11 +53,15 @@ def _packages(_context: click.Context, _option: click.Parameter, values: tuple[s
 )  # fmt: skip
 @click.option(
     "--scene", type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="The scene document that a task of the authors' release is for.",
+    help="The scene document that a task, of the authors' release or in BDDL, is for.",
 )  # fmt: skip
 @click.option(
     "--onto", type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
+)  # fmt: skip
+@click.option(
+    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=_bound,
+    help="Which object of --scene a name of a BDDL task means; may be given more than once.",
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
@@ -61,11 +73,12 @@ def command(
     packages: dict[str, Path],
     scene: Path | None,
     onto: Path | None,
+    bound: dict[str, str],
     force: bool,
     strict: bool,
     as_json: bool,
 ) -> int:
-    """Import URDF, MJCF, USD, or a scene or task of the authors' release, as a scene, an asset or a task.
+    """Import URDF, MJCF, USD, a scene or task of the authors' release, or a BDDL task, as a scene, an asset or a task.
 
     A stage that `compile` wrote gives its own document back, with what was edited in it since: into OUT where that is
     there, or into the document named by --onto.
@@ -79,7 +92,7 @@ def command(
         if len(files) > 1:
             raise CannotError("--onto takes one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
-    options = Options(packages, force, scene)
+    options = Options(packages, force, scene, bound)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
@@ -195,9 +208,9 @@ def _is_model(path: Path) -> bool:
 
 
 def _default_name(path: Path) -> str:
-    from simfoundry.frontends.convert import ASSET, SCENE, TASK, TASKS
+    from simfoundry.frontends.convert import ASSET, BDDL, SCENE, TASK, TASKS
 
-    if path.suffix.lower() in TASKS:
+    if path.suffix.lower() in (*TASKS, BDDL):
         return f"{path.stem}{TASK}"
     return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
 

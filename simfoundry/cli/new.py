@@ -14,6 +14,7 @@ NEXT = {
     "asset": ("simfoundry check {path}",),
     "capture": ("put color.png and depth.png into {folder}", "simfoundry check {path}", "simfoundry capture {folder}"),
     "cousins": ("simfoundry check {path}",),
+    "policy": ("simfoundry check {path}",),
 }
 """What to do with a new document of each kind."""
 
@@ -33,7 +34,8 @@ def command(
 ) -> None:
     """Start a document: a valid one with comments that say what its keys mean.
 
-    KIND is scene, task, asset, capture or cousins; it may be left out where PATH says it, as desk.scene.yaml does.
+    KIND is scene, task, asset, capture, cousins or policy; it may be left out where PATH says it, as
+    desk.scene.yaml does.
     Where the project has no schemas for editors, they are written into .simfoundry/schemas/.
     """
     from simfoundry.files import write_atomically

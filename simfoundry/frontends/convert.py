@@ -19,14 +19,18 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import project_root
+from simfoundry.spec.task import TaskSpec
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
-VALID = "valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz, .json (a scene of OmniGibson)"
+VALID = (
+    "valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz, .json (a scene of OmniGibson); with a scene, "
+    ".yaml and .bddl (tasks)"
+)
 
 ATTEMPTS = 3
 """How often a draft is mended until it lowers."""
 
-TASK, TASKS = ".task.yaml", (".yaml", ".yml")
+TASK, TASKS, BDDL = ".task.yaml", (".yaml", ".yml"), ".bddl"
 USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
@@ -38,6 +42,8 @@ class Options:
     force: bool = False
     scene: Path | None = None
     """The scene document that a task is for."""
+    bound: Mapping[str, str] = field(default_factory=dict)
+    """Objects of that scene by the names that a task of BDDL has for them."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +136,7 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
     Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something
     would be lost. What is written lowers without an error, or nothing is written.
     """
-    if path.suffix.lower() in TASKS:
+    if path.suffix.lower() in (*TASKS, BDDL):
         return _import_task(path, out, options)
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
     if kind is None:
@@ -152,10 +158,8 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
 
 
 def _import_task(path: Path, out: Path, options: Options) -> Report:
-    """Import a task of the release."""
-    from simfoundry.frontends.omnigibson_task import read_task
-    from simfoundry.spec.load import load, load_kind
-    from simfoundry.spec.scene import SceneSpec
+    """Import a task of the release, of LIBERO or of BEHAVIOR."""
+    from simfoundry.spec.load import load
 
     if not out.name.endswith(TASK):
         raise OutputError(f"{out}: the output is called NAME{TASK}")
@@ -163,9 +167,7 @@ def _import_task(path: Path, out: Path, options: Options) -> Report:
         raise ImportRefusedError(path, "a task is for a scene", hint="name its document: --scene NAME.scene.yaml")
     if out.exists() and not options.force:
         raise OutputError(f"{out} exists; write elsewhere, or replace it with --force")
-    scene = load_kind(options.scene, "scene/1").spec
-    assert isinstance(scene, SceneSpec)
-    spec, draft = read_task(path, options.scene, scene, out)
+    spec, draft = _read_task(path, options.scene, out, options.bound)
     out.parent.mkdir(parents=True, exist_ok=True)
     trial = out.parent / f".{out.name.removesuffix(TASK)}.import{TASK}"
     try:
@@ -177,6 +179,24 @@ def _import_task(path: Path, out: Path, options: Options) -> Report:
         raise ImportRefusedError(path, errors[0].message, hint=errors[0].hint)
     write_atomically(out, text_of(spec).encode())
     return Report(str(path), str(out), draft.format, notes=tuple(draft.notes))
+
+
+def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]) -> tuple[TaskSpec, Draft]:
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.scene import SceneSpec
+
+    loaded = load_kind(scene_file, "scene/1")
+    lowered = lower(loaded, Cache.default())
+    if path.suffix.lower() == BDDL:
+        from simfoundry.frontends.bddl import read_bddl_task
+
+        return read_bddl_task(path, scene_file, lowered, out, bound)
+    from simfoundry.frontends.omnigibson_task import read_task
+
+    assert isinstance(loaded.spec, SceneSpec)
+    return read_task(path, scene_file, loaded.spec, lowered, out)
 
 
 def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path) -> Built:

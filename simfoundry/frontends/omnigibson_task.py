@@ -12,6 +12,7 @@ from simfoundry.frontends.drafts import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.frontends.pieces import rounded
+from simfoundry.scene.model import Scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.text import YamlError
@@ -37,7 +38,7 @@ _DROPPED = {
 }  # fmt: skip
 
 
-def read_task(path: Path, scene_file: Path, scene: SceneSpec, out: Path) -> tuple[TaskSpec, Draft]:
+def read_task(path: Path, scene_file: Path, scene: SceneSpec, lowered: Scene, out: Path) -> tuple[TaskSpec, Draft]:
     """The task of a YAML file of the release on a scene, for a document at ``out``, and what of it is left out."""
     try:
         document = read_yaml(path)
@@ -47,14 +48,16 @@ def read_task(path: Path, scene_file: Path, scene: SceneSpec, out: Path) -> tupl
     config = data.get("og_task_config") if isinstance(data, dict) else None
     if not isinstance(config, dict):
         raise ImportRefusedError(path, "it has no `og_task_config`: it is no task of the release")
-    return _Task(path, data, config, scene).spec(os.path.relpath(scene_file.resolve(), out.resolve().parent))
+    return _Task(path, data, config, scene, lowered).spec(os.path.relpath(scene_file.resolve(), out.resolve().parent))
 
 
 class _Task:
     """One task file while it is read."""
 
-    def __init__(self, path: Path, data: dict[str, Any], config: dict[str, Any], scene: SceneSpec) -> None:
-        self.path, self.data, self.config, self.scene = path, data, config, scene
+    def __init__(
+        self, path: Path, data: dict[str, Any], config: dict[str, Any], scene: SceneSpec, lowered: Scene
+    ) -> None:
+        self.path, self.data, self.config, self.scene, self.lowered = path, data, config, scene, lowered
         self.draft = Draft(str(data.get("task_name") or path.stem), "OmniGibson task")
         self.groups = {str(k): list(v or ()) for k, v in (config.get("semantic_group_mapping") or {}).items()}
 
@@ -143,7 +146,10 @@ class _Task:
             thing = name if name != "agent" else others[0] if others else ""
             if not wanted and thing and thing != "agent":
                 return f"Released({thing})"
-            raise self.refused("the robot is to touch something", "use IsGrasping")
+            robots = list(self.scene.robots)
+            if len(robots) != 1:
+                raise self.refused("a robot is to touch something", f"the scene must have one robot, not {len(robots)}")
+            return f"Touching({robots[0]}, {thing})"
         if state == "IsGrasping":
             text = f"Grasped({others[0] if name == 'agent' and others else name})"
         elif state in BINARY and others and name != "agent":
@@ -205,8 +211,8 @@ class _Task:
                     f"range of height of `{group}`", "objects start at the height that the scene gives them"
                 )
             for name in self.members(group):
-                pose = self.scene.objects[name].pose
-                region: dict[str, Any] = {k: (pose.xyz[i] - half[i], pose.xyz[i] + half[i]) for i, k in enumerate("xy")}
+                p = [float(v) for v in self.lowered.object(name).X_WO.p]
+                region: dict[str, Any] = {k: (p[i] - half[i], p[i] + half[i]) for i, k in enumerate("xy")}
                 if turn:
                     region["yaw_deg"] = (-turn, turn)
                 out[name] = region

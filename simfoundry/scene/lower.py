@@ -91,6 +91,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         background=None if around is None else lower_background(loaded, around, pose(around.pose)),
         no_contact=no_contact,
         source=Source.of(_file_in_project(loaded), to_data(spec)),
+        viewer=viewer(spec),
     )
 
 

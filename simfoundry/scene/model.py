@@ -320,7 +320,8 @@ class Scene:
 
     ``left_out`` is what the spec says beyond that; every target reports it as lost. ``no_contact`` are pairs of links
     of different objects, by qualified name, that pass through each other. ``source`` is the document itself, for
-    targets that can give it back.
+    targets that can give it back. ``viewer`` is a frame with x away from whom left, right, front and behind are meant
+    by, and y to its left; None for the axes of the world.
     """
 
     name: str
@@ -335,6 +336,7 @@ class Scene:
     background: Background | None = None
     no_contact: tuple[tuple[str, str], ...] = ()
     source: Source | None = None
+    viewer: Pose | None = None
 
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""

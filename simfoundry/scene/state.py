@@ -16,18 +16,35 @@ class SceneState:
 
     ``joints`` are the positions [rad or m] of those with one axis; ``motions`` the poses of the child's frame of those
     without, ball and free joints, in where it is at position zero. A ball joint's motion has no translation.
+
+    ``robots`` are where the joints of each robot are [rad or m], by the names of the joints of the object that
+    :mod:`simfoundry.backends.robot_object` makes of it; empty where they are as the scene describes them. ``speeds``
+    [m/s] are those of the fastest point of each object; of what is not here it is 0.
     """
 
     poses: Mapping[str, Pose]
     joints: Mapping[str, float]
     motions: Mapping[str, Pose] = field(default_factory=lambda: MappingProxyType({}))
+    robots: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
+    speeds: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
     @classmethod
     def of(
-        cls, poses: Mapping[str, Pose], joints: Mapping[str, float], motions: Mapping[str, Pose] | None = None
+        cls,
+        poses: Mapping[str, Pose],
+        joints: Mapping[str, float],
+        motions: Mapping[str, Pose] | None = None,
+        robots: Mapping[str, Mapping[str, float]] | None = None,
+        speeds: Mapping[str, float] | None = None,
     ) -> SceneState:
         """Freeze the mappings."""
-        return cls(MappingProxyType(dict(poses)), MappingProxyType(dict(joints)), MappingProxyType(dict(motions or {})))
+        return cls(
+            MappingProxyType(dict(poses)),
+            MappingProxyType(dict(joints)),
+            MappingProxyType(dict(motions or {})),
+            MappingProxyType({name: MappingProxyType(dict(joints)) for name, joints in (robots or {}).items()}),
+            MappingProxyType(dict(speeds or {})),
+        )
 
     @classmethod
     def initial(cls, scene: Scene) -> SceneState:

@@ -43,6 +43,10 @@ def _check_of(kind: str) -> Callable[[Checker, Any], None]:
             from simfoundry.spec.checks.capture import check_capture
 
             return check_capture
+        case "policy/1":
+            from simfoundry.spec.checks.policy import check_policy
+
+            return check_policy
     from simfoundry.spec.checks.cousins import check_cousins
 
     return check_cousins

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from simfoundry.spec.base import DocumentSpec
 
-KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1")
+KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 """Kind and version, as the first key of a document says."""
 
 
@@ -45,4 +45,8 @@ def model_of(kind: str) -> type[DocumentSpec]:
             from simfoundry.spec.cousins import CousinsSpec
 
             return CousinsSpec
+        case "policy/1":
+            from simfoundry.spec.policy import PolicySpec
+
+            return PolicySpec
     raise KeyError(kind)

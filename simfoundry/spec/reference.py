@@ -134,6 +134,18 @@ scene:
     cup: [LeftOf, RightOf, InFrontOf, Behind]
 distractors: {count: [1, 3], mass: {most: 0.5}}
 """,
+    "policy/1": """\
+simfoundry: policy/1
+name: pi05_droid_jointpos
+protocol: openpi
+address: localhost:8000
+action_space: joint_position
+horizon: 8
+cameras:
+  observation/exterior_image_1_left: {camera: exterior_left, size: [224, 224], render: [448, 252]}
+  observation/wrist_image_left: {camera: wrist, size: [224, 224], render: [448, 252]}
+gripper: {open: 0, closed: 1, threshold: 0.5}
+""",
 }
 
 _PATTERNS = {
@@ -141,6 +153,8 @@ _PATTERNS = {
     r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$": "name or name.part",
     "^SF[0-9]{3}$": "code",
     "^[A-Za-z_][A-Za-z0-9_./-]*$": "joint",
+    "^[A-Za-z0-9_][A-Za-z0-9_./-]*$": "key",
+    "^[A-Z_][A-Z0-9_]*$": "environment variable",
 }
 """What the texts of a pattern are called."""
 

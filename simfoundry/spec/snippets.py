@@ -51,6 +51,21 @@ CHOICES = {
         "Which parts it has, and how many.",
         "Colour and material.",
     ),
+    ("openpi", "roboarena", "groot"): (
+        "The websocket of openpi, and of `serve_lerobot`.",
+        "The websocket of RoboArena and DreamZero.",
+        "The ZeroMQ socket of GR00T.",
+    ),
+    ("joint_position", "joint_velocity"): (
+        "Where the joints shall be [rad or m].",
+        "How fast the joints shall move.",
+    ),
+    ("joints", "gripper", "joints_gripper", "hand"): (
+        "Positions of the arm's joints, in order [rad or m].",
+        "The gripper, in the numbers of `gripper`.",
+        "Joints and gripper of each robot in turn, as in an action.",
+        "Position of the hand in the base [m], and roll, pitch, yaw [rad].",
+    ),
     ("affordances", "model"): (
         "Every task that the objects afford, counted out (the default).",
         "Tasks that a vision-language model proposes.",
@@ -63,6 +78,8 @@ NAMES = {
     r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$": ("name", "a name as `cabinet`, or one of its links as `cabinet.drawer`"),
     "^SF[0-9]{3}$": ("SF402", "the code of a warning, as `SF402`"),
     "^[A-Za-z_][A-Za-z0-9_./-]*$": ("joint", "the name of a joint, as the robot's own model has it"),
+    "^[A-Za-z0-9_][A-Za-z0-9_./-]*$": ("key", "a key of the policy's own, as `observation/wrist_image_left`"),
+    "^[A-Z_][A-Z0-9_]*$": ("VARIABLE", "the name of an environment variable in capitals, never a key itself"),
 }
 """What to call a text of a pattern where a key of that pattern is offered, and what to say where one does not match."""
 
@@ -87,6 +104,8 @@ SHOT = {
     "camera": "{fx: ${5:600}, fy: ${5:600}, cx: ${6:319.5}, cy: ${7:239.5}}",
 }
 
+VIEW = "{camera: ${2:wrist}, size: [${3:224}, ${4:224}], render: [${5:448}, ${6:252}]}"
+
 Body = str | list[Any] | dict[str, Any]
 """A first value with holes to fill in, as ``${1:0.5}``: a text as it is written, or what is written over lines."""
 
@@ -96,6 +115,8 @@ CUP = (
 """The profile of a cup: out along its foot, up its wall, over its rim and down inside."""
 
 FIRST: dict[str, Body] = {
+    "api_key": "${1:OPENPI_API_KEY}",
+    "address": "${1:localhost:8000}",
     "asset": "${1:mug.glb}",
     "background": "{mesh: ${1:room.glb}}",
     "Masks.background": "[${1:0}]",
@@ -104,6 +125,14 @@ FIRST: dict[str, Body] = {
     "by": "${1:me}",
     "camera": "{fx: ${1:600}, fy: ${2:600}, cx: ${3:319.5}, cy: ${4:239.5}}",
     "cameras": {"${1:front}": CAMERA},
+    "CameraView.camera": "${1:wrist}",
+    "PolicySpec.cameras": {"${1:observation/wrist_image_left}": VIEW},
+    "CameraView.render": "[${1:448}, ${2:252}]",
+    "CameraView.size": "[${1:224}, ${2:224}]",
+    "PolicySpec.state": {"${1:observation/joint_position}": "${2:joints}"},
+    "PolicySpec.gripper": "{open: ${1:0}, closed: ${2:1}, threshold: ${3:0.5}}",
+    "PolicySpec.horizon": "${1:8}",
+    "velocity_unit": "${1:3}",
     "capture": "${1:name}",
     "capsule": "{radius: ${1:0.02}, height: ${2:0.1}}",
     "categories": "[${1:mug}]",
@@ -244,6 +273,7 @@ MEMBERS: dict[str, Body] = {
     "JointSpec": JOINT,
     "LinkSpec": LINK,
     "Shot": SHOT,
+    "CameraView": VIEW.replace("${2:", "${1:"),
 }
 """A first value for a member of a mapping by name, by its model."""
 

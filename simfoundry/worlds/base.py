@@ -7,10 +7,16 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.robot import WorldRobot
+
+Image = NDArray[np.uint8]
+"""A colour picture: sRGB, shape (h, w, 3)."""
 
 CONTACT_GAP = 1e-3
 """Surfaces further apart than this [m] are not in contact, whatever margin an engine keeps."""
@@ -104,6 +110,18 @@ class World(Protocol):
 
     def robot(self, name: str) -> WorldRobot:
         """The robot called ``name``; a KeyError lists the names there are."""
+        ...
+
+    def render(self, camera: str, width: int, height: int) -> Image:
+        """What a camera of the scene sees now, robots included: sRGB, uint8, shape (height, width, 3).
+
+        The camera's picture is scaled evenly, and cut at the middle where the shape is another. Nothing moves by it. A
+        KeyError lists the cameras there are; a RenderError says what is missing to draw.
+        """
+        ...
+
+    def trouble(self) -> str:
+        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
         ...
 
     def read_back(self) -> dict[str, LinkFacts]:

@@ -56,6 +56,14 @@ class MujocoRobotHandle:
     def _position(self, joint: int) -> float:
         return float(self._data.qpos[self._model.jnt_qposadr[joint]])
 
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        found = {}
+        for name, joint in self._joints.items():
+            low, high = self._model.jnt_range[joint] if self._model.jnt_limited[joint] else (-np.inf, np.inf)
+            found[name] = (float(low), float(high))
+        return found
+
     def set_targets(self, targets: Mapping[str, float]) -> None:
         """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""
         for name, target in targets.items():

@@ -16,8 +16,10 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
+from simfoundry.worlds.offscreen import MujocoRenderer
 from simfoundry.worlds.robot import WorldRobot
 
 if TYPE_CHECKING:
@@ -45,6 +47,7 @@ class MujocoWorld:
         initial = SceneState.initial(scene)
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
         self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
+        self._renderer: MujocoRenderer | None = None
         self.reset()
 
     def _free_qpos(self, tree: Tree) -> int:
@@ -121,6 +124,31 @@ class MujocoWorld:
                 normal, position = frozen_array(contact.frame[:3]), frozen_array(contact.pos)
                 found.append(Contact(a, b, -float(contact.dist), normal, position))
         return found
+
+    def render(self, camera: str, width: int, height: int) -> Image:
+        """What a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
+        view = camera_of(self, camera, width, height)
+        if self._renderer is None or not self._renderer.holds(width, height):
+            self._close_renderer()
+            self._renderer = MujocoRenderer(self.model, width, height)
+        # After a step, what is drawn would be where it was before it.
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_comPos(self.model, self.data)
+        self._mujoco.mj_camlight(self.model, self.data)
+        return self._renderer.picture(self.data, view)
+
+    def _close_renderer(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = None
+
+    def trouble(self) -> str:
+        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
+        warnings = self._mujoco.mjtWarning
+        bad = (warnings.mjWARN_BADQPOS, warnings.mjWARN_BADQVEL, warnings.mjWARN_BADQACC)
+        if any(self.data.warning[int(kind)].number for kind in bad):
+            return "the simulation diverged: MuJoCo met numbers that are not finite or huge, and began anew"
+        return ""
 
     def read_back(self) -> dict[str, LinkFacts]:
         """Every link by its qualified name, as MuJoCo holds it."""
@@ -213,7 +241,8 @@ class MujocoWorld:
         return Pose.of(self.data.qpos[start : start + 3], self.data.qpos[start + 3 : start + 7])
 
     def close(self) -> None:
-        """Nothing to let go of: MuJoCo frees its memory with the object."""
+        """Let go of the GL driver; MuJoCo frees its own memory with the object."""
+        self._close_renderer()
 
     def __enter__(self) -> Self:
         """Return itself."""

@@ -55,6 +55,10 @@ class MujocoRenderer:
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
 
+    def holds(self, width: int, height: int) -> bool:
+        """Whether a picture of this size can be drawn."""
+        return width <= self._size[0] and height <= self._size[1]
+
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
         """What ``camera`` sees: sRGB, uint8, shape (h, w, 3)."""
         return self._draw(data, camera)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -39,6 +40,11 @@ class PybulletRobotHandle:
 
     def _position(self, joint: str) -> float:
         return float(self._call("getJointState", self._body, self._index[joint])[0])
+
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        found = {name: self._limits[joint] for name, joint in self._facts["arm"].items()}
+        return {name: pair if pair[0] <= pair[1] else (-math.inf, math.inf) for name, pair in found.items()}
 
     def set_targets(self, targets: Mapping[str, float]) -> None:
         """Where joints of the arm are to go [rad or m]; a KeyError names a joint that the robot lacks."""

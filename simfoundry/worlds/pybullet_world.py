@@ -17,15 +17,16 @@ from typing import Any, Self
 
 import numpy as np
 
-from simfoundry.backends.pybullet import compile_pybullet
+from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, LinkFacts, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
+from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
 from simfoundry.worlds.robot import WorldRobot
 
@@ -177,6 +178,23 @@ class PybulletWorld:
                 normal = -np.array(point[7])  # Bullet's points from b to a
                 found.append(Contact(a, b, -distance, frozen_array(normal), frozen_array(middle)))
         return found
+
+    def render(self, camera: str, width: int, height: int) -> Image:
+        """What a camera of the scene sees now, by TinyRenderer: sRGB, uint8, shape (height, width, 3)."""
+        view = camera_arguments(camera_of(self, camera, width, height))
+        matrices = {"viewMatrix": view["view"], "projectionMatrix": view["projection"]}
+        lighting = lighting_arguments(self.scene.lights)
+        flags = {"renderer": self._bullet.ER_TINY_RENDERER, "flags": self._bullet.ER_NO_SEGMENTATION_MASK}
+        shot = self._call("getCameraImage", width, height, **matrices, **lighting, **flags)
+        return np.ascontiguousarray(np.asarray(shot[2], dtype=np.uint8).reshape(height, width, 4)[:, :, :3])
+
+    def trouble(self) -> str:
+        """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
+        for name, body in self.bodies.items():
+            p, q = self._call("getBasePositionAndOrientation", body)
+            if not np.isfinite([*p, *q]).all():
+                return f"the simulation diverged: PyBullet has no finite pose of `{name}`"
+        return ""
 
     def read_back(self) -> dict[str, LinkFacts]:
         """Every link by its qualified name, as PyBullet holds it."""

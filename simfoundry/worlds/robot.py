@@ -20,6 +20,10 @@ class WorldRobot(Protocol):
         """Where the arm's joints are now [rad or m]."""
         ...
 
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Between what the arm's joints can move [rad or m]; infinite where nothing limits them."""
+        ...
+
     def set_targets(self, targets: Mapping[str, float]) -> None:
         """Where joints of the arm are to go [rad or m], within their limits; the others keep their targets.
 

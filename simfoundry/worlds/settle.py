@@ -103,10 +103,15 @@ class Settled:
         return {"passed": self.passed, "at_rest": self.at_rest, "objects": objects}
 
 
-def settle(world: World, options: SettleOptions | None = None, progress: Progress | None = None) -> Settled:
-    """Settle the scene of a world from its own poses. The world is left in the settled state."""
+def settle(
+    world: World,
+    options: SettleOptions | None = None,
+    progress: Progress | None = None,
+    state: SceneState | None = None,
+) -> Settled:
+    """Settle the scene of a world from ``state``, by default its own. The world is left in the settled state."""
     options = options or SettleOptions()
-    world.reset()
+    world.reset(state)
     before, contacts_before = world.state(), world.contacts()
     _slowed(world, 0.0, options.window_s, options.max_quasi_static_s, options, _stage(progress, "depenetrate"))
     opened = world.state()

@@ -144,10 +144,10 @@ def test_an_engine_that_does_not_draw_here_is_a_sentence(scene: Path, tmp_path: 
 
 
 def test_schemas(tmp_path: Path) -> None:
-    for kind in ("scene", "task", "asset", "capture", "cousins"):
+    for kind in ("scene", "task", "asset", "capture", "cousins", "policy"):
         done = run("schema", kind)
         assert done.code == 0 and done.json["$defs"]["Document"]["properties"]["simfoundry"]
-    assert run("schema").code == 2 and "scene, task, asset, capture, cousins" in run("schema").err
+    assert run("schema").code == 2 and "scene, task, asset, capture, cousins, policy" in run("schema").err
     assert run("schema", "-o", tmp_path).code == 0 and (tmp_path / "scene.schema.json").is_file()
 
 

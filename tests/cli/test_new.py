@@ -20,7 +20,8 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.settle import settle
 from tests.cli.command import run
 
-FILES = {kind: f"a.{kind}.yaml" for kind in ("scene", "task", "asset", "cousins")} | {"capture": "shot/capture.yaml"}
+NAMED = ("scene", "task", "asset", "cousins", "policy")
+FILES = {kind: f"a.{kind}.yaml" for kind in NAMED} | {"capture": "shot/capture.yaml"}
 MODELINE = re.compile(r"# yaml-language-server: \$schema=(\S+)\n")
 
 
@@ -171,7 +172,7 @@ def test_nothing_is_overwritten_without_force(project: Path) -> None:
     [
         (["desk"], "does not say its kind"),
         (["scene", "a.task.yaml"], "a scene is not kept in `a.task.yaml`"),
-        (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins"),
+        (["table", "a.scene.yaml"], "the kinds are scene, task, asset, capture, cousins, policy"),
         (["a.task.yaml"], "there is none"),
         (["a.cousins.yaml"], "there is none"),
         (["a.scene.yaml", "--name", "My Desk"], "`My Desk` cannot be a name"),

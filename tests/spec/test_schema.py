@@ -118,7 +118,8 @@ def test_every_field_is_described() -> None:
 
 
 def test_documents_name_the_schema_files() -> None:
-    assert set(schemas()) == {f"{kind}.schema.json" for kind in ("scene", "task", "asset", "capture", "cousins")}
+    names = ("scene", "task", "asset", "capture", "cousins", "policy")
+    assert set(schemas()) == {f"{kind}.schema.json" for kind in names}
     assert Path(REPOSITORY / "schemas").is_dir()
 
 
@@ -133,10 +134,11 @@ def _keys(kind: str) -> list[tuple[str, str, Any]]:
     return [(part, key, body) for part, model in parts.items() for key, body in model.get("properties", {}).items()]
 
 
-KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1")
+KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "together", "names", "invalid", "background", "horizon", "least", "most"),
+    *("open", "closed", "threshold", "retries"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
 
@@ -162,7 +164,7 @@ def test_a_schema_is_one(kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_key_of_a_number_says_its_unit(kind: str) -> None:
     units = re.compile(
-        r"\[(m|kg|deg|px|s|Hz|rad or m|kg/m\^3|kg m\^2|m/s\^2|N|kg, or)[^\]]*\]|metres|of one unit|steps"
+        r"\[(m|kg|deg|px|s|Hz|rad or m|rad/s or m/s|kg/m\^3|kg m\^2|m/s\^2|N|kg, or)[^\]]*\]|metres|of one unit|steps"
     )
     keys = [(part, key, body) for part, key, body in _keys(kind) if _numbers(kind, body)]
     assert len(keys) > 3

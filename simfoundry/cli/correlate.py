@@ -1,0 +1,103 @@
+"""``simfoundry correlate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from simfoundry.evaluate.correlate import Agreement, Interval
+
+
+@click.command()
+@click.argument("real", type=click.Path(path_type=Path, exists=True))
+@click.argument("sim", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
+@click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="Of the bootstrap.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap.")
+@click.option("--svg", type=click.Path(path_type=Path, dir_okay=False), help="Write the scatter plot.")
+@json_option
+@reporting
+def command(
+    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, as_json: bool
+) -> None:
+    """Say how well simulated success rates tell the real ones: Pearson's r and MMRV of each task.
+
+    REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or what `simfoundry eval` wrote.
+    Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what a
+    bootstrap over the rollouts gives. r is undefined where all policies do equally well.
+    """
+    from simfoundry.evaluate.correlate import Draws, agreements, left_out
+    from simfoundry.evaluate.scores import read_scores
+
+    truth = read_scores(real)
+    names = _names(sim)
+    tables = {name: read_scores(path) for name, path in zip(names, sim, strict=True)}
+    how = Draws(count=draws, rollouts=rollouts, seed=seed)
+    found = {name: agreements(truth, table, how) for name, table in tables.items()}
+    missing = {name: left_out(truth, table) for name, table in tables.items()}
+    if svg is not None:
+        from simfoundry.evaluate.scatter import scatter
+        from simfoundry.files import write_atomically
+
+        write_atomically(svg, scatter(found).encode())
+    if as_json:
+        print_json({name: _json(one, missing[name]) for name, one in found.items()})
+        return
+    _print(found, missing)
+    if svg is not None:
+        click.echo(f"\nwrote {svg}")
+
+
+def _names(sim: Sequence[Path]) -> list[str]:
+    names = [path.stem if path.suffix else path.name for path in sim]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in sim]
+    if len(set(names)) < len(names):
+        raise CannotError("the same table is named twice")
+    return names
+
+
+def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from simfoundry.evaluate.correlate import mean_agreement
+
+    r, violation = mean_agreement(found)
+    return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
+
+
+def _print(found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[str]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from simfoundry.evaluate.correlate import mean_agreement
+
+    console = Console()
+    for name, one in found.items():
+        table = Table(title=name, title_justify="left", box=None, pad_edge=False)
+        for title in ("task", "policies", "Pearson r", "MMRV"):
+            table.add_column(title, no_wrap=True)
+        for a in one:
+            table.add_row(
+                a.task,
+                str(len(a.policies)),
+                _with_interval(a.pearson, a.pearson_interval),
+                _with_interval(a.mmrv, a.mmrv_interval),
+            )
+        r, violation = mean_agreement(one)
+        table.add_row("mean", "", _with_interval(r, None), _with_interval(violation, None), style="bold")
+        console.print(table)
+        if missing[name]:
+            console.print(f"not in both tables: {', '.join(missing[name])}", markup=False, soft_wrap=True)
+
+
+def _with_interval(value: float | None, interval: Interval | None) -> str:
+    figure = "undefined" if value is None else f"{value:.3f}"
+    return figure if interval is None or value is None else f"{figure} ({interval[0]:.3f} to {interval[1]:.3f})"

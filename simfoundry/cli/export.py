@@ -1,0 +1,53 @@
+"""``simfoundry export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+
+
+@click.command()
+@click.argument("task", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option(
+    "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
+    help="BDDL as LIBERO or BEHAVIOR reads it, or the task YAML of the authors' release.",
+)  # fmt: skip
+@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: standard output.")
+@click.option("--force", is_flag=True, help="Replace what is there.")
+@click.option("--strict", is_flag=True, help="Exit with 1 where something was left out or assumed.")
+@json_option
+@reporting
+def command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
+    """Write a task in a format that others read.
+
+    What the format cannot say of the goal is refused; what it cannot say of the start is reported. `simfoundry import`
+    reads all three formats.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.errors import OutputError
+    from simfoundry.files import write_atomically
+    from simfoundry.frontends.export_task import export_task
+    from simfoundry.scene.lower import lower_file
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.task import TaskSpec
+
+    spec = load_kind(task, "task/1").spec
+    assert isinstance(spec, TaskSpec)
+    if as_json and out is None:
+        raise CannotError("--json reports on a file: name it with `-o FILE`")
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default()), format_)
+    if out is None:
+        click.echo(export.text, nl=False)
+    else:
+        if out.exists() and not force:
+            raise OutputError(f"{out} exists; write elsewhere, or replace it with --force")
+        write_atomically(out, export.text.encode())
+    if as_json:
+        print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})
+    else:
+        for note in export.notes:
+            click.echo(f"not the same: {note}", err=True)
+    return FINDINGS if strict and export.notes else DONE

@@ -1,0 +1,81 @@
+"""Actions of a policy as targets of joints, and how many steps of physics there are between two of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from simfoundry.evaluate.policies.base import ActionSpace, PolicyError
+from simfoundry.scene.frames import Array
+from simfoundry.worlds.robot import WorldRobot
+
+FARTHEST = 0.2
+"""How far ahead of a joint its target may run when velocities are integrated [rad or m]: DROID's largest step."""
+
+
+def physics_steps(step: int, control_hz: float, timestep: float) -> int:
+    """Steps of ``timestep`` [s] during control step ``step``, counted from 0.
+
+    The end of each control step is rounded to a step of physics, not its length, so that rounding never adds up: 15 Hz
+    in steps of 2 ms are 33, 34, 33, ... of them, and 10 s are 150 control steps. At least one.
+    """
+    period = 1.0 / (control_hz * timestep)
+    return max(1, round((step + 1) * period) - round(step * period))
+
+
+def action_size(robots: Mapping[str, WorldRobot]) -> int:
+    """How many numbers an action has: for each robot its joints and its gripper."""
+    return sum(len(robot.joints) + 1 for robot in robots.values())
+
+
+def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
+    """What a policy answered as actions, shape (horizon, numbers of an action); raises :class:`PolicyError`."""
+    size = action_size(robots)
+    wanted = " + ".join(f"{len(r.joints)} joints and the gripper of `{n}`" for n, r in robots.items())
+    try:
+        array = np.array(actions, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"actions must be an array of numbers, got {type(actions).__name__}: {error}") from None
+    if array.ndim != 2 or array.shape[1] != size or not len(array):
+        raise PolicyError(f"actions must have shape (horizon, {size}), for {wanted}; got {array.shape}")
+    if not np.isfinite(array).all():
+        row, column = (int(v) for v in np.argwhere(~np.isfinite(array))[0])
+        raise PolicyError(f"actions must be finite; number {column} of action {row} is {array[row, column]}")
+    return array
+
+
+class Controller:
+    """Carries actions out: as targets of the arms' joints, and how far the grippers close.
+
+    Positions are targets as they are, cut off at the joints' limits. Velocities [rad/s or m/s] are added up from the
+    targets before, as the servos of an arm hold against its weight; a target stays within :data:`FARTHEST` of its joint,
+    so that nothing winds up while the arm is blocked.
+    """
+
+    def __init__(self, robots: Mapping[str, WorldRobot], space: ActionSpace, control_hz: float) -> None:
+        self._robots, self._space, self._period = robots, space, 1.0 / control_hz
+        self._targets = {name: robot.positions() for name, robot in robots.items()}
+
+    def apply(self, action: Array) -> None:
+        """Set the targets of one action, shape (numbers of an action,)."""
+        start = 0
+        for name, robot in self._robots.items():
+            arm = action[start : start + len(robot.joints)]
+            if self._space is ActionSpace.JOINT_VELOCITY:
+                targets = self._integrated(name, robot, arm)
+            else:
+                targets = dict(zip(robot.joints, map(float, arm), strict=True))
+            robot.set_targets(targets)
+            robot.set_gripper(float(action[start + len(robot.joints)]))
+            self._targets[name] = targets
+            start += len(robot.joints) + 1
+
+    def _integrated(self, name: str, robot: WorldRobot, velocities: Sequence[float] | Array) -> dict[str, float]:
+        now, limits, targets = robot.positions(), robot.limits(), {}
+        for joint, velocity in zip(robot.joints, velocities, strict=True):
+            low, high = limits[joint]
+            low, high = max(low, now[joint] - FARTHEST), min(high, now[joint] + FARTHEST)
+            wanted = self._targets[name][joint] + float(velocity) * self._period
+            targets[joint] = min(max(wanted, low), max(low, high))
+        return targets

@@ -1,0 +1,140 @@
+"""Which policy a person means: a word, a server, a document, a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from simfoundry.evaluate.policies.base import Policy, PolicyError
+from simfoundry.spec.policy import PORTS, PolicySpec
+
+DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
+"""The cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), which the short form takes."""
+
+
+@dataclass(frozen=True)
+class Expert:
+    """The scripted expert, which is made with its task."""
+
+
+@dataclass(frozen=True)
+class Random:
+    """Random motion."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """The actions of a recording."""
+
+    path: Path
+
+
+Choice = PolicySpec | Expert | Random | Replay
+"""A policy that was chosen and is not yet made."""
+
+
+def parse_policy(text: str) -> Choice:
+    """The policy that a text means; raises :class:`PolicyError` with a sentence, ``SpecError`` for a bad document.
+
+    ``random``, ``expert``, ``replay:FILE``, a path to a ``*.policy.yaml``, or a server in short,
+    ``openpi:localhost:8000?action_space=joint_position&horizon=8``: the keys are those of a policy document, as far as
+    they hold one word or number; the cameras are those of DROID.
+    """
+    if text in ("random", "expert"):
+        return Random() if text == "random" else Expert()
+    kind, _, rest = text.partition(":")
+    if kind == "replay":
+        if not rest:
+            raise PolicyError("say which recording is replayed, as `replay:rollout.npz`")
+        return Replay(Path(rest))
+    if text.endswith((".yaml", ".yml")):
+        return _document(Path(text))
+    if kind in PORTS:
+        return _short(kind, rest)
+    words = "`random`, `expert`, `replay:FILE`, a path to a .policy.yaml"
+    servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PORTS)
+    raise PolicyError(f"`{text}` is no policy: give {words}, or a server, {servers}")
+
+
+def open_policy(choice: PolicySpec | Random | Replay) -> Policy:
+    """The policy that was chosen, connected to nothing before its first rollout; the expert is made with its task."""
+    if isinstance(choice, Random):
+        from simfoundry.evaluate.policies.random_actions import RandomPolicy
+
+        return RandomPolicy()
+    if isinstance(choice, Replay):
+        from simfoundry.evaluate.policies.replay import load_replay
+
+        return load_replay(choice.path)
+    if choice.protocol == "openpi":
+        from simfoundry.evaluate.policies.openpi import OpenpiPolicy
+
+        return OpenpiPolicy(choice)
+    if choice.protocol == "roboarena":
+        from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
+
+        return RoboarenaPolicy(choice)
+    from simfoundry.evaluate.policies.groot import GrootPolicy
+
+    return GrootPolicy(choice)
+
+
+def _document(path: Path) -> PolicySpec:
+    from simfoundry.spec.load import load_kind
+
+    spec = load_kind(path, "policy/1").spec
+    assert isinstance(spec, PolicySpec)
+    return spec
+
+
+def _short(protocol: str, rest: str) -> PolicySpec:
+    """A server with what follows its address, as a document would say it."""
+    from pydantic import ValidationError
+
+    address, _, query = rest.partition("?")
+    said = {key: _value(value) for key, value in parse_qsl(query, keep_blank_values=True)}
+    if "action_space" not in said:
+        full = f"{protocol}:{address or 'localhost'}?action_space=joint_position"
+        reason = "what the arm's numbers mean is not on the wire"
+        raise PolicyError(f"{reason}: say `{full}` or `…=joint_velocity`, or write a policy document")
+    whole: dict[str, Any] = {
+        "simfoundry": "policy/1",
+        "name": protocol,
+        "protocol": protocol,
+        "address": address or "localhost",
+        "horizon": 15 if protocol == "groot" else 8,
+        "cameras": _cameras(protocol),
+    }
+    try:
+        return PolicySpec.model_validate(whole | said)
+    except ValidationError as error:
+        first = error.errors()[0]
+        at = ".".join(map(str, first["loc"]))
+        raise PolicyError(f"`{protocol}:{rest}`: {f'`{at}`: ' if at else ''}{first['msg']}") from None
+
+
+def _value(text: str) -> str | int | float:
+    """A number where it is one."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _cameras(protocol: str) -> dict[str, dict[str, Any]]:
+    """The pictures that the policies of DROID take, by the names that each protocol gives them."""
+    size, render = ((224, 224), (448, 252)) if protocol == "openpi" else ((320, 180), (320, 180))
+    names = {
+        "openpi": {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"},
+        "roboarena": {
+            "observation/exterior_image_0_left": "exterior",
+            "observation/exterior_image_1_left": "exterior_2",
+            "observation/wrist_image_left": "wrist",
+        },
+        "groot": {"exterior_image_1_left": "exterior", "wrist_image_left": "wrist"},
+    }[protocol]
+    return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in names.items()}

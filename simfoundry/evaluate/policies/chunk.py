@@ -1,0 +1,65 @@
+"""What a server answered, as actions: checked, since it comes from elsewhere, and in our units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from simfoundry.evaluate.policies.base import PolicyError, RobotReading
+from simfoundry.scene.frames import Array
+from simfoundry.spec.policy import PolicySpec
+
+
+def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
+    """The first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
+
+    Joints in rad, m, rad/s or m/s; grippers 0 open to 1 closed. Raises :class:`PolicyError` for what is no such array.
+    """
+    width = sum(len(robot.joints) + 1 for robot in robots.values())
+    chunk = _checked(spec, answer, width, _words(robots))
+    out = np.array(chunk[: spec.horizon], dtype=np.float64)
+    at = 0
+    for robot in robots.values():
+        joints = slice(at, at + len(robot.joints))
+        if spec.velocity_unit is not None:
+            out[:, joints] = np.clip(out[:, joints], -1, 1) * spec.velocity_unit
+        out[:, joints.stop] = gripper_of(spec, out[:, joints.stop])
+        at = joints.stop + 1
+    return out
+
+
+def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
+    """How far closed, 0 to 1, of what the policy says, shape (n,)."""
+    convention = spec.gripper
+    closed = np.clip((numbers - convention.open) / (convention.closed - convention.open), 0.0, 1.0)
+    return closed if convention.threshold is None else (closed > convention.threshold).astype(np.float64)
+
+
+def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
+    if not isinstance(answer, np.ndarray):
+        raise PolicyError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+    if answer.dtype.kind not in "fiu":
+        raise PolicyError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+    if answer.ndim != 2:
+        raise PolicyError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
+    if answer.shape[1] != width:
+        message = f"{spec.name} answered with {answer.shape[1]} numbers for each action, and the robots take {width}"
+        raise PolicyError(f"{message}: {words}")
+    if len(answer) < spec.horizon:
+        message = f"{spec.name} answered with {len(answer)} actions, and its `horizon` is {spec.horizon}"
+        raise PolicyError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
+    wrong = np.argwhere(~np.isfinite(answer))
+    if len(wrong):
+        step, column = (int(v) for v in wrong[0])
+        raise PolicyError(f"{spec.name} answered with `{answer[step, column]}` in action {step}, number {column}")
+    return answer
+
+
+def _shape(array: np.ndarray[Any, Any]) -> str:
+    return f"({', '.join(map(str, array.shape))})"
+
+
+def _words(robots: Mapping[str, RobotReading]) -> str:
+    return ", ".join(f"{len(robot.joints)} joints and a gripper of `{name}`" for name, robot in robots.items())

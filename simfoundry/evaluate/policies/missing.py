@@ -1,0 +1,17 @@
+"""Packages that only remote policies need."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from simfoundry.evaluate.policies.base import PolicyError
+
+
+def needed(module: str, what: str, install: str = "pip install 'simfoundry[policies]'") -> ModuleType:
+    """A module that may be absent; raises :class:`PolicyError` with what to do."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        absent = getattr(error, "name", None) or module
+        raise PolicyError(f"{what} needs the package `{absent.partition('.')[0]}`; {install}") from None

@@ -1,0 +1,43 @@
+"""Policies of openpi, and whatever else speaks its protocol (``openpi_client.websocket_client_policy``, 0.1.2)."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from simfoundry.evaluate.policies.base import Observation
+from simfoundry.evaluate.policies.reading import pictures, state
+from simfoundry.evaluate.policies.remote import RemotePolicy
+from simfoundry.evaluate.policies.websocket import Connection
+from simfoundry.spec.policy import PolicySpec
+
+DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
+"""What the policies of DROID are told of the robot."""
+
+
+class OpenpiPolicy(RemotePolicy):
+    """A policy behind ``WebsocketPolicyServer`` of openpi.
+
+    Each question stands alone, so a lost connection is made anew and the question is put again.
+    """
+
+    def __init__(self, spec: PolicySpec) -> None:
+        super().__init__(spec)
+        self._connection = Connection(spec, self.record)
+
+    def begin(self) -> None:
+        """Connect; the protocol knows no beginning of a rollout."""
+        self._connection.begin()
+
+    def ask(self, observation: Observation) -> object:
+        """The ``actions`` of the answer."""
+        seen = pictures(self.spec, observation)
+        told = state(self.spec, DROID_STATE, observation)
+        answer = self._connection.ask({**seen, **told, "prompt": self._instruction})
+        if not isinstance(answer, dict) or "actions" not in answer:
+            keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
+            raise self._connection.fail(f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}")
+        return answer["actions"]
+
+    def close(self) -> None:
+        """Hang up."""
+        self._connection.close()

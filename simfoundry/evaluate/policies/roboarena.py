@@ -1,0 +1,88 @@
+"""Policies of RoboArena and DreamZero: openpi's messages with an ``endpoint`` and a memory of the rollout.
+
+The server begins with what it wants (``PolicyServerConfig`` of ``roboarena/policy_server.py``), which is held against
+the document of the policy. Beware of the cameras: here they count from 0, in openpi from 1.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from simfoundry.evaluate.policies.base import Observation
+from simfoundry.evaluate.policies.openpi import DROID_STATE
+from simfoundry.evaluate.policies.reading import pictures, state
+from simfoundry.evaluate.policies.remote import RemotePolicy
+from simfoundry.evaluate.policies.websocket import Connection
+from simfoundry.spec.policy import PolicySpec
+
+RESET_DONE = "reset successful"
+"""What a server says, in a text, once it has forgotten the rollout before."""
+ROBOARENA_STATE = MappingProxyType({**DROID_STATE, "observation/cartesian_position": "hand"})
+"""What the policies of RoboArena are told of the robot."""
+
+
+def _session() -> str:
+    return str(uuid.uuid4())
+
+
+class RoboarenaPolicy(RemotePolicy):
+    """A policy behind ``WebsocketPolicyServer`` of RoboArena, as DreamZero.
+
+    The server remembers what it has seen of a rollout, so one whose connection is lost has failed; the next connects
+    anew. ``new_session`` names each rollout: the server begins afresh with each name.
+    """
+
+    def __init__(self, spec: PolicySpec, new_session: Callable[[], str] = _session) -> None:
+        super().__init__(spec)
+        self._connection = Connection(spec, self.record)
+        self._new_session, self._session = new_session, ""
+
+    def begin(self) -> None:
+        """Connect, hold the server's wishes against the document, and let it forget the rollout before."""
+        self._connection.begin()
+        wrong = next(disagreements(self.spec, self._connection.greeting), None)
+        if wrong is not None:
+            self.close()
+            both = f"{self._connection.uri} and the document of {self.spec.name}"
+            raise self._connection.fail(f"{both} disagree: {wrong}")
+        self._session = self._new_session()
+        self._connection.ask({"endpoint": "reset"}, expect_text=RESET_DONE)
+
+    def ask(self, observation: Observation) -> object:
+        """The answer itself, or its ``actions``: servers do either."""
+        seen = pictures(self.spec, observation)
+        told = state(self.spec, ROBOARENA_STATE, observation)
+        about = {"prompt": self._instruction, "session_id": self._session, "endpoint": "infer"}
+        answer = self._connection.ask({**seen, **told, **about}, again=False)
+        return answer["actions"] if isinstance(answer, dict) and "actions" in answer else answer
+
+    def close(self) -> None:
+        """Hang up."""
+        self._connection.close()
+
+
+def disagreements(spec: PolicySpec, wishes: Mapping[str, Any]) -> Iterator[str]:
+    """What a server wants and the document does not give, in words."""
+    space = wishes.get("action_space")
+    if isinstance(space, str) and space != spec.action_space:
+        yield f"it acts by `{space[:40]}`, the document says `action_space: {spec.action_space}`"
+    for key in _wanted_cameras(wishes):
+        if key not in spec.cameras:
+            yield f"it wants the picture `{key}`, which `cameras` does not have"
+    wanted = wishes.get("image_resolution")
+    if isinstance(wanted, list | tuple) and len(wanted) == 2:
+        for key, view in spec.cameras.items():
+            if list(view.size) != [wanted[1], wanted[0]]:
+                yield f"it wants pictures of {wanted[1]} × {wanted[0]}, `{key}` has `size: {list(view.size)}`"
+
+
+def _wanted_cameras(wishes: Mapping[str, Any]) -> Iterator[str]:
+    external = wishes.get("n_external_cameras")
+    sides = ("left", "right") if wishes.get("needs_stereo_camera") is True else ("left",)
+    for k in range(min(external, 2) if isinstance(external, int) else 0):
+        yield from (f"observation/exterior_image_{k}_{side}" for side in sides)
+    if wishes.get("needs_wrist_camera") is True:
+        yield from (f"observation/wrist_image_{side}" for side in sides)

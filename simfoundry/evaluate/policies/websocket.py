@@ -1,0 +1,212 @@
+"""A connection to a policy server over a websocket, as openpi and RoboArena speak it.
+
+One binary message each way, without compression, so that no answer unpacks to more than it is; the server speaks first.
+A text is an error: the server's traceback, after which it hangs up (``websocket_policy_server.py`` of both).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.codec import CodecError, pack, unpack
+from simfoundry.evaluate.policies.missing import needed
+from simfoundry.evaluate.policies.record import PolicyRecord
+from simfoundry.evaluate.policies.secret import secret
+from simfoundry.spec.policy import PolicySpec, address_uri
+
+if TYPE_CHECKING:
+    from websockets.sync.client import ClientConnection
+
+LARGEST = 16 * 2**20
+"""Bytes of the largest answer that is taken; a chunk of actions has some thousand."""
+PING_S, PONG_S = 60.0, 600.0
+"""A server that compiles its model answers no ping for minutes; what websockets would do by itself is hang up."""
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 5.0
+"""Between two attempts to connect [s]: the first, and what doubling it ends at."""
+
+
+class LostError(Exception):
+    """The connection is gone; another may do."""
+
+
+class Connection:
+    """A connection that is made when it is needed, and again, at most ``spec.retries`` times in a rollout."""
+
+    def __init__(self, spec: PolicySpec, record: PolicyRecord) -> None:
+        self.spec, self.record = spec, record
+        self.uri = address_uri(spec.protocol, spec.address)
+        self.greeting: Mapping[str, Any] = {}
+        self._socket: ClientConnection | None = None
+        self._left = spec.retries
+        self._answered = False
+
+    def begin(self) -> None:
+        """Begin a rollout: it has all its attempts before it. Connects where nothing is connected."""
+        self._left = self.spec.retries
+        self._again(self._connect)
+
+    def ask(self, message: Mapping[str, Any], *, again: bool = True, expect_text: str | None = None) -> Any:
+        """The answer to a message; raises :class:`PolicyError`.
+
+        Where the connection is lost, the question is put anew if ``again``; without it, the server's memory of the
+        rollout is gone and the rollout has failed. ``expect_text`` is the one text that is no error.
+        """
+        data = self._packed(message)
+
+        def once() -> Any:
+            self._connect()
+            return self._ask(data, expect_text)
+
+        start = time.monotonic()
+        self.record.questions += 1
+        try:
+            return self._again(once) if again else self._only(once)
+        finally:
+            self.record.seconds.append(time.monotonic() - start)
+
+    def close(self) -> None:
+        """Hang up."""
+        socket, self._socket = self._socket, None
+        if socket is not None:
+            with suppress(Exception):  # the other end may be gone in any way
+                socket.close()
+
+    def fail(self, message: str) -> PolicyError:
+        """An error to raise, noted in the record."""
+        self.record.failed(message)
+        return PolicyError(message)
+
+    def _packed(self, message: Mapping[str, Any]) -> bytes:
+        needed("msgpack", f"the protocol of {self.spec.protocol}")
+        try:
+            return pack(message)
+        except CodecError as error:
+            raise self.fail(f"{self.spec.name} cannot be asked: {error}") from None
+
+    def _again(self, attempt: Any) -> Any:
+        """Attempts until one does, at most as often as the rollout still may."""
+        pause = FIRST_PAUSE_S
+        while True:
+            try:
+                return attempt()
+            except LostError as lost:
+                self.close()
+                self._left -= 1
+                if self._left < 0:
+                    tried = f" after {self.spec.retries} attempts to connect again" if self.spec.retries else ""
+                    raise self.fail(f"{lost}{tried}") from None
+                self.record.reconnects += 1
+                time.sleep(pause)
+                pause = min(2 * pause, LONGEST_PAUSE_S)
+
+    def _only(self, attempt: Any) -> Any:
+        try:
+            return attempt()
+        except LostError as lost:
+            self.close()
+            raise self.fail(f"{lost}, and with it what the server remembers of this rollout") from None
+
+    def _connect(self) -> None:
+        if self._socket is not None:
+            return
+        client = needed("websockets.sync.client", f"the protocol of {self.spec.protocol}")
+        from websockets.exceptions import InvalidHandshake, InvalidURI
+
+        key = secret(self.spec)
+        try:
+            self._socket = client.connect(
+                self.uri, compression=None, max_size=LARGEST, ping_interval=PING_S, ping_timeout=PONG_S,
+                close_timeout=1, open_timeout=self.spec.timeout, proxy=None if self._is_here() else True,
+                additional_headers={"Authorization": f"Api-Key {key}"} if key else None,
+            )  # fmt: skip
+        except InvalidURI:
+            raise self.fail(f"`{self.uri}` is no address of a websocket") from None
+        except InvalidHandshake as error:
+            raise self._refused(error) from None
+        except (OSError, EOFError) as error:  # a time-out is one too
+            raise LostError(f"no server answers at {self.uri} ({_reason(error)})") from None
+        self.record.connections += 1
+        self._answered = False
+        self._greet()
+
+    def _is_here(self) -> bool:
+        """Whether the server runs on this machine, to which no proxy leads."""
+        return urlsplit(self.uri).hostname in ("localhost", "127.0.0.1", "::1")
+
+    def _refused(self, error: Exception) -> PolicyError:
+        status = getattr(getattr(error, "response", None), "status_code", None)
+        if status in (401, 403):
+            named = f"the key in {self.spec.api_key}" if self.spec.api_key else "a policy without `api_key`"
+            return self.fail(f"the server at {self.uri} refuses {named} ({status})")
+        what = f"it answered {status}" if status else type(error).__name__
+        return self.fail(f"what answers at {self.uri} is no policy server ({what})")
+
+    def _greet(self) -> None:
+        greeting = self._received(self.spec.warm_up, None)
+        if not isinstance(greeting, dict):
+            self.close()
+            raise self.fail(f"the server at {self.uri} begins with a `{type(greeting).__name__}`, not with a mapping")
+        self.greeting = greeting
+
+    def _ask(self, data: bytes, expect_text: str | None) -> Any:
+        from websockets.exceptions import ConnectionClosed
+
+        assert self._socket is not None
+        try:
+            self._socket.send(data)
+        except ConnectionClosed as closed:
+            raise self._closed(closed) from None
+        except OSError as error:
+            raise LostError(f"the connection to {self.uri} was lost ({_reason(error)})") from None
+        answer = self._received(self.spec.timeout if self._answered else self.spec.warm_up, expect_text)
+        self._answered = True
+        return answer
+
+    def _received(self, timeout: float, expect_text: str | None) -> Any:
+        """One message; after anything but a sound one the connection is given up, since answers would not match."""
+        from websockets.exceptions import ConnectionClosed
+
+        assert self._socket is not None
+        try:
+            data = self._socket.recv(timeout=timeout)
+        except TimeoutError:
+            self.close()
+            waits = "`timeout`" if self._answered else "`warm_up`"
+            raise self.fail(f"{self.uri} did not answer within {timeout:g} s; raise {waits} if it needs more") from None
+        except ConnectionClosed as closed:
+            raise self._closed(closed) from None
+        except OSError as error:
+            raise LostError(f"the connection to {self.uri} was lost ({_reason(error)})") from None
+        if isinstance(data, str):
+            if expect_text is not None and data == expect_text:
+                return data
+            self.close()
+            raise self.fail(f"the server at {self.uri} failed: {last_line(data)}")
+        try:
+            return unpack(data)
+        except CodecError as error:
+            self.close()
+            raise self.fail(f"the answer of {self.uri} cannot be read: {error}") from None
+
+    def _closed(self, closed: Any) -> Exception:
+        if closed.sent is not None and closed.sent.code == 1009:  # ours: it was larger than we take
+            self.close()
+            return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB")
+        code = closed.rcvd.code if closed.rcvd is not None else None
+        return LostError(f"the server at {self.uri} hung up" + (f" ({code})" if code else ""))
+
+
+def last_line(text: str, most: int = 300) -> str:
+    """What a traceback ends with, as one printable line."""
+    lines = [line.strip() for line in text[-20_000:].splitlines() if line.strip()]
+    line = lines[-1] if lines else "it does not say why"
+    return "".join(c if c.isprintable() else "?" for c in line[:most])
+
+
+def _reason(error: BaseException) -> str:
+    return (getattr(error, "strerror", None) or str(error) or type(error).__name__).lower()

@@ -1,0 +1,207 @@
+"""Starts of rollouts: each object in another cell of its grid each time, settled, verified, the same for every policy.
+
+The paper's protocol ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid per object, one cell per rollout
+without replacement, and a sampled rotation. A start depends on the task, the seed and its number alone. Where a cell
+cannot be taken beside those of the others, the object takes that of a later start, and gives it its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from simfoundry.assets.cache import Cache
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.grid import Cell, bounds, deal, draws, sample
+from simfoundry.evaluate.judging import judge_of
+from simfoundry.evaluate.place import Refusal, clash, left_cell, placed, restless, settled
+from simfoundry.evaluate.start_cache import key_of_starts, read_block, state_to_json, write_block
+from simfoundry.evaluate.task import Task
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+
+if TYPE_CHECKING:
+    from simfoundry.predicates import Judge
+
+TRIES, TRIES_ELSEWHERE = 20, 5
+"""How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""
+
+Progress = Callable[[int, int], None]
+"""Hears how many starts are there, and how many there will be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state``, at rest."""
+
+    index: int
+    seed: int
+    cells: Mapping[str, Cell]
+    state: SceneState
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hex digits that name the state."""
+        text = json.dumps(state_to_json(self.state), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class StartError(SimfoundryError):
+    """No start can be found; the message names the object and its cell, and says why."""
+
+
+def starts(
+    task: Task, n: int = 25, seed: int = 0, cache: Cache | None = None, progress: Progress | None = None
+) -> tuple[Start, ...]:
+    """The first ``n`` starts of a task. After as many as a grid has cells, all cells are dealt anew.
+
+    ``cache`` keeps them by the content of the scene and the task, so that they are settled once. Raises
+    :class:`StartError` where one cannot be found.
+    """
+    along_x, along_y = task.reset.grid
+    size = along_x * along_y
+    key = key_of_starts(task, seed) if cache is not None else ""
+    found: list[Start] = []
+    with _Setting(task, seed) as setting:
+        for block in range(-(-n // size)):
+            wanted = min(size, n - block * size)
+            done = _Block.of(task, seed, block, read_block(cache, f"{key}/{block}") if cache is not None else None)
+            known = len(done.starts)
+            while len(done.starts) < wanted:
+                done.starts.append(setting.next(done))
+                if progress is not None:
+                    progress(len(found) + len(done.starts), n)
+            if cache is not None and len(done.starts) > known:
+                write_block(cache, f"{key}/{block}", done.cells, [s.state for s in done.starts])
+            found += done.starts[:wanted]
+    return tuple(found)
+
+
+@dataclass
+class _Block:
+    """The starts of one deal so far, and which cells each object has in all of them."""
+
+    first: int
+    cells: dict[str, list[Cell]]
+    starts: list[Start] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls, task: Task, seed: int, block: int, known: tuple[dict[str, list[Cell]], list[SceneState]] | None
+    ) -> _Block:
+        first = block * task.reset.grid[0] * task.reset.grid[1]
+        if known is None:
+            return cls(first, deal(task.reset, seed, block))
+        made = cls(first, known[0])
+        made.starts = [Start(first + k, seed, made.at(k), state) for k, state in enumerate(known[1])]
+        return made
+
+    def at(self, k: int) -> Mapping[str, Cell]:
+        """The cells of the k-th start of the deal."""
+        return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
+
+    def exchange(self, name: str, k: int, other: int) -> None:
+        """Let an object change its cells of two starts."""
+        cells = self.cells[name]
+        cells[k], cells[other] = cells[other], cells[k]
+
+
+class _Setting:
+    """A task in a world that is opened when the first start must be found."""
+
+    def __init__(self, task: Task, seed: int) -> None:
+        self.task, self.seed = task, seed
+        self._world: World | None = None
+        self._judge: Judge | None = None
+
+    def __enter__(self) -> _Setting:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._world is not None:
+            self._world.close()
+
+    def next(self, block: _Block) -> Start:
+        """The next start of a deal; its cells may be exchanged with those of later ones."""
+        k = len(block.starts)
+        index = block.first + k
+        rngs = {name: draws(name, self.seed, index) for name in self.task.reset.objects}
+
+        def attempts(tries: int) -> SceneState | list[Refusal]:
+            refusals = []
+            for _ in range(tries):
+                spots = {
+                    n: sample(self.task.reset.objects[n], self.task.reset.grid, cell, rngs[n])
+                    for n, cell in block.at(k).items()
+                }
+                result = self._attempt(spots, block.at(k))
+                if isinstance(result, SceneState):
+                    return result
+                refusals.append(result)
+                if not spots:  # nothing would change
+                    break
+            return refusals
+
+        result = attempts(TRIES)
+        if isinstance(result, SceneState):
+            return Start(index, self.seed, block.at(k), result)
+        first, blamed = result, _most_blamed(result)
+        cells = dict(block.at(k))
+        for later in range(k + 1, len(block.cells.get(blamed, ()))):
+            block.exchange(blamed, k, later)
+            result = attempts(TRIES_ELSEWHERE)
+            if isinstance(result, SceneState):
+                return Start(index, self.seed, block.at(k), result)
+            block.exchange(blamed, k, later)
+        raise StartError(_complaint(self.task, index, blamed, cells, first))
+
+    def _attempt(
+        self, spots: Mapping[str, tuple[float, float, float]], cells: Mapping[str, Cell]
+    ) -> SceneState | Refusal:
+        world, judge = self._opened()
+        state = placed(self.task, spots)
+        if (refusal := clash(self.task, world, spots, state)) is not None:
+            return refusal
+        result = settled(self.task, world, state)
+        if isinstance(result, Refusal):
+            return result
+        refusal = left_cell(self.task, cells, result) or restless(self.task, world, result)
+        if refusal is not None:
+            return refusal
+        verdict = judge(self.task.goal, result)
+        if verdict.value:
+            return Refusal(
+                next(iter(cells), ""), "the goal is true already", f"the goal is true already: {verdict.why}"
+            )
+        return result
+
+    def _opened(self) -> tuple[World, Judge]:
+        if self._world is None or self._judge is None:
+            self._world, self._judge = open_world(self.task.scene, "mujoco"), judge_of(self.task.scene)
+        return self._world, self._judge
+
+
+def _most_blamed(refusals: list[Refusal]) -> str:
+    return Counter(refusal.object for refusal in refusals).most_common(1)[0][0]
+
+
+def _complaint(task: Task, index: int, blamed: str, cells: Mapping[str, Cell], refusals: list[Refusal]) -> str:
+    """Which object, which cell, and why, with the numbers of the commonest reasons."""
+    examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
+    counts = Counter(refusal.kind for refusal in refusals).most_common(3)
+    reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
+    step = f", step `{task.step}`" if task.step else ""
+    if blamed not in cells:
+        return f"task `{task.name}`{step}: start {index} cannot be taken: {reasons}"
+    (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
+    where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
+    return (
+        f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}), nor in "
+        f"one that is left, in {len(refusals)} tries: {reasons}; move its region under `reset`, or make it smaller"
+    )

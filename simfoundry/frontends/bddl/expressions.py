@@ -1,0 +1,100 @@
+"""Bracketed expressions with the line of each, as PDDL and BDDL are written."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.frontends.errors import ImportRefusedError
+
+MOST_BYTES = 4 * 2**20
+DEEPEST = 64
+_TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
+
+
+@dataclass(frozen=True)
+class Word:
+    """A word and its line; BDDL does not tell upper from lower case in what it defines itself."""
+
+    text: str
+    line: int
+
+    @property
+    def plain(self) -> str:
+        """In lower case, without the mark of a variable."""
+        return self.text.lower().removeprefix("?")
+
+
+@dataclass(frozen=True)
+class Group:
+    """What stands between two brackets."""
+
+    items: tuple[Word | Group, ...]
+    line: int
+
+    @property
+    def head(self) -> str:
+        """Its first word in lower case; empty where it begins with a bracket or is empty."""
+        return self.items[0].plain if self.items and isinstance(self.items[0], Word) else ""
+
+    @property
+    def rest(self) -> tuple[Word | Group, ...]:
+        """All but the first."""
+        return self.items[1:]
+
+    @property
+    def groups(self) -> tuple[Group, ...]:
+        """The groups in it."""
+        return tuple(item for item in self.items if isinstance(item, Group))
+
+    @property
+    def words(self) -> tuple[Word, ...]:
+        """The words in it, the first left out."""
+        return tuple(item for item in self.rest if isinstance(item, Word))
+
+
+def read_group(path: Path) -> Group:
+    """The one expression that a file holds; raises :class:`ImportRefusedError`."""
+    if path.stat().st_size > MOST_BYTES:
+        raise ImportRefusedError(path, f"it is larger than {MOST_BYTES >> 20} MiB, which no task is")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise ImportRefusedError(path, "it is not UTF-8 text") from None
+    open_groups: list[tuple[list[Word | Group], int]] = []
+    whole: Group | None = None
+    for token, line in _tokens(text):
+        if token == "(":
+            open_groups.append(([], line))
+            if len(open_groups) > DEEPEST:
+                raise ImportRefusedError(path, f"brackets are nested deeper than {DEEPEST}", line)
+        elif not open_groups and token == ")":
+            raise ImportRefusedError(path, "this bracket closes nothing", line)
+        elif whole is not None or not open_groups:
+            raise ImportRefusedError(path, f"`{token[:40]}` stands outside the problem", line)
+        elif token != ")":
+            open_groups[-1][0].append(Word(token, line))
+        else:
+            items, start = open_groups.pop()
+            group = Group(tuple(items), start)
+            if open_groups:
+                open_groups[-1][0].append(group)
+            else:
+                whole = group
+    if open_groups:
+        raise ImportRefusedError(path, "this bracket is never closed", open_groups[-1][1])
+    if whole is None:
+        raise ImportRefusedError(path, "it is empty", hint="a problem begins with `(define (problem NAME)`")
+    return whole
+
+
+def _tokens(text: str) -> Iterator[tuple[str, int]]:
+    line = 1
+    for match in _TOKEN.finditer(text):
+        token = match[0]
+        if token == "\n":
+            line += 1
+        elif token[0] != ";":
+            yield token, line

@@ -1,0 +1,289 @@
+"""A BDDL problem as a task in a scene: its names bound to the scene's objects, its regions to starts and goals."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from simfoundry.frontends.bddl.conditions import Condition, Reading
+from simfoundry.frontends.bddl.expressions import Group
+from simfoundry.frontends.bddl.problem import Problem, Region, read_problem
+from simfoundry.frontends.drafts import Draft
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.names import plain_name
+from simfoundry.frontends.pieces import rounded
+from simfoundry.scene.frames import rpy_from_quat
+from simfoundry.scene.model import Joint, Scene, SceneObject
+from simfoundry.spec.task import TaskSpec
+
+BINARY = {
+    "on": "OnTop", "ontop": "OnTop", "in": "Inside", "inside": "Inside", "under": "Under", "nextto": "NextTo",
+    "touching": "Touching",
+}  # fmt: skip
+UNARY = {"up": "Lifted", "grasped": "Grasped"}
+OPEN, CLOSE = ("open",), ("close", "closed")
+AGENT = "agent"
+_SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
+
+
+def read_bddl_task(
+    path: Path, scene_file: Path, scene: Scene, out: Path, bound: Mapping[str, str]
+) -> tuple[TaskSpec, Draft]:
+    """The task of a BDDL file in a scene, for a document at ``out``, and what of it is left out or assumed.
+
+    ``bound`` says which object of the scene a name of the file means, where the names do not tell. Raises
+    :class:`ImportRefusedError`, which names everything that is missing, each with its line.
+    """
+    problem = read_problem(path)
+    draft = Draft(problem.name, "BDDL")
+    task = _Task(problem, scene, bound, draft)
+    goal = task.goal()
+    start, reset = task.start()
+    if task.missing:
+        raise ImportRefusedError(
+            path,
+            f"{_counted(task.missing)}: {'; '.join(task.missing)}",
+            hint="add what is missing to the scene, or say what is meant with `--bind NAME=OBJECT`",
+        )
+    instruction = problem.language or _sentence(problem.name)
+    if not problem.language:
+        draft.assumed("instruction", "none is given; the name of the problem stands for it")
+    name = plain_name(path.stem if problem.domain == "robosuite" else re.sub(r"-\d+\Z", "", problem.name), "task")
+    data: dict[str, Any] = {
+        "simfoundry": "task/1", "name": name, "scene": _relative(scene_file, out), "instruction": instruction[:500],
+        "goal": goal, **({"start": start} if start else {}), **({"reset": {"objects": reset}} if reset else {}),
+    }  # fmt: skip
+    return TaskSpec.model_validate(rounded(data)), draft
+
+
+@dataclass
+class _Task:
+    """One problem while it is turned into a task."""
+
+    problem: Problem
+    scene: Scene
+    bound: Mapping[str, str]
+    draft: Draft
+    missing: list[str] = field(default_factory=list)
+    unbound: set[str] = field(default_factory=set)
+
+    def goal(self) -> Condition | None:
+        kinds: dict[str, list[str]] = {}
+        for name, kind in self.problem.things.items():
+            kinds.setdefault(kind.lower(), []).append(name)
+        reading = Reading(self._atom, kinds, self.missing)
+        found = reading.condition(self.problem.goal, {})
+        if found is None and not self.missing:
+            self.missing.append(
+                f"line {self.problem.goal.line}: the goal is empty: every rollout would succeed at once"
+            )
+        return found
+
+    def _atom(self, group: Group, name: str, words: list[str]) -> Condition | None:
+        """One predicate of the goal."""
+        if name in BINARY and len(words) == 2:
+            return self._binary(group, BINARY[name], *words)
+        if name in (*OPEN, *CLOSE) and len(words) == 1:
+            joints = self._joints(group, words[0])
+            if not joints:
+                return None
+            if name in CLOSE:
+                each = tuple(f"Closed({joint})" for joint in joints)
+                return each[0] if len(each) == 1 else {"all": each}
+            each = tuple(f"Open({joint})" for joint in joints)
+            return each[0] if len(each) == 1 else {"any": each}
+        if name in UNARY and len(words) == 1:
+            thing = self._thing(group, words[0])
+            return None if thing is None else f"{UNARY[name]}({thing})"
+        self._lack(group, f"there is no predicate for `{name}`")
+        return None
+
+    def _binary(self, group: Group, predicate: str, first: str, second: str) -> Condition | None:
+        thing = self._thing(group, first)
+        region = self.problem.regions.get(second)
+        if region is not None and region.ranges is not None:
+            return None if thing is None else self._in_rectangle(group, thing, region)
+        target = self._part(group, second, predicate)
+        if thing is None or target is None:
+            return None
+        text = f"{predicate}({thing}, {target})"
+        if group.head == "on" and self._put_in(target):
+            self.draft.changed(f"`{text}`", "the words say `in`, and LIBERO's `On` holds inside, too: either counts")
+            return {"any": (text, f"Inside({thing}, {target})")}
+        return text
+
+    def _put_in(self, target: str) -> bool:
+        """Whether the words ask for something to go into a thing."""
+        noun = re.escape((self.scene.object(owner_of(target)).category or target).rpartition("_")[2])
+        between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
+        return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
+
+    def _in_rectangle(self, group: Group, thing: str, region: Region) -> Condition | None:
+        """A goal region on a table is a point here, within the tolerance of `At`."""
+        box = self._rectangle(group, region)
+        if box is None:
+            return None
+        size = f"{100 * (box[2] - box[0]):.0f} x {100 * (box[3] - box[1]):.0f} cm"
+        self.draft.changed(f"region `{region.name}`", "a goal region is the tolerance of `At` about its middle", size)
+        return f"At({thing}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
+
+    def _thing(self, group: Group, name: str) -> str | None:
+        """The scene's object that a name means."""
+        found = bind(name, self.problem, self.scene, self.bound)
+        if found is None and name not in self.unbound:
+            self.unbound.add(name)
+            kind = self.problem.things.get(name)
+            what = f" (a {_type(kind)})" if kind and kind != name else ""
+            self._lack(group, f"no object of the scene is `{name}`{what}")
+        return found
+
+    def _part(self, group: Group, name: str, predicate: str) -> str | None:
+        """The object, or the link of it, that a name or the name of a region means."""
+        region = self.problem.regions.get(name)
+        owner = self._thing(group, region.target if region is not None else name)
+        if region is None or owner is None:
+            return owner
+        links = [link.name for link in self.scene.object(owner).links[1:]]
+        found = _alike(region, {link: link for link in links})
+        if predicate == "Inside" and len(found) == 1:
+            return f"{owner}.{found[0]}"
+        if predicate == "Inside" and links:
+            self._unclear(group, region, owner, links, found)
+            return None
+        self.draft.changed(f"region `{name}`", f"it is taken for the whole of `{owner}`")
+        return owner
+
+    def _joints(self, group: Group, name: str) -> list[str]:
+        """The joints that a name or the name of a region means, as ``object.joint``."""
+        region = self.problem.regions.get(name)
+        owner = self._thing(group, region.target if region is not None else name)
+        if owner is None:
+            return []
+        joints = {j.name: j for j in self.scene.object(owner).joints if j.has_axis}
+        if not joints:
+            self._lack(group, f"`{owner}` has no joint to open")
+            return []
+        if region is None or len(joints) == 1:
+            return [f"{owner}.{joint}" for joint in joints]
+        found = _alike(region, {name: f"{name} {joint.child}" for name, joint in joints.items()})
+        if len(found) != 1:
+            self._unclear(group, region, owner, list(joints), found)
+            return []
+        return [f"{owner}.{found[0]}"]
+
+    def _unclear(self, group: Group, region: Region, owner: str, there: list[str], found: list[str]) -> None:
+        which = f"both {' and '.join(found)} could be" if found else f"none of {', '.join(there)} is"
+        self._lack(group, f"{which} the `{region.name}` of `{owner}`")
+
+    def _rectangle(self, group: Group, region: Region) -> tuple[float, float, float, float] | None:
+        """The rectangle of a region in the world, square to its axes [m]."""
+        owner = self._thing(group, region.target)
+        if owner is None or region.ranges is None:
+            return None
+        X_WO = self.scene.object(owner).X_WO
+        low_x, low_y, high_x, high_y = region.ranges
+        corners = [X_WO.apply([x, y, 0.0]) for x in (low_x, high_x) for y in (low_y, high_y)]  # type: ignore[arg-type]
+        xs, ys = ([float(corner[k]) for corner in corners] for k in (0, 1))
+        return min(xs), min(ys), max(xs), max(ys)
+
+    def start(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What differs from the scene at the start, and the regions of the reset."""
+        joints: dict[str, dict[str, float]] = {}
+        regions: dict[str, Any] = {}
+        for group in self.problem.init:
+            words = [word.text for word in group.words]
+            region = self.problem.regions.get(words[-1]) if words else None
+            if group.head in OPEN and len(words) == 1:
+                for name in self._joints(group, words[0]):
+                    owner, _, joint = name.partition(".")
+                    joints.setdefault(owner, {})[joint] = _opened(self.scene.object(owner), joint)
+            elif group.head in ("on", "ontop") and len(words) == 2 and region is not None and region.ranges:
+                self._region(group, words[0], region, regions)
+            else:
+                self.draft.dropped(f"`{group.head}` at the start", "the scene says how things stand")
+        return ({"joints": joints} if joints else {}), regions
+
+    def _region(self, group: Group, name: str, region: Region, regions: dict[str, Any]) -> None:
+        thing, box = self._thing(group, name), self._rectangle(group, region)
+        if thing is None or box is None:
+            return
+        item = self.scene.object(thing)
+        if item.fixed:
+            self.draft.dropped(f"start of `{name}`", "it is fixed in the scene")
+            return
+        found: dict[str, Any] = {"x": (box[0], box[2]), "y": (box[1], box[3])}
+        if region.yaw is not None:
+            now = math.degrees(rpy_from_quat(item.X_WO.q)[2])
+            low, high = (math.degrees(yaw) - now for yaw in region.yaw)
+            turns = 360 * round(low / 360)
+            if abs(low - turns) > 1e-6 or abs(high - turns) > 1e-6:
+                found["yaw_deg"] = (low - turns, high - turns)
+        regions[thing] = found
+
+    def _lack(self, group: Group, what: str) -> None:
+        text = f"line {group.line}: {what}"
+        if text not in self.missing:
+            self.missing.append(text)
+
+
+def bind(name: str, problem: Problem, scene: Scene, bound: Mapping[str, str]) -> str | None:
+    """The scene's object that a name of a problem means: as told, by its name, or by its type and number."""
+    if name in bound:
+        return bound[name]
+    there = {item.name: item for item in scene.objects}
+    kind = problem.things.get(name, "")
+    short = plain_name(_type(kind))
+    alike = [other for other, its in problem.things.items() if its == kind]
+    number = alike.index(name) if name in alike else 0
+    for candidate in (plain_name(name), f"{short}_{number + 1}", short if len(alike) == 1 else ""):
+        if candidate in there:
+            return candidate
+    of_kind = [item.name for item in scene.objects if kind and plain_name(item.category) == short]
+    return of_kind[number] if number < len(of_kind) else None
+
+
+def _type(kind: str) -> str:
+    """The word of a type: `mug` of the synset `mug.n.04`."""
+    return _SYNSET.sub(r"\1", kind)
+
+
+def _opened(item: SceneObject, name: str) -> float:
+    """Where a joint is when it is open: at the end of its way that is farther from zero [rad or m]."""
+    joint: Joint = next(j for j in item.joints if j.name == name)
+    return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
+
+
+def _alike(region: Region, parts: Mapping[str, str]) -> list[str]:
+    """The parts, by what they are called, that the name of a region means: that of its name, or those of a word."""
+    exact = region.name.removesuffix("_region")
+    if exact in parts:
+        return [exact]
+    words = _words(region.name)
+    return [name for name, called in parts.items() if words & _words(called)]
+
+
+def owner_of(name: str) -> str:
+    """The object of ``object.part``."""
+    return name.partition(".")[0]
+
+
+def _words(name: str) -> set[str]:
+    """The words of a name that tell one part from another."""
+    return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
+
+
+def _relative(scene_file: Path, out: Path) -> str:
+    return Path(os.path.relpath(scene_file.resolve(), out.resolve().parent)).as_posix()
+
+
+def _sentence(name: str) -> str:
+    return re.sub(r"-\d+\Z", "", name).replace("_", " ").capitalize() + "."
+
+
+def _counted(missing: list[str]) -> str:
+    return "one thing is missing" if len(missing) == 1 else f"{len(missing)} things are missing"

@@ -1,0 +1,371 @@
+"""What each predicate means: the terms that must hold, in the order in which they are measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from simfoundry.lint.report import length
+from simfoundry.predicates import thresholds as at
+from simfoundry.predicates.distance import FAR, Distances
+from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
+from simfoundry.predicates.inside import cavities, depth_in, facing
+from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
+from simfoundry.predicates.terms import Terms
+from simfoundry.predicates.view import UP, View, over
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.spec.expressions import Call
+
+
+class Context:
+    """What is prepared once for a scene."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self.bodies = bodies
+        self.distances = Distances(bodies)
+        self._hands: dict[str, Fingers | None] = {}
+        self._start: View | None = None
+
+    def hand(self, robot: str) -> Fingers | None:
+        """The fingers of a robot."""
+        if robot not in self._hands:
+            self._hands[robot] = fingers(self.bodies, robot)
+        return self._hands[robot]
+
+    @property
+    def hands(self) -> list[tuple[str, Fingers]]:
+        """The robots that have fingers."""
+        return [(name, hand) for name in self.bodies.robots if (hand := self.hand(name)) is not None]
+
+    @property
+    def start(self) -> View:
+        """The one state that the scene itself describes."""
+        if self._start is None:
+            from simfoundry.predicates.batch import StateBatch
+
+            self._start = View(self.bodies, StateBatch(1, {}))
+        return self._start
+
+
+Rule = Callable[[Context, View, Call], Terms]
+
+
+def on_top(context: Context, view: View, call: Call) -> Terms:
+    """OnTop(a, b): ``a`` rests on ``b``, also within it; nothing holds or moves ``a``."""
+    a, b = _two(context, call)
+    terms = Terms(view)
+    beside = over(view.boxes(a).middle, view.boxes(b))
+    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
+    higher = view.heights(a)[0] - view.heights(b)[0]
+    words = f"the lowest point of `{a.name}` is {{}} {{}} that of `{b.name}`"
+    terms.must(higher, higher - at.HIGHER, lambda v, ok: "" if ok else words.format(length(abs(v)), _height(v)))
+    _settled(terms, a)
+    gap = partial(_distance, context, a, b)
+    terms.must_also(gap, lambda v: at.RESTING - v, lambda v, ok: _apart(a, b, v))
+    _not_held(context, terms, a)
+    return terms
+
+
+def inside(context: Context, view: View, call: Call) -> Terms:
+    """Inside(a, b): most of ``a`` is in the cavity of ``b``, whose opening does not face down; nothing holds or moves
+    ``a``."""
+    a, b = _two(context, call)
+    holes = cavities(view, b)
+    terms = Terms(view)
+    depths = np.stack(
+        [np.minimum(depth_in(view, a, k, b.owner, h), 10 * facing(view, k, b.owner, h)) for k, h in holes]
+    )
+    deep = depths.max(axis=0)
+    share = f"{at.ENCLOSED:.0%} of `{a.name}`"
+
+    def words(v: float, ok: bool) -> str:
+        where = "deep in the cavity" if ok else "outside of the cavity"
+        return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
+
+    terms.must(deep, deep, words)
+    _settled(terms, a)
+    _not_held(context, terms, a)
+    return terms
+
+
+def above(context: Context, view: View, call: Call) -> Terms:
+    """Above(a, b): the middle of ``a`` is higher than all of ``b``, and one is over the other."""
+    a, b = _two(context, call)
+    return _above(view, a, b)
+
+
+def under(context: Context, view: View, call: Call) -> Terms:
+    """Under(a, b): Above(b, a)."""
+    a, b = _two(context, call)
+    return _above(view, b, a)
+
+
+def _above(view: View, a: Thing, b: Thing) -> Terms:
+    terms = Terms(view)
+    low, high = view.heights(a)
+    higher = (low + high) / 2 - view.heights(b)[1]
+    words = f"the middle of `{a.name}` is {{}} {{}} the top of `{b.name}`"
+    terms.must(higher, higher, lambda v, ok: words.format(length(abs(v)), _height(v)))
+    boxes = view.boxes(a), view.boxes(b)
+    beside = np.maximum(over(boxes[0].middle, boxes[1]), over(boxes[1].middle, boxes[0]))
+    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
+    return terms
+
+
+def next_to(context: Context, view: View, call: Call) -> Terms:
+    """NextTo(a, b): side by side, near for their size: heights overlap, neither is over the other."""
+    a, b = _two(context, call)
+    terms = Terms(view)
+    boxes = view.boxes(a), view.boxes(b)
+    (low_a, high_a), (low_b, high_b) = view.heights(a), view.heights(b)
+    level = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
+    terms.must(level, level, lambda v, ok: "" if ok else f"one is {length(-v)} higher than the other")
+    beside = -np.maximum(over(boxes[0].middle, boxes[1]), over(boxes[1].middle, boxes[0]))
+    terms.must(beside, beside, lambda v, ok: "" if ok else f"one is over the other, by {length(-v)}")
+    near = at.NEAR_SHARE * (boxes[0].size + boxes[1].size)
+
+    def words(v: float, ok: bool) -> str:
+        nearer = "nearer to" if ok else "farther from"
+        return f"`{a.name}` is {length(abs(v))} {nearer} `{b.name}` than side by side allows"
+
+    spare = near - ground_gap(view, a, b)
+    terms.must(spare, spare, words)
+    return terms
+
+
+def ground_gap(view: View, a: Thing, b: Thing) -> Array:
+    """How far two things are apart along the ground [m], (n,), negative where they overlap.
+
+    The widest gap across the edges of their boxes and along the line between their middles.
+    """
+    boxes = view.boxes(a), view.boxes(b)
+    ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]
+    ways += [np.stack([-box.R[0, :, 1, k], box.R[0, :, 0, k]], axis=1) for box in boxes for k in range(3)]
+    gap = np.full(view.n, -np.inf)
+    for way in ways:
+        size = np.linalg.norm(way, axis=1)
+        lying = size > 1e-6
+        axis = np.zeros((view.n, 3))
+        axis[:, :2] = way / np.where(lying, size, 1.0)[:, None]
+        (low_a, high_a), (low_b, high_b) = view.span(a, axis), view.span(b, axis)
+        gap = np.maximum(gap, np.where(lying, np.maximum(low_a - high_b, low_b - high_a), -np.inf))
+    return gap
+
+
+def touching_(context: Context, view: View, call: Call) -> Terms:
+    """Touching(a, b): the surfaces of the two meet; either may be a robot."""
+    a, b = _two(context, call)
+    terms = Terms(view)
+    gap = context.distances.between(view, a, b)
+    terms.must(gap, at.TOUCH - gap, lambda v, ok: _apart(a, b, v))
+    return terms
+
+
+_SIDES = {
+    "LeftOf": (1, 1.0, "left of"),
+    "RightOf": (1, -1.0, "right of"),
+    "Behind": (0, 1.0, "behind"),
+    "InFrontOf": (0, -1.0, "in front of"),
+}
+"""The axis of the viewer's frame (0 away, 1 left), the sign along it, and the words."""
+
+
+def on_side(context: Context, view: View, call: Call) -> Terms:
+    """LeftOf, RightOf, InFrontOf, Behind: seen from the viewpoint, the middle of each is beyond the other's edge."""
+    a, b = _two(context, call)
+    column, sign, word = _SIDES[call.predicate]
+    axis = sign * seen_along(context.bodies.scene.viewer, column)
+    (low_a, high_a), (low_b, high_b) = view.span(a, axis), view.span(b, axis)
+    off = (low_a + high_a - low_b - high_b) / 2
+    half = np.maximum(high_a - low_a, high_b - low_b) / 2
+    terms = Terms(view)
+
+    def words(v: float, ok: bool) -> str:
+        if ok:
+            return f"`{a.name}` is {word} `{b.name}`: each middle is {length(v)} or more beyond the other's edge"
+        return f"`{a.name}` is not {word} `{b.name}`: their middles are {length(-v)} short of being side by side"
+
+    terms.must(off - half, off - half, words)
+    return terms
+
+
+def seen_along(viewer: Pose | None, column: int) -> Array:
+    """The level unit vector away from the viewer (0) or to its left (1), shape (3,)."""
+    x, y, _ = UP if viewer is None else viewer.rotation[:, 0]
+    size = float(np.hypot(x, y))
+    away = np.array([1.0, 0.0, 0.0]) if size < 1e-6 else np.array([x, y, 0.0]) / size
+    return away if column == 0 else np.cross(UP, away)
+
+
+def at_point(context: Context, view: View, call: Call) -> Terms:
+    """At(a, x, y[, z]): the frame of ``a`` is at that point of the world."""
+    a = context.bodies.thing(call.args[0])
+    wanted = np.array([float(v) for v in call.args[1:]])
+    off = np.linalg.norm(view.frame(a).p[:, : len(wanted)] - wanted, axis=1)
+    terms = Terms(view)
+    terms.must(off, at.AT - off, lambda v, ok: f"`{a.name}` is {length(v)} from there")
+    return terms
+
+
+def upright(context: Context, view: View, call: Call) -> Terms:
+    """Upright(a): the z axis of ``a`` points up."""
+    a = context.bodies.thing(call.args[0])
+    z = view.frame(a).R[:, :, 2]
+    lean = np.degrees(np.arctan2(np.hypot(z[:, 0], z[:, 1]), z[:, 2]))
+    terms = Terms(view)
+    terms.must(lean, at.UPRIGHT_DEG - lean, lambda v, ok: f"`{a.name}` leans by {v:.1f} deg")
+    return terms
+
+
+def is_open(context: Context, view: View, call: Call) -> Terms:
+    """Open(joint), Closed(joint): by the share of its range; of an object, every joint that has limits."""
+    owner = call.args[0].partition(".")[0]
+    terms = Terms(view)
+    for joint in context.bodies.joints(call.args[0]):
+        assert joint.limits is not None
+        low, high = joint.limits
+        closed = min(max(0.0, low), high)
+        reach = max(high - closed, closed - low)
+        share = np.abs(view.position(owner, joint) - closed) / reach
+        spare = (share - at.OPEN_SHARE) * reach * (1.0 if call.predicate == "Open" else -1.0)
+        name = f"{owner}.{joint.name}"
+        terms.must(share, spare, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range")  # type: ignore[misc]
+    return terms
+
+
+def lifted(context: Context, view: View, call: Call) -> Terms:
+    """Lifted(a): higher than the scene describes it, and touching nothing but robots."""
+    a = context.bodies.thing(call.args[0])
+    terms = Terms(view)
+    rise = view.heights(a)[0] - context.start.heights(a)[0]
+
+    def words(v: float, _: bool) -> str:
+        return f"`{a.name}` is {length(abs(v))} {'higher' if v >= 0 else 'lower'} than at the start"
+
+    terms.must(rise, rise - at.RISE, words)
+    others = [context.bodies.thing(n) for n in context.bodies.objects if n != a.owner and _has_shape(context, n)]
+
+    def gap(some: View) -> Array:
+        found = np.full(some.n, np.inf)
+        for other in others:
+            found = np.minimum(found, context.distances.between(some, a, other))
+        return found
+
+    terms.must_also(
+        gap, lambda v: v - at.TOUCH, lambda v, ok: f"`{a.name}` touches " + ("nothing" if ok else "another thing")
+    )
+    return terms
+
+
+def grasped(context: Context, view: View, call: Call) -> Terms:
+    """Grasped(a[, robot]): touched by the fingers of one gripper on both sides, which press against each other."""
+    a = context.bodies.thing(call.args[0])
+    if len(call.args) > 1:
+        robot = context.bodies.thing(call.args[1]).owner
+        hands = [(robot, hand)] if robot in context.bodies.robots and (hand := context.hand(robot)) else []
+        if not hands:
+            raise PredicateError(f"`{call.args[1]}` is no robot with a gripper")
+    else:
+        hands = context.hands
+    held = held_by(context, view, a, hands)
+    terms = Terms(view)
+    terms.must(held, held, lambda v, ok: f"`{a.name}` is held" if ok else f"`{a.name}` is not held")
+    return terms
+
+
+def held_by(context: Context, view: View, a: Thing, hands: list[tuple[str, Fingers]]) -> Array:
+    """The margin by which one of the hands holds a thing [m], (n,), at least -:data:`FAR`."""
+    best = np.full(view.n, -FAR)
+    for _, hand in hands:
+        terms = Terms(view)
+        gap = touching(view, context.distances, hand, a)
+        terms.must(gap, at.TOUCH - gap, lambda v, ok: "")
+        terms.must_also(
+            lambda some, hand=hand: pressing(some, context.distances, hand, a),  # type: ignore[misc]
+            lambda v: v - at.PRESS / 2,
+            lambda v, ok: "",
+        )
+        best = np.maximum(best, terms.margin)
+    return best
+
+
+def released(context: Context, view: View, call: Call) -> Terms:
+    """Released(a): no robot touches it, and it is at rest."""
+    a = context.bodies.thing(call.args[0])
+    terms = Terms(view)
+    _settled(terms, a)
+    for name in context.bodies.robots:
+        robot = context.bodies.thing(name)
+        gap = partial(_distance, context, a, robot)
+        terms.must_also(gap, lambda v: v - at.TOUCH, lambda v, ok, robot=robot: _apart(a, robot, v))  # type: ignore[misc]
+    return terms
+
+
+RULES: dict[str, Rule] = {
+    "OnTop": on_top,
+    "Inside": inside,
+    "Under": under,
+    "Above": above,
+    "NextTo": next_to,
+    "Touching": touching_,
+    **dict.fromkeys(_SIDES, on_side),
+    "At": at_point,
+    **dict.fromkeys(("Open", "Closed"), is_open),
+    "Upright": upright,
+    "Lifted": lifted,
+    "Grasped": grasped,
+    "Released": released,
+}
+
+
+# -- parts of several ------------------------------------------------------------------------------------------------
+
+
+def _two(context: Context, call: Call) -> tuple[Thing, Thing]:
+    a, b = (context.bodies.thing(arg) for arg in call.args[:2])
+    if a.owner == b.owner and set(a.links) & set(b.links):
+        raise PredicateError(f"`{call}` is about one thing twice")
+    return a, b
+
+
+def _has_shape(context: Context, name: str) -> bool:
+    return any(context.bodies[name].forms)
+
+
+def _distance(context: Context, a: Thing, b: Thing, view: View) -> Array:
+    return context.distances.between(view, a, b)
+
+
+def _settled(terms: Terms, a: Thing) -> None:
+    speed = terms.view.batch.speeds.get(a.owner, np.zeros(terms.view.n))
+    words = f"`{a.name}` moves at {{:.1f}} cm/s"
+    terms.must(speed, at.SETTLED - speed, lambda v, ok: "" if ok else words.format(100 * v))
+
+
+def _not_held(context: Context, terms: Terms, a: Thing) -> None:
+    hands = context.hands
+    if hands:
+        held = partial(_held, context, a, hands)
+        terms.must_also(held, lambda v: -v, lambda v, ok: "" if ok else f"a robot holds `{a.name}`")
+
+
+def _held(context: Context, a: Thing, hands: list[tuple[str, Fingers]], view: View) -> Array:
+    return held_by(context, view, a, hands)
+
+
+def _over(a: Thing, b: Thing, value: float) -> str:
+    if value > 0:
+        return f"`{a.name}` is over `{b.name}`, {length(value)} within its outline"
+    return f"`{a.name}` is {length(-value)} beside `{b.name}`"
+
+
+def _apart(a: Thing, b: Thing, value: float) -> str:
+    if not np.isfinite(value):
+        return f"`{a.name}` and `{b.name}` touch nothing"
+    return f"`{a.name}` is {length(value)} away from `{b.name}`" if value > 0 else f"`{a.name}` touches `{b.name}`"
+
+
+def _height(value: float) -> str:
+    return "above" if value > 0 else "below"

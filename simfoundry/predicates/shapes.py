@@ -1,0 +1,203 @@
+"""What predicates measure on: the colliders of every link, prepared once, and the things that arguments name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.backends.robot_object import RobotObject, as_object
+from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.scene.frames import IDENTITY, Array
+from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.scene.model import Joint, Link, Scene, SceneObject
+
+TURNED = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0]])
+TURNED[3:] /= np.sqrt(2)
+TURNED.setflags(write=False)
+"""The axes along which a thing is boxed: its own, and those turned by 45 degrees about z; shape (5, 3)."""
+
+
+class PredicateError(ValueError):
+    """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """The convex parts of a link in the link's frame; of a link without colliders, what is seen of it.
+
+    ``points`` [m], shape (m, 3), with a ``radius`` each, shape (m,), have the same hull as the parts. ``low`` and
+    ``high`` [m] are the ends along :data:`TURNED`, shape (5,). ``solid`` says whether it touches anything.
+    """
+
+    link: Link
+    parts: Hulls
+
+    @property
+    def solid(self) -> bool:
+        """Whether it has colliders."""
+        return bool(self.link.colliders)
+
+    @cached_property
+    def _support(self) -> tuple[Array, Array]:
+        points, radius = self.parts.corners, self.parts.radius[self.parts.part]
+        sharp = radius == 0
+        kept = _corners(points[sharp])
+        return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
+
+    @property
+    def points(self) -> Array:
+        """Corners of its hull, and centres of its balls [m], (m, 3)."""
+        return self._support[0]
+
+    @property
+    def radius(self) -> Array:
+        """Of the ball at each point [m], (m,)."""
+        return self._support[1]
+
+    @cached_property
+    def _span(self) -> tuple[Array, Array]:
+        along = self.points @ TURNED.T
+        return (along - self.radius[:, None]).min(axis=0), (along + self.radius[:, None]).max(axis=0)
+
+    @property
+    def low(self) -> Array:
+        """The lower ends along :data:`TURNED` [m], (5,)."""
+        return self._span[0]
+
+    @property
+    def high(self) -> Array:
+        """The higher ends along :data:`TURNED` [m], (5,)."""
+        return self._span[1]
+
+    @cached_property
+    def ball(self) -> tuple[Array, float]:
+        """A ball around it: centre [m], shape (3,), and radius [m]."""
+        middle = (self.low[:3] + self.high[:3]) / 2
+        return middle, float((np.linalg.norm(self.points - middle, axis=1) + self.radius).max())
+
+    @cached_property
+    def pieces(self) -> tuple[Array, Array, Array, Array]:
+        """Of each part: the corners of its box [m], (k, 3) twice, and a ball around it, (k, 3) and (k,)."""
+        rows = []
+        for k in range(len(self.parts.radius)):
+            corners, r = self.parts.corners[self.parts.part == k], float(self.parts.radius[k])
+            low, high = corners.min(axis=0) - r, corners.max(axis=0) + r
+            middle = (low + high) / 2
+            rows.append((low, high, middle, float(np.linalg.norm(corners - middle, axis=1).max()) + r))
+        low, high, middle, size = zip(*rows, strict=True)
+        return np.array(low), np.array(high), np.array(middle), np.array(size)
+
+
+def _corners(points: Array) -> Array:
+    """The corners of the hull of points, in their order; all of them where they have no volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 5:
+        return points
+    try:
+        return np.asarray(points[np.sort(ConvexHull(points).vertices)])
+    except QhullError:
+        return points
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """An object or a robot: ``item``, whose links have ``forms``; None for a link without any shape."""
+
+    item: SceneObject
+    forms: tuple[Form | None, ...]
+    robot: RobotObject | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the object or robot."""
+        return self.item.name
+
+    def index(self, link: str) -> int:
+        """The index of a link."""
+        return next(k for k, one in enumerate(self.item.links) if one.name == link)
+
+
+class Thing(NamedTuple):
+    """What an argument names: links of a body by index; the first is the one in whose frame it is boxed."""
+
+    name: str
+    owner: str
+    links: tuple[int, ...]
+    whole: bool
+
+
+class Bodies:
+    """The bodies of a scene by name, objects and robots, prepared once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.objects = tuple(o.name for o in scene.objects)
+        made = {r.name: as_object(r, read_robot(r, n, f"{r.name}.")) for r in scene.robots if (n := mujoco_model(r))}
+        self.robots = tuple(made)
+        self._items: dict[str, SceneObject] = {o.name: o for o in scene.objects}
+        self._items |= {name: one.item for name, one in made.items()}
+        self._made = made
+        self._bodies: dict[str, Body] = {}
+
+    def __getitem__(self, name: str) -> Body:
+        if name not in self._bodies:
+            item = self._items[name]
+            forms = tuple(_form(link) for link in item.links)
+            self._bodies[name] = Body(item, forms, self._made.get(name))
+        return self._bodies[name]
+
+    @property
+    def items(self) -> tuple[SceneObject, ...]:
+        """All bodies as objects."""
+        return tuple(self._items.values())
+
+    def thing(self, argument: str) -> Thing:
+        """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
+        owner, _, part = argument.partition(".")
+        body = self._body(owner)
+        links = body.item.links
+        if part and body.robot is not None:
+            part = body.robot.links.get(part, part)
+        if part:
+            moved = {joint.name: joint.child for joint in body.item.joints}
+            name = part if any(link.name == part for link in links) else moved.get(part)
+            if name is None:
+                there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
+                raise PredicateError(f"`{owner}` has no link or joint `{part}`; there are: {there}")
+            chosen: tuple[int, ...] = (body.index(name),)
+        else:
+            chosen = tuple(range(len(links)))
+        if not any(body.forms[k] for k in chosen):
+            raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
+        return Thing(argument, owner, chosen, not part)
+
+    def joints(self, argument: str) -> tuple[Joint, ...]:
+        """The joints with an end that an argument names: one, or all of an object."""
+        owner, _, part = argument.partition(".")
+        item = self._body(owner).item
+        moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
+        if part and not moving:
+            there = ", ".join(j.name for j in item.joints if j.has_axis) or "none"
+            raise PredicateError(f"`{owner}` has no joint `{part}` that opens; there are: {there}")
+        ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
+        if not ended or (part and len(ended) < len(moving)):
+            raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
+        return tuple(ended)
+
+    def _body(self, name: str) -> Body:
+        if name in self._items:
+            return self[name]
+        if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
+            raise PredicateError(f"no model of robot `{name}` is found, so its shape is unknown; see docs/robots.md")
+        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(self._items) or 'none'}")
+
+
+def _form(link: Link) -> Form | None:
+    bare = replace(link, visuals=()) if link.colliders else link
+    if not bare.colliders and not bare.visuals:
+        return None
+    return Form(bare, hulls(SceneObject(link.name, "", True, IDENTITY, (bare,))))
