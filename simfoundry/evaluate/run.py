@@ -96,8 +96,11 @@ def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None)
             raise SimfoundryError(f"two tasks are called `{task_key(entry, task)}`; name each once")
         keys.add(task_key(entry, task))
         need_robots(task)
-        name = task.name
-        starts(task, plan.rollouts, plan.seed, cache, None if progress is None else lambda k, n: progress(name, k, n))  # noqa: B023
+        starts(task, plan.rollouts, plan.seed, cache, _told(progress, task.name))
+
+
+def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, of: progress(name, done, of)
 
 
 def pending(plan: Plan) -> list[Job]:
@@ -150,7 +153,7 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
     """One rollout, written where it belongs."""
     setting = _setting(job.entry, plan.rollouts, plan.seed, plan.world)
     try:
-        policy = _policy(job.entry, job.contender, plan.world)
+        policy = _policy(job, setting)
     except PolicyError as error:
         return Outcome(job, None, str(error))
     start = setting.starts[job.index]
@@ -173,7 +176,7 @@ def _is_done(plan: Plan, job: Job) -> bool:
     for key, value in _conditions(plan, job, setting.task, setting.starts[job.index]).items():
         if record.get(key) != value:
             raise OutputError(
-                f"{slot.path} is of another evaluation: its {key} is {record.get(key)!r}, and now it would be {value!r}; "
+                f"{slot.path} is of another evaluation: its {key} is {record.get(key)!r}, not {value!r}; "
                 "write to another folder, or remove that one"
             )
     return True
@@ -201,7 +204,7 @@ def _video(plan: Plan, task: Task) -> Video | None:
     names = plan.cameras if plan.cameras is not None else tuple(known[:1])
     if not plan.video or not names:
         return None
-    return Video({name: plan.size for name in names}, FRAME_EVERY)
+    return Video(dict.fromkeys(names, plan.size), FRAME_EVERY)
 
 
 def _write_video(path: Path, result: Rollout, rate: float) -> None:
@@ -239,18 +242,20 @@ _open: dict[tuple[Entry | None, str], Policy] = {}
 """The policies of this process: a connection lasts as long as it can."""
 
 
-def _policy(entry: Entry, contender: Contender, world: str) -> Policy:
-    choice = contender.choice()
-    key = (entry if isinstance(choice, Expert) else None, contender.text)
+def _policy(job: Job, setting: _Setting) -> Policy:
+    """The policy of a job: the expert is made for each task, others stay connected from task to task."""
+    choice = job.contender.choice()
+    key = (job.entry if isinstance(choice, Expert) else None, job.contender.text)
     if key not in _open:
         for stale in [k for k in _open if k[0] is not None]:
             _open.pop(stale).close()
-        _open[key] = _expert(entry, world) if isinstance(choice, Expert) else open_policy(choice)
+        if isinstance(choice, Expert):
+            from simfoundry.evaluate.expert.policy import Expert as Scripted
+
+            _open[key] = Scripted(setting.task, setting.judge)
+        else:
+            _open[key] = open_policy(choice)
     return _open[key]
-
-
-def _expert(entry: Entry, world: str) -> Policy:
-    raise NotImplementedError
 
 
 def _close() -> None:
