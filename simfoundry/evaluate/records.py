@@ -1,7 +1,7 @@
 """Finished rollouts on disk, one file each, so that a run that is stopped goes on where it was.
 
 ``rollouts/TASK/POLICY/007.json`` tells what came of a rollout, ``007.npz`` holds its actions (``--policy replay:…``
-takes it), ``007.webm`` its video. A rollout whose policy failed is ``007.failed.json``, and the next run tries it again.
+takes it), ``007.webm`` its video. A rollout whose policy failed is ``007.failed.json``, and is tried again.
 """
 
 from __future__ import annotations
