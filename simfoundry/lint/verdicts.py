@@ -187,7 +187,8 @@ def _inside(call: Call, drawn: Sketch) -> Verdict:
         return Verdict(False, f"the middle of `{a.name}` is {length(-deep)} outside of `{b.name}`")
     if deep < LEVEL:
         return OPEN
-    if _is_put(a, b) and a.thing.inside:
+    fits = (a.thing.exact and b.thing.exact) or a.high[2] - a.low[2] < b.high[2] - b.low[2]
+    if _is_put(a, b) and a.thing.inside and fits:
         return Verdict(True, f"`{a.name}` is put inside `{b.name}`")
     if not _is_certain(a, b):
         return OPEN

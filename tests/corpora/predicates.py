@@ -106,7 +106,9 @@ def counted(case: Case, n: int, seed: int) -> Count:
 
 def main(n: int) -> int:
     """Print the table; 1 where the bar is missed."""
-    print(f"{'predicate':11}{'states':>8}{'true':>7}{'false':>7}{'clear':>7}{'differ':>8}{'clear':>7}{'moved':>7}{'clear':>7}")
+    print(
+        f"{'predicate':11}{'states':>8}{'true':>7}{'false':>7}{'clear':>7}{'differ':>8}{'clear':>7}{'moved':>7}{'clear':>7}"
+    )
     failed = 0
     for name, cases in CASES.items():
         total = Count()

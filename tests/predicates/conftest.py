@@ -33,7 +33,11 @@ def posed(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, y
 def changed(state: SceneState, joints: dict[str, float] | None = None, speeds: dict[str, float] | None = None, **poses: Pose) -> SceneState:  # fmt: skip
     """The state with other poses, joints or speeds."""
     return SceneState.of(
-        {**state.poses, **poses}, {**state.joints, **(joints or {})}, state.motions, state.robots, speeds or state.speeds
+        {**state.poses, **poses},
+        {**state.joints, **(joints or {})},
+        state.motions,
+        state.robots,
+        speeds or state.speeds,
     )
 
 

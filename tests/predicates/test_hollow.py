@@ -40,7 +40,9 @@ MARKER = {
 
 
 @pytest.mark.parametrize("where", MARKER)
-@pytest.mark.parametrize("cup", [posed(0.5, 0.1, 0), posed(0.4, -0.2, 0.3, 0.4, -0.3, 2.0)], ids=["standing", "leaning"])
+@pytest.mark.parametrize(
+    "cup", [posed(0.5, 0.1, 0), posed(0.4, -0.2, 0.3, 0.4, -0.3, 2.0)], ids=["standing", "leaning"]
+)
 def test_marker_in_cup(setting: Found, where: str, cup: Pose) -> None:
     pose, expected = MARKER[where]
     one = setting("marker_in_cup")

@@ -43,7 +43,9 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
             angles = [float(v) for v in np.round(angles, 1)]
             where = f"pose: {{xyz: [{x}, {y}, {z:.4f}], rpy_deg: {angles}}}"
         lines += [f"{name}:", f"  {shape}", "  density: 500", f"  {where}"]
-    return written(folder, "\n".join(lines), EYE if rng.random() < 0.5 else "", f"scene{rng.integers(10**9)}.scene.yaml")
+    return written(
+        folder, "\n".join(lines), EYE if rng.random() < 0.5 else "", f"scene{rng.integers(10**9)}.scene.yaml"
+    )
 
 
 def calls(rng: np.random.Generator, state: SceneState) -> list[str]:
@@ -53,7 +55,9 @@ def calls(rng: np.random.Generator, state: SceneState) -> list[str]:
             case ("thing", "thing") | ("body", "body"):
                 texts += [f"{name}({a}, {b})" for a, b in permutations(NAMES, 2)]
             case ("thing", "number"):
-                near = {n: x.p + rng.choice([0.0, 0.01, 0.05, 0.3]) * rng.normal(size=3) for n, x in state.poses.items()}
+                near = {
+                    n: x.p + rng.choice([0.0, 0.01, 0.05, 0.3]) * rng.normal(size=3) for n, x in state.poses.items()
+                }
                 texts += [f"At({n}, {p[0]:.4f}, {p[1]:.4f}, {p[2]:.4f})" for n, p in near.items()]
             case ("joint",):
                 pass
