@@ -96,7 +96,9 @@ def _along(shape: tuple[Part, ...], center: Array, jaws: Jaws, R: Array) -> Iter
     y = (low[1] + high[1]) / 2
     starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R.T
     lines = crossings(shape, starts, R[:, 1])
-    spans = [[_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))]
+    spans = [
+        [_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))
+    ]
     tilt = math.acos(min(1.0, max(-1.0, -float(R[2, 2]))))
     for i in range(len(across)):
         for j in range(len(along)):
