@@ -2,8 +2,8 @@
 
 An observation is a dictionary of arrays: for each robot ``arm/joints`` [rad or m], ``arm/gripper`` (0 open to 1 closed)
 and ``arm/hand`` (position [m] and quaternion wxyz in the world); ``objects``, shape (objects, 7), likewise; ``joints``
-[rad or m] of the objects; and ``image/camera`` for each camera that was asked for. An action is that of a policy: for each
-robot its joints (positions, or velocities), then its gripper.
+[rad or m] of the objects; and ``image/camera`` for each camera that was asked for. An action is that of a policy: for
+each robot its joints (positions, or velocities), then its gripper.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
 from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.task import Task, load_task, need_robots
 from simfoundry.scene.frames import Array
+from simfoundry.scene.state import SceneState
 from simfoundry.worlds import ENGINES, open_world
 from simfoundry.worlds.base import Image
 from simfoundry.worlds.robot import WorldRobot
@@ -39,10 +40,10 @@ Observations = dict[str, NDArray[Any]]
 class TaskEnv(gymnasium.Env[Observations, Array]):
     """A task that ends (``terminated``) when its goal has held, and is cut off (``truncated``) at its horizon.
 
-    The reward is 1 where the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (at which step each was done,
-    counted from 1, 0 where it was not), ``start`` (the number of the start), and ``trouble``, empty unless the simulation
-    diverged, which cuts the episode off as well. ``reset`` draws one of ``starts`` starts with its seed, or takes
-    ``options={"start": k}``; ``options={"subtask": name}`` starts as that step does, with the goal of that step.
+    The reward is 1 where the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (at which step each was
+    done, counted from 1, 0 where it was not), ``start`` (the number of the start), and ``trouble``, empty unless the
+    simulation diverged, which cuts the episode off as well. ``reset`` draws one of ``starts`` starts with its seed, or
+    takes ``options={"start": k}``; ``options={"subtask": name}`` starts as that step does, with the goal of that step.
 
     ``cameras`` maps cameras of the scene onto (width, height); without any, nothing is rendered.
     """
@@ -81,9 +82,9 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
         check_cameras(self._whole.scene, self._picture, "the environment")
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
-        self.action_space = _actions(self._now.robots, self._kind)
+        self.action_space: spaces.Box = _actions(self._now.robots, self._kind)
         self._begin(Start(-1, seed, {}, self._now.world.state()))
-        self.observation_space = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
+        self.observation_space: spaces.Dict = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -114,7 +115,7 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
         cut = bool(self._trouble) or (not success and self._steps >= task.horizon)
         return self._observation(), float(success), success, cut, self._info(success)
 
-    def render(self) -> Image | None:  # type: ignore[override] # the base class speaks of any frame
+    def render(self) -> Image | None:
         """What the render camera sees, uint8, shape (h, w, 3); None without a render mode."""
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
@@ -125,12 +126,12 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
         self._scenes.clear()
 
     def _begin(self, start: Start) -> None:
-        now = self._now
+        now: _Opened = self._now
         now.world.reset(start.state)
         self._start, self._steps, self._trouble = start, 0, ""
-        self._state = now.world.state()
-        self._controller = Controller(now.robots, self._kind, now.task.control_hz)
-        self._progress = Progress(now.task, now.judge, self._state)
+        self._state: SceneState = now.world.state()
+        self._controller: Controller = Controller(now.robots, self._kind, now.task.control_hz)
+        self._progress: Progress = Progress(now.task, now.judge, self._state)
 
     def _observation(self) -> Observations:
         found: Observations = {}

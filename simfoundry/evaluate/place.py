@@ -17,7 +17,7 @@ from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
 SETTLING = SettleOptions(max_drift_m=0.01)
-"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, what carries it stays the same."""
+"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, its support stays the same."""
 
 OVERLAP = 1e-3
 """How far [m] an object may overlap with what it stands on or in before it is settled."""

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,12 +23,10 @@ from simfoundry.evaluate.judging import judge_of
 from simfoundry.evaluate.place import Refusal, Spots, clash, left_cell, placed, restless, settled
 from simfoundry.evaluate.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
 from simfoundry.evaluate.task import Task
+from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
-
-if TYPE_CHECKING:
-    from simfoundry.predicates import Judge
 
 TRIES, TRIES_ELSEWHERE = 20, 5
 """How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""

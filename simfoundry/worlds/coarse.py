@@ -54,21 +54,25 @@ def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
 def _clusters(corners: Floats, faces: Index) -> Index:
     """For each corner [m], shape (n, 3), the index of the one that it becomes, shape (n,)."""
     a, b, c = (corners[faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    normals = _unit(np.cross(b - a, c - a))
     owner = _cubes(corners, FINE)
     for level in range(1, FLAT_LEVELS + 1):
         cubes = _cubes(corners, FINE * 2**level)
         at = cubes[faces.ravel()]
         every = np.repeat(normals, 3, axis=0)
-        mean = np.stack([np.bincount(at, every[:, k], cubes.max() + 1) for k in range(3)], axis=1)
-        mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-20)
+        mean = _unit(np.stack([np.bincount(at, every[:, k], cubes.max() + 1) for k in range(3)], axis=1))
         least = np.ones(len(mean))
         np.minimum.at(least, at, np.einsum("ij,ij->i", every, mean[at]))
         flat = least[cubes] > FLAT
         owner = np.where(flat, cubes + (level << 32), owner)
     _, first, cube = np.unique(owner, return_index=True, return_inverse=True)
     return np.asarray(first[cube])
+
+
+def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vectors of length one, shape (n, 3); what has no length stays."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-20), dtype=np.float64)
 
 
 def _cubes(corners: Floats, size: float) -> Index:

@@ -35,9 +35,9 @@ BACKDROP_EMISSION = 1e3
 class MujocoRenderer:
     """Draws one MuJoCo model off-screen; close it, or use it in a ``with`` statement.
 
-    ``width`` and ``height`` [px] are the largest picture it will draw. A ``quick`` one draws small pictures in a third of
-    the time on a processor: meshes without what such a picture does not show (:mod:`simfoundry.worlds.coarse`), smaller
-    shadow maps, and four pixels for one in place of the driver's multisampling.
+    ``width`` and ``height`` [px] are the largest picture it will draw. A ``quick`` one draws small pictures in a third
+    of the time on a processor: meshes without what such a picture does not show (:mod:`simfoundry.worlds.coarse`),
+    smaller shadow maps, and four pixels for one in place of the driver's multisampling.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class MujocoRenderer:
         if self._fine == 1:
             return picture
         each = picture.reshape(camera.height, self._fine, camera.width, self._fine, 3).astype(np.uint16)
-        return ((each.sum(axis=(1, 3)) + self._fine**2 // 2) // self._fine**2).astype(np.uint8)
+        return np.asarray((each.sum(axis=(1, 3)) + self._fine**2 // 2) // self._fine**2, dtype=np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
         """Which geom each pixel shows, shape (h, w): 0 for none, else 1 + the geom's id."""
