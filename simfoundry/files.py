@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -16,7 +16,7 @@ BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 """What programs leave in a folder by the way; nobody misses it."""
 
 STALE_S = 3600.0
-"""No run takes this long to fill a folder [s]."""
+"""Where the system does not tell whether the run that made a folder is alive: no run takes this long to fill one [s]."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -35,24 +35,68 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """A new folder to fill beside ``folder``, whose place it takes when the block ends well, and goes otherwise.
-
-    What runs that were killed left there more than ``STALE_S`` ago goes too.
-    """
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    for left in folder.parent.glob(f".{folder.name}.new.*"):
-        if time.time() - left.stat().st_mtime > STALE_S:
-            shutil.rmtree(left, ignore_errors=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{folder.name}.new.", dir=folder.parent))
-    try:
+    """A new folder to fill beside ``folder``, whose place it takes when the block ends well, and goes otherwise."""
+    with scratch(folder.parent, folder.name) as staging:
         yield staging
         replace_folder(staging, folder)
+
+
+@contextmanager
+def scratch(parent: Path, name: str) -> Iterator[Path]:
+    """A new folder ``parent/.NAME.new.*`` to work in, which is removed at the end.
+
+    It is locked as long as the run lives, so that the next run knows, and clears, those that killed runs left there.
+    """
+    parent.mkdir(parents=True, exist_ok=True)
+    _clear(parent, name)
+    made = Path(tempfile.mkdtemp(prefix=f".{name}.making.", dir=parent))
+    lock = _lock(made)
+    staging = made.with_name(made.name.replace(".making.", ".new."))
+    made.rename(staging)  # under this name nobody sees it before it is locked
+    try:
+        yield staging
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _clear(parent: Path, name: str) -> None:
+    """Remove the staging folders of runs that are dead, and those in which nothing moved for ``STALE_S``."""
+    head = tuple(f".{name}.{step}." for step in ("new", "making"))
+    with os.scandir(parent) as entries:
+        left = [Path(entry.path) for entry in entries if entry.name.startswith(head)]
+    for folder in left:
+        try:
+            lock = _lock(folder) if folder.name.startswith(head[0]) else None
+            if lock is not None or time.time() - folder.stat().st_mtime > STALE_S:
+                shutil.rmtree(folder, ignore_errors=True)
+            if lock is not None:
+                os.close(lock)
+        except OSError:  # another run was faster
+            continue
+
+
+def _lock(folder: Path) -> int | None:
+    """A descriptor that locks a folder until it is closed, or this process ends in whatever way; None if it is locked.
+
+    None also where folders cannot be locked: on Windows, and on some network file systems.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
 
 
 def replace_folder(new: Path, folder: Path) -> None:
-    """Put the folder ``new`` in the place of ``folder``; both lie on one file system.
+    """Put the folder ``new`` in the place of ``folder``, which then lies where ``new`` was; both on one file system.
 
     In one step where the system can exchange two names; elsewhere a kill between two renames leaves the old folder
     beside its place, in ``.NAME.old.*``.
@@ -62,7 +106,6 @@ def replace_folder(new: Path, folder: Path) -> None:
         os.replace(new, folder)
         return
     if _exchange(new, folder):
-        shutil.rmtree(new, ignore_errors=True)
         return
     aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
     try:
@@ -73,7 +116,16 @@ def replace_folder(new: Path, folder: Path) -> None:
             os.replace(aside / folder.name, folder)
         aside.rmdir()
         raise
-    shutil.rmtree(aside, ignore_errors=True)
+    os.replace(aside / folder.name, new)
+    aside.rmdir()
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files below ``folder`` by relative POSIX path; folders on the way are made once."""
+    for parent in sorted({(folder / path).parent for path in files}):
+        parent.mkdir(parents=True, exist_ok=True)
+    for path, data in files.items():
+        (folder / path).write_bytes(data)
 
 
 def strangers(folder: Path, written: Iterable[str]) -> list[str]:

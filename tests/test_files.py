@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import time
 from pathlib import Path
 from unittest import mock
@@ -11,7 +12,8 @@ from unittest import mock
 import pytest
 
 from simfoundry import files
-from simfoundry.files import STALE_S, replace_folder, staged, strangers, write_atomically
+from simfoundry.files import STALE_S, replace_folder, staged, strangers, write_atomically, write_files
+from tests.cli.command import python
 
 
 def folder(path: Path, **content: str) -> Path:
@@ -46,8 +48,8 @@ def test_a_folder_takes_the_place_of_another(tmp_path: Path, exchange: bool) -> 
     original = files._exchange
     with mock.patch.object(files, "_exchange", original if exchange else lambda a, b: False):
         replace_folder(new, old)
-    assert content(tmp_path) == {"out/a": "3"}
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert content(tmp_path) == {"out/a": "3", "new/a": "1", "new/b": "2"}
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "out"]
     assert old.stat().st_mode & 0o777 == 0o755
 
 
@@ -81,19 +83,50 @@ def test_strangers(tmp_path: Path) -> None:
     assert strangers(out, ["a", "b", "meshes/cup", "meshes/plate"]) == ["link"]
 
 
-def test_a_new_run_clears_what_killed_ones_left_long_ago(tmp_path: Path) -> None:
-    old, recent = tmp_path / ".out.new.old", tmp_path / ".out.new.recent"
+def test_a_new_run_clears_what_killed_ones_left(tmp_path: Path) -> None:
+    killed, making = tmp_path / ".out.new.killed", tmp_path / ".out.making.recent"
     kept = tmp_path / ".out.old.kept"  # the good output of a run killed between two renames
-    for folder in (old, recent, kept):
-        folder.mkdir()
-        (folder / "file").write_text("x")
-    long_ago = time.time() - STALE_S - 60
-    for folder in (old, kept):
-        os.utime(folder, (long_ago, long_ago))
+    other = tmp_path / ".outer.new.other"  # of another folder
+    for place in (killed, making, kept, other):
+        folder(place, file="x")
+    with staged(tmp_path / "out") as alive:
+        (alive / "file").write_text("first")
+        with staged(tmp_path / "out") as staging:
+            (staging / "file").write_text("second")
+        assert (alive / "file").read_text() == "first"  # of a run that lives nothing is touched
+    assert (tmp_path / "out" / "file").read_text() == "first"
+    left = [".out.making.recent", ".out.old.kept", ".outer.new.other", "out"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == left
+
+
+def test_a_killed_process_leaves_nothing_to_the_next(tmp_path: Path) -> None:
+    folder(tmp_path / "out", a="old")
+    program = (
+        "import os, signal, sys; from pathlib import Path; from simfoundry.files import staged\n"
+        "with staged(Path(sys.argv[1])) as s:\n"
+        "    (s / 'a').write_text('half'); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    assert python(program, tmp_path / "out").code == -signal.SIGKILL
+    assert len(list(tmp_path.glob(".out.new.*"))) == 1 and content(tmp_path / "out") == {"a": "old"}
     with staged(tmp_path / "out") as staging:
-        (staging / "file").write_text("new")
-    assert (tmp_path / "out" / "file").read_text() == "new"
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".out.new.recent", ".out.old.kept", "out"]
+        assert [p for p in tmp_path.glob(".out.new.*")] == [staging]
+        (staging / "a").write_text("new")
+    assert content(tmp_path) == {"out/a": "new"}
+
+
+def test_where_folders_cannot_be_locked_age_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    old, recent = folder(tmp_path / ".out.new.old", a="x"), folder(tmp_path / ".out.new.recent", a="x")
+    long_ago = time.time() - STALE_S - 60
+    os.utime(old, (long_ago, long_ago))
+    monkeypatch.setattr(files, "_lock", lambda _: None)
+    with staged(tmp_path / "out") as staging:
+        (staging / "a").write_text("new")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [recent.name, "out"]
+
+
+def test_files_are_written_below_a_folder(tmp_path: Path) -> None:
+    write_files(tmp_path / "new", {"a": b"1", "b/c/d": b"2", "b/e": b"3"})
+    assert content(tmp_path) == {"new/a": "1", "new/b/c/d": "2", "new/b/e": "3"}
 
 
 def test_a_block_that_fails_leaves_the_folder_as_it_was(tmp_path: Path) -> None:

@@ -1,20 +1,35 @@
-"""A content-addressed cache on disk: results that are slow to compute and depend on nothing but their key."""
+"""A content-addressed cache on disk: results that are slow to compute and depend on nothing but their key.
+
+It may be deleted at any time, and keeps itself small: what was not read for longest goes first. An entry appears in one
+step, so that any number of processes may share it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.files import write_atomically
 
+MAX_BYTES = 2 * 2**30
+"""So much may lie in a cache: the convex parts of some ten thousand meshes."""
+
+SHELVES = 256
+"""Folders of a cache, by the first two digits of the keys; each keeps its share of the bytes."""
+
+UNREAD_S = 24 * 3600.0
+"""An entry that was read within this time counts as read now, so that reading it writes nothing."""
+
 
 @dataclass(frozen=True)
 class Cache:
-    """Bytes by key below ``folder``; entries are written in one step and never change."""
+    """Bytes by key below ``folder``, at most ``most`` bytes in all; entries are written in one step and never change."""
 
     folder: Path
+    most: int = MAX_BYTES
 
     @classmethod
     def default(cls) -> Cache:
@@ -27,20 +42,40 @@ class Cache:
 
     def get(self, key: str) -> bytes | None:
         """The bytes stored under ``key``, or None."""
+        path = self._path(key)
         try:
-            return self._path(key).read_bytes()
+            data = path.read_bytes()
+            if time.time() - path.stat().st_mtime > UNREAD_S:
+                os.utime(path)
         except OSError:
             return None
+        return data
 
     def put(self, key: str, data: bytes) -> None:
-        """Store ``data``; a cache that cannot be written is no reason to fail."""
+        """Store ``data`` unless it is too large; a cache that cannot be written is no reason to fail."""
+        path = self._path(key)
+        if len(data) > self.most // SHELVES:
+            return
         try:
-            write_atomically(self._path(key), data)
+            write_atomically(path, data)
+            _trim(path.parent, self.most // SHELVES)
         except OSError:
             return
 
     def _path(self, key: str) -> Path:
         return self.folder / key[:2] / key
+
+
+def _trim(shelf: Path, most: int) -> None:
+    """Remove what was not read for longest until at most ``most`` bytes are left, and what killed writes left."""
+    kept = 0
+    with os.scandir(shelf) as entries:
+        found = [(entry.stat().st_mtime, entry.stat().st_size, entry.path) for entry in entries]
+    for changed, size, path in sorted(found, reverse=True):
+        kept += size
+        half_written = Path(path).name.startswith(".") and time.time() - changed > UNREAD_S
+        if kept > most or half_written:
+            Path(path).unlink(missing_ok=True)
 
 
 def key_of(*parts: bytes | str) -> str:

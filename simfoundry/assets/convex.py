@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets import decompose
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.faults import flat
 from simfoundry.assets.mass import mesh as solid_of
@@ -21,16 +22,6 @@ MAX_HULL_VERTICES = 64
 
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull."""
-
-COACD = {
-    "threshold": 0.05,
-    "max_convex_hull": 32,
-    "seed": 0,
-    "max_ch_vertex": 60,
-    "mcts_iterations": 40,
-    "mcts_nodes": 10,
-    "mcts_max_depth": 2,
-}
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
@@ -66,27 +57,24 @@ def _spread(points: Array, count: int) -> NDArray[np.int64]:
     return np.sort(np.array(chosen))
 
 
-def convex_parts(vertices: Array, faces: Faces, how: str, cache: Cache | None = None) -> tuple[Part, ...]:
-    """Convex parts of a welded mesh: ``hull``, ``decompose``, or ``auto`` for whichever suits it; none for ``none``."""
+def convex_parts(
+    vertices: Array, faces: Faces, how: str, cache: Cache | None = None, name: str = "the mesh"
+) -> tuple[Part, ...]:
+    """Convex parts of a welded mesh: ``hull``, ``decompose``, or ``auto`` for whichever suits it; none for ``none``.
+
+    Raises :class:`MeshError`, with ``name``, where it is flat or cannot be decomposed.
+    """
     if how == "none":
         return ()
     whole = hull(vertices)
-    if how == "hull":
+    if how == "hull" or (how == "auto" and _nearly_convex(vertices, faces)):
         return (whole,)
-    if how == "auto":
-        filled = solid_of(vertices, faces).volume / solid_of(*hull(vertices, limit=len(vertices))).volume
-        if filled >= NEARLY_CONVEX:
-            return (whole,)
-    import coacd
-
-    key = key_of("convex 1", repr(sorted(COACD.items())), _version(), vertices.tobytes(), faces.tobytes())
+    key = key_of("convex 2", decompose.settings(), vertices.tobytes(), faces.tobytes())
     stored = cache.get(key) if cache is not None else None
     kept = _unpack(stored) if stored is not None else ()
     if kept:
         return kept
-    coacd.set_log_level("error")
-    pieces = coacd.run_coacd(coacd.Mesh(vertices, faces), decimate=True, **COACD)
-    parts = tuple(hull(np.asarray(v, dtype=np.float64)) for v, _ in pieces if _is_solid(v))
+    parts = tuple(hull(corners) for corners in decompose.decompose(name, vertices, faces) if _is_solid(corners))
     if not parts:
         return (whole,)
     if cache is not None:
@@ -94,10 +82,9 @@ def convex_parts(vertices: Array, faces: Faces, how: str, cache: Cache | None = 
     return parts
 
 
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("coacd")
+def _nearly_convex(vertices: Array, faces: Faces) -> bool:
+    full = solid_of(*hull(vertices, limit=len(vertices))).volume
+    return solid_of(vertices, faces).volume / full >= NEARLY_CONVEX
 
 
 def _is_solid(vertices: Array) -> bool:

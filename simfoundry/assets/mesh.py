@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import MAX_BYTES, MAX_FACES, MeshError, implausible_size, too_large
+from simfoundry.assets.counts import check_counts
+from simfoundry.assets.faults import MAX_FACES, MeshError, implausible_size
 
 Array = NDArray[np.float64]
 
@@ -54,9 +55,7 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
     """
     import trimesh
 
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise too_large(path.name, size)
+    check_counts(path)
     try:
         scene = trimesh.load_scene(path, process=False)
         meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]

@@ -13,7 +13,7 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
 
 @click.command()
-@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("scenes", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option(
     "-t",
     "--target",
@@ -21,13 +21,40 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
     multiple=True,
     help="A backend, a simulator, or your own profile; default: all backends.",
 )
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True)
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True,
+    help="Where the folders of the targets go; of several scenes, a folder for each.",
+)  # fmt: skip
+@click.option("-j", "--jobs", type=click.IntRange(1), help="So many scenes at a time; default: as many as cores.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where a target cannot keep everything.")
-@click.option("--force", is_flag=True, help="Replace target folders even where they hold files of your own.")
+@click.option(
+    "--force", is_flag=True, help="Redo what is up to date, and replace folders even where they hold files of your own."
+)
 @json_option
 @reporting
-def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
-    """Compile a scene for simulators, each into a folder of its own, with a report of what was lost."""
+def command(
+    scenes: tuple[Path, ...],
+    targets: tuple[str, ...],
+    out: Path,
+    jobs: int | None,
+    strict: bool,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Compile scenes for simulators, each target into a folder of its own, with a report of what was lost.
+
+    One scene goes to OUT/TARGET. Several, or the scenes below folders, go to OUT/SCENE/TARGET: side by side, each in a
+    process of its own; what is up to date is passed over, and where one fails the others go on, with exit code 1 at the
+    end.
+    """
+    if len(scenes) > 1 or scenes[0].is_dir():
+        from simfoundry.cli.compile_many import compile_many
+
+        return compile_many(scenes, targets or TARGETS, out, jobs, strict, force, as_json)
+    return _compile_one(scenes[0], targets or TARGETS, out, strict, force, as_json)
+
+
+def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, force: bool, as_json: bool) -> int:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
     from simfoundry.targets.report import report, table
@@ -35,7 +62,7 @@ def command(scene: Path, targets: tuple[str, ...], out: Path, strict: bool, forc
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
-        artifacts = build(lowered, targets or TARGETS, out, force)
+        artifacts = build(lowered, targets, out, force)
     losses = report(lowered, artifacts)
     lossy = any(artifact.losses for artifact in artifacts)
     if as_json:

@@ -57,6 +57,7 @@ COMMANDS = {
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "diff": "Say what changed between two documents or revisions.",
     "doctor": "Say what is installed, what is missing and how to get it.",
+    "eval": "Let policies do tasks, and say how often they succeed.",
     "explain": "Explain the code of a finding, or list all codes.",
     "export": "Write a task in a format that others read.",
     "flatten": "Write a document out in full, with all that it extends and every default.",

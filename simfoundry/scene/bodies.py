@@ -82,7 +82,7 @@ class BodyBuilder:
             self._weigh(name, solid, X_LG, part)
         elif mass.mesh(vertices, faces).volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
-        parts = convex_parts(vertices, faces, self.body.collision, self.cache)
+        parts = convex_parts(vertices, faces, self.body.collision, self.cache, path.name)
         for k, (corners, sides) in enumerate(parts):
             label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)

@@ -12,6 +12,8 @@ from pydantic_core import PydanticCustomError
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 PartName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$", max_length=129)]
 """``cabinet``, or ``cabinet.drawer``: one link of it."""
+WIRE_KEY = r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
+"""What keys of the messages of policies look like: ``observation/wrist_image_left``."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]

@@ -5,15 +5,26 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.base import DocumentSpec, Model, Name, Number, Positive
+from simfoundry.spec.base import WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
-WireKey = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", max_length=128)]
+WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 """A key of the messages that the policy takes: ``observation/wrist_image_left``."""
 
-Variable = Annotated[str, StringConstraints(pattern=r"^[A-Z_][A-Z0-9_]*$", max_length=128)]
+VARIABLE = r"^[A-Z_][A-Z0-9_]*$"
+
+
+def _variable(text: str) -> str:
+    """What is said of another text does not repeat it: it may be a key."""
+    if re.match(VARIABLE, text) is None or len(text) > 128:
+        message = "expected the name of an environment variable in capitals, never a key itself"
+        raise PydanticCustomError("sf104", "{message}", {"message": message})
+    return text
+
+
+Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
 """An environment variable. In capitals only, so that a key that is pasted here by mistake is refused."""
 
 Pixels = Annotated[int, Field(ge=1, le=8192)]

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from simfoundry.spec.base import SHAPE_KEYS, Model
+from simfoundry.spec.base import SHAPE_KEYS, WIRE_KEY, Model
 from simfoundry.spec.diagnostics import Diagnostic, nearest
 from simfoundry.spec.spelling import number
 from simfoundry.spec.text import Document
@@ -167,6 +167,11 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
         return f"`{last}` is missing", description
     found = _shown(error["input"])
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
+        pattern = error.get("ctx", {}).get("pattern")
+        if pattern == WIRE_KEY:
+            from simfoundry.spec.snippets import NAMES
+
+            return f"{found} is not a key", NAMES[pattern][1]
         suggestion = _as_name(str(error["input"]))
         rule = "a name is lower-case letters, digits and `_`, and starts with a letter"
         return f"{found.removeprefix('the text ')} is not a name", rule + (f": `{suggestion}`" if suggestion else "")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
 from simfoundry.errors import OutputError
-from simfoundry.files import strangers, write_atomically
+from simfoundry.files import replace_folder, scratch, strangers, write_files
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import find_target
@@ -18,39 +20,82 @@ from simfoundry.targets.report import report
 TARGETS = tuple(sorted(BACKENDS))
 """The targets of a build where nobody says which: the plain backends."""
 
-
 LOSSES = "loss.json"
 """What became of each field in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
 
+RECORD = "build.json"
+"""What a build was made from, in the build folder; see :mod:`simfoundry.worlds.inputs`."""
 
-def build(scene: Scene, targets: Iterable[str], out: Path, force: bool = False) -> list[Artifact]:
+MANIFEST = "manifest.json"
+"""The hashes of the files of a target, in its folder."""
+
+
+def build(
+    scene: Scene, targets: Iterable[str], out: Path, force: bool = False, record: Mapping[str, object] | None = None
+) -> list[Artifact]:
     """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
 
-    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled before anything is
-    written; each folder is replaced in one step. Raises :class:`OutputError` where a folder holds files that no build
+    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled, and written beside
+    its place, before the first folder is replaced; each is replaced in one step. ``record`` goes to ``out/build.json``,
+    last of all, with the hashes of the manifests. Raises :class:`OutputError` where a folder holds files that no build
     wrote, unless ``force``.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts = [compile_target(scene, target) for target in {t.name: t for t in found}.values()]
     for artifact in artifacts if not force else ():
         _ensure_ours(out / artifact.target)
-    for artifact in artifacts:
-        artifact.write(out / artifact.target)
-    text = json.dumps(report(scene, artifacts), indent=2, ensure_ascii=False) + "\n"
-    write_atomically(out / LOSSES, text.encode())
+    manifests = {artifact.target: artifact.manifest for artifact in artifacts}
+    reports = {LOSSES: _json(report(scene, artifacts))}
+    if record is not None:
+        written = {f"{target}/{MANIFEST}": data for target, data in manifests.items()} | reports
+        hashes = {path: hashlib.sha256(data).hexdigest() for path, data in written.items()}
+        reports[RECORD] = _json({"inputs": record, "outputs": hashes})
+    with scratch(out, "build") as staging:
+        for artifact in artifacts:
+            write_files(staging / artifact.target, {**artifact.files, MANIFEST: manifests[artifact.target]})
+        write_files(staging, reports)
+        for artifact in artifacts:
+            replace_folder(staging / artifact.target, out / artifact.target)
+        for name in reports:
+            os.replace(staging / name, out / name)
     return artifacts
+
+
+def is_current(out: Path, record: Mapping[str, object]) -> bool:
+    """Whether ``out`` holds, byte by byte and nothing else, what was built with this ``record``."""
+    try:
+        built = json.loads((out / RECORD).read_bytes())
+        hashes: dict[str, str] = built["outputs"]
+        if built["inputs"] != record or not _hold(out, hashes):
+            return False
+        for path in hashes:
+            folder = (out / path).parent
+            if folder != out:
+                files: dict[str, str] = json.loads((folder / MANIFEST).read_bytes())["files"]
+                if not _hold(folder, files) or strangers(folder, [*files, MANIFEST]):
+                    return False
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+    return True
+
+
+def _hold(folder: Path, hashes: Mapping[str, str]) -> bool:
+    return all(hashlib.sha256((folder / path).read_bytes()).hexdigest() == value for path, value in hashes.items())
+
+
+def _json(data: object) -> bytes:
+    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
 
 
 def _ensure_ours(folder: Path) -> None:
     """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name."""
     if not folder.is_dir():
         return
-    manifest = folder / "manifest.json"
     try:
-        written = list(json.loads(manifest.read_bytes())["files"])
+        written = list(json.loads((folder / MANIFEST).read_bytes())["files"])
     except (OSError, ValueError, KeyError, TypeError):
         written = []
-    foreign = strangers(folder, [*written, *(["manifest.json"] if written else [])])
+    foreign = strangers(folder, [*written, *([MANIFEST] if written else [])])
     if foreign:
         names = ", ".join(foreign[:3])
         raise OutputError(f"{folder} holds files that no build wrote ({names}); choose another folder, or say --force")

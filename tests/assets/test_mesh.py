@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from simfoundry.assets import mass
+from simfoundry.assets import decompose, mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, convex_parts, hull
 from simfoundry.assets.faults import MeshError
@@ -252,8 +252,6 @@ def test_what_is_nearly_convex_collides_as_its_hull(tmp_path: Path) -> None:
 
 
 def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import coacd
-
     cache = Cache(tmp_path)
     vertices, faces = ell()
     parts = convex_parts(vertices, faces, "auto", cache)
@@ -266,7 +264,7 @@ def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("decomposed again")
 
-    monkeypatch.setattr(coacd, "run_coacd", refuse)
+    monkeypatch.setattr(decompose, "decompose", refuse)
     again = convex_parts(vertices, faces, "auto", cache)
     assert [(v.tobytes(), f.tobytes()) for v, f in again] == [(v.tobytes(), f.tobytes()) for v, f in parts]
     with pytest.raises(AssertionError, match="again"):

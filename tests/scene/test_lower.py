@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from simfoundry.assets import decompose
 from simfoundry.assets.cache import Cache
 from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
@@ -312,14 +313,12 @@ def write_ell(folder: Path) -> None:
 
 
 def test_decomposition_goes_through_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import coacd
-
     write_ell(tmp_path)
     cache = Cache(tmp_path / "cache")
     text = f"objects:\n  a: {{{ELL}}}\n  b: {{{ELL}, pose: {{xyz: [1, 0, 0]}}}}\n"
     first = lowered(tmp_path, text, cache)
     assert len([p for p in cache.folder.rglob("*") if p.is_file()]) == 1
-    monkeypatch.setattr(coacd, "run_coacd", lambda *_, **__: pytest.fail("decomposed again"))
+    monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("decomposed again"))
     assert digest(lowered(tmp_path, text, cache)) == digest(first)
     names = [c.name for c in first.objects[0].links[0].colliders]
     assert len(names) >= 2 and names == [f"mesh_hull_{k}" for k in range(len(names))]

@@ -24,7 +24,10 @@ ITERATIONS = 40
 SLACK = 0.02
 """How far from the joints' limits solutions stay [rad or m]."""
 
-SEEDS = 6
+STUCK = 4
+"""A solution that has come no closer in so many iterations does not."""
+
+SEEDS = 3
 """From how many other postures an arm is solved where it is not from the one that it has."""
 
 
@@ -103,10 +106,15 @@ class _Solver:
         self._frame.set_target(mink.SE3(wxyz_xyz=np.concatenate([X_BF.q, X_BF.p])))
         q = np.clip(near, self._low, self._high)
         self._update(q)
+        best, since = np.inf, 0
         for _ in range(ITERATIONS):
             error = self._frame.compute_error(self._configuration)
             if np.linalg.norm(error[:3]) < NEAR and np.linalg.norm(error[3:]) < TURNED:
                 return q
+            size = float(np.linalg.norm(error))
+            best, since = (size, 0) if size < 0.9 * best else (best, since + 1)
+            if since >= STUCK:
+                return None
             try:
                 velocity = mink.solve_ik(
                     self._configuration, [self._frame], 1.0, "daqp", damping=1e-4, limits=[self._limit]

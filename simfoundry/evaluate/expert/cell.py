@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.robots import mujoco_model
@@ -37,6 +38,8 @@ class Cell:
         }
         model.geom_margin[:] = FAR / 2
         model.pair_margin[:] = FAR
+        self._hands = {r.name: self._hand(r.name) for r in scene.robots if mujoco_model(r) is not None}
+        self._hand_geoms = {name: {int(g) for g in hand[1]} for name, hand in self._hands.items()}
         self._own: set[tuple[int, int]] = set()
         self._own = self._touching_itself()
 
@@ -78,6 +81,48 @@ class Cell:
 
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_collision(self._model, self._data)
+
+    def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
+        """Whether a hand without its arm, and what it holds, would come nearer to anything than ``gap`` [m].
+
+        Much cheaper than to find out how the arm gets there. The fingers are as they were posed last.
+        """
+        import mujoco
+
+        data = self._data
+        mujoco.mj_kinematics(self._model, data)
+        bodies, geoms, frame = self._hands[robot]
+        link = Pose.of(data.xpos[bodies[0]], data.xquat[bodies[0]])
+        moved = X_WH @ (link @ frame).inverse()
+        R = moved.rotation
+        for points in (data.xpos, data.xipos):
+            points[bodies] = points[bodies] @ R.T + moved.p
+        for turns in (data.xmat, data.ximat):
+            turns[bodies] = (R @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
+        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ R.T + moved.p
+        data.geom_xmat[geoms] = (R @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
+        mujoco.mj_collision(self._model, data)
+        contact = data.contact
+        for k in np.flatnonzero(contact.dist[: data.ncon] < gap):
+            pair = [int(g) for g in contact.geom[k]]
+            owners = {str(self._owner[g]) for g in pair}
+            if len(owners) < 2 or ignore in owners or owners == {robot, held}:
+                continue
+            if held in owners or any(g in self._hand_geoms[robot] for g in pair):
+                return True
+        return False
+
+    def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
+        """Bodies and geoms of a hand, the one with the hand's frame first, and that frame in it."""
+        native = mujoco_model(self.scene.robot(robot))
+        assert native is not None
+        model, frame = self._model, native.frame("hand")
+        top = model.body(f"{robot}.{frame.link}").id
+        bodies = [top]
+        for body in range(top + 1, model.nbody):  # MuJoCo's order is depth first: a parent comes before its children
+            if int(model.body_parentid[body]) in bodies:
+                bodies.append(body)
+        return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
 
     def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
         """What the robots and objects that are ``moving`` together come nearer to than ``gap`` [m]; None if nothing.

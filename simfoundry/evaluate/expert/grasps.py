@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.evaluate.expert.solids import Part, Span, bounds, crossings
+from simfoundry.evaluate.expert.solids import Solid, Span, bounds, crossings
 from simfoundry.scene.frames import Array, Pose
 
 YAWS = 12
@@ -18,8 +18,11 @@ YAWS = 12
 ACROSS, ALONG = 17, 12
 """Most lines across the hand and along its approach."""
 
-SPACING = 0.006
-"""Least distance between lines [m]."""
+SPACING, FINE = 0.006, 0.0025
+"""Least distance between lines across the hand, and along its approach [m]."""
+
+MOST = 600
+"""The best so many are enough to choose from."""
 
 FACING = 0.92
 """Fingers meet surfaces that face them at least this much: the cosine, within the cone of friction."""
@@ -30,7 +33,7 @@ CLEARANCE = 0.004
 PRELOAD = 0.012
 """How much wider than the thing the open fingers come, on each side [m], where the gripper is that wide."""
 
-TIP = 0.006
+TIP = 0.005
 """How far behind the tip of the pads what is taken lies at least [m]."""
 
 ALIKE = 0.004
@@ -76,7 +79,7 @@ def rotations(approach: Array) -> Iterator[Array]:
         yield np.column_stack([np.cross(y, approach), y, approach])
 
 
-def grasps(shape: tuple[Part, ...], center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
+def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> list[Grasp]:
     """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
     found: list[Grasp] = []
     for approach in approaches:
@@ -84,14 +87,14 @@ def grasps(shape: tuple[Part, ...], center: Array, jaws: Jaws, approaches: list[
             found += _along(shape, center, jaws, R)
     flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
     both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
-    return sorted(both, key=lambda g: g.cost)
+    return sorted(both, key=lambda g: g.cost)[:MOST]
 
 
-def _along(shape: tuple[Part, ...], center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
+def _along(shape: Solid, center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
     """Grasps with the hand turned by R."""
     low, high = bounds(shape, R)
-    across = _grid(low[0], high[0], ACROSS)
-    along = _grid(low[2], high[2], ALONG)
+    across = _grid(low[0], high[0], ACROSS, SPACING)
+    along = _grid(low[2], high[2], ALONG, FINE)
     a, h = np.meshgrid(across, along, indexing="ij")
     y = (low[1] + high[1]) / 2
     starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R.T
@@ -117,9 +120,9 @@ def _along(shape: tuple[Part, ...], center: Array, jaws: Jaws, R: Array) -> Iter
                     yield Grasp(_pose(R, middle - R[:, 2] * depth), span.width, opened, cost)
 
 
-def _grid(low: float, high: float, most: int) -> Array:
-    """Coordinates from a little inside ``low`` to a little inside ``high``, at least :data:`SPACING` apart."""
-    count = int(np.clip((high - low) / SPACING, 1, most))
+def _grid(low: float, high: float, most: int, spacing: float) -> Array:
+    """Coordinates from a little inside ``low`` to a little inside ``high``, at least ``spacing`` apart."""
+    count = int(np.clip((high - low) / spacing, 1, most))
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 

@@ -11,7 +11,7 @@ from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
-from simfoundry.evaluate.expert.solids import parts
+from simfoundry.evaluate.expert.solids import solid
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.worlds.footing import center_of_mass
@@ -31,8 +31,8 @@ DROP = 0.006
 RELEASE = 0.012
 """How far each finger opens to let go [m]."""
 
-TRIES, PLACES = 160, 40
-"""How many grasps and places are looked at."""
+TRIES, CHECKED = 60, 6
+"""How many grasps for which there is room, and how many places for each, are tried with the arm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +81,54 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
     center = center_of_mass(item, state.poses[name])
     q = worker.q[robot]
     for tilts in ((0.0,), (0.35, 0.7)):
-        found = grasps(parts(item, state), center, reach.jaws, down(tilts))
-        for grasp in found[:TRIES]:
-            plan = _reached(reach, q, grasp, name, state.poses[name])
+        tried = 0
+        for grasp in grasps(solid(item, state), center, reach.jaws, down(tilts)):
+            held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
+            worker.cell.put(name, state.poses[name])
+            if not _hand_fits(reach, grasp, name):
+                continue
+            fitting = None if places is None else _fitting(reach, grasp, held, places)
+            worker.cell.put(name, state.poses[name])
+            plan = _reached(reach, q, grasp, name) if fitting is None or fitting else None
             if plan is None:
                 continue
-            held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
-            if places is None or any(_can_put(reach, plan.up[-1], held, grasp, p) for p in places[:PLACES]):
+            if fitting is None or any(_can_put(reach, plan.up[-1], held, grasp, p) for p in fitting[:CHECKED]):
                 worker.cell.put(name, state.poses[name])
                 way = reach.way(q, plan.down[0], grasp.open)
                 if way is not None:
                     return PickPlan(grasp, way, plan.down, plan.up)
-            worker.cell.put(name, state.poses[name])
+            tried += 1
+            if tried >= TRIES:
+                break
     return None
 
 
-def _reached(reach: Reach, q: Array, grasp: Grasp, name: str, X_WO: Pose) -> PickPlan | None:
+def _hand_fits(reach: Reach, grasp: Grasp, name: str) -> bool:
+    """Whether the hand alone has room to come, and to close."""
+    cell, robot = reach.cell, reach.name
+    cell.pose(robot, reach.arm.home, grasp.open)
+    if cell.hand_clash(robot, grasp.X_WH, gap=0.001):
+        return False
+    cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
+    return not cell.hand_clash(robot, grasp.X_WH, gap=0.001, ignore=name)
+
+
+def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt]) -> list[PlaceAt]:
+    """The places at which the hand alone, with the thing in it, has room."""
+    cell, robot = reach.cell, reach.name
+    cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
+    found = []
+    for place in places:
+        X_WO = _over(place.X_WO, DROP)
+        cell.put(held.name, X_WO)
+        if not cell.hand_clash(robot, X_WO @ held.X_HO.inverse(), held.name, gap=0.001):
+            found.append(place)
+            if len(found) >= CHECKED:
+                break
+    return found
+
+
+def _reached(reach: Reach, q: Array, grasp: Grasp, name: str) -> PickPlan | None:
     """The way to a grasp from just before it, and up again."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
     start = reach.arm.solve_any(before, q, reach.rng)
@@ -157,6 +189,10 @@ def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan |
     q = worker.q[robot]
     for place in places:
         goal = _over(place.X_WO, DROP) @ held.X_HO.inverse()
+        worker.cell.pose(robot, reach.arm.home, share)
+        worker.cell.put(held.name, _over(place.X_WO, DROP))
+        if worker.cell.hand_clash(robot, goal, held.name):
+            continue
         posture = reach.arm.solve_any(goal, q, reach.rng)
         if posture is None or not reach.clear(posture, share, held, gap=0.001):
             continue

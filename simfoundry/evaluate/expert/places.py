@@ -5,22 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
+from simfoundry.evaluate.expert.solids import Solid, met, solid
 from simfoundry.scene.drop import heights
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.walls import hollow, surrounded
+from simfoundry.scene.walls import DIRECTIONS, WALLED, hollow
 
-TURNS = 12
+TURNS = 8
 """Turns about the vertical that are tried."""
 
-GRID = 7
-"""Positions along each side of the target that are tried."""
+GRID, SPACING = 7, 0.012
+"""Most positions along each side of the target that are tried, and the least distance between them [m]."""
+
+SUNK = 0.008
+"""How far below the rim of a hollow the lowest point of what is in it lies at least [m]."""
+
+UP = np.array([0.0, 0.0, 1.0])
 
 ENOUGH = 60
 """So many places are enough to choose from."""
@@ -55,7 +62,7 @@ def at_state(item: SceneObject, state: SceneState) -> SceneObject:
 
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
     """Poses of ``name`` on or inside ``target`` (an object or a link of one), from the best."""
-    return sorted(_places(scene, state, name, target, inside), key=lambda p: p.cost)[:ENOUGH]
+    return list(islice(_places(scene, state, name, target, inside), ENOUGH))
 
 
 def _places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> Iterator[PlaceAt]:
@@ -67,23 +74,32 @@ def _places(scene: Scene, state: SceneState, name: str, target: str, inside: boo
     part = whole if number is None else whole.of_link(number)
     X_WC = carrier.X_WO @ link_poses(carrier)[link] if link else carrier.X_WO
     others = [hulls(at_state(o, state)) for o in scene.objects if o.name not in (name, owner) and not o.fixed]
-    spots = _spots(part, X_WC, inside)
-    found = 0
-    for R, penalty in _turns(item, state, inside):
-        shape = hulls(replace(item, X_WO=R))
-        center = shape.middle(np.eye(3))
-        for spot, off in spots:
-            if found > 3 * ENOUGH:
-                return
-            held = shape.moved(np.array([*(spot - center[:2]), 0.0]))
-            lift = _rest(held, whole, number, others)
-            if lift is None:
-                continue
-            if inside and not surrounded(held.moved(np.array([0.0, 0.0, lift + 1e-4])), part):
-                continue
-            found += 1
-            p = np.array([*(spot - center[:2]), lift])
-            yield PlaceAt(Pose.of(p + R.p, R.q), penalty + 10 * off)
+    walls = solid(scene.object(owner), state, [link] if link else None)
+    top = part.extent(UP)[1]
+    turned = [(R, penalty, hulls(replace(item, X_WO=R))) for R, penalty in _turns(item, state, inside)]
+    tried = [
+        (penalty + 10 * off, k, spot)
+        for k, (_, penalty, _) in enumerate(turned)
+        for spot, off in _spots(part, X_WC, inside)
+    ]
+    for cost, k, spot in sorted(tried, key=lambda t: t[0]):
+        R, _, shape = turned[k]
+        at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
+        held = shape.moved(at)
+        lift = _rest(held, whole, number, others)
+        if lift is None:
+            continue
+        foot = lift + shape.extent(UP)[0]
+        if inside and not (foot < top - SUNK and _walled(walls, np.array([*spot, foot]))):
+            continue
+        yield PlaceAt(Pose.of(at + [0.0, 0.0, lift], R.q), cost)
+
+
+def _walled(walls: Solid, foot: Array) -> bool:
+    """Whether a point at the foot of a thing has walls on most sides, there or a little higher."""
+    angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
+    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
+    return any(met(walls, foot + height * UP, rays).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
 def _spots(part: Hulls, X_WC: Pose, inside: bool) -> list[tuple[Array, float]]:
@@ -93,8 +109,8 @@ def _spots(part: Hulls, X_WC: Pose, inside: bool) -> list[tuple[Array, float]]:
         middle = hollow(part, middle, X_WC.rotation)
     axes = X_WC.rotation[:, :2]
     half = [(high - low) / 2 for low, high in (part.extent(axes[:, k]) for k in range(2))]
-    steps = np.linspace(-0.8, 0.8, GRID)
-    offsets = [(0.0, 0.0), *((a * half[0], b * half[1]) for a in steps for b in steps)]
+    rows, columns = (np.linspace(-0.8, 0.8, int(np.clip(1.6 * h / SPACING, 2, GRID))) * h for h in half)
+    offsets = [(0.0, 0.0), *((a, b) for a in rows for b in columns)]
     spots = [((middle + axes @ np.array(offset))[:2], math.hypot(*offset)) for offset in offsets]
     return sorted(spots, key=lambda s: s[1])
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simfoundry.evaluate.expert.handling import pick, put
-from simfoundry.evaluate.expert.places import places
+from simfoundry.evaluate.expert.places import PlaceAt, places
 from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
+from simfoundry.evaluate.task import Task
+from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.frames import Array
 
 CHUNK = 3
@@ -25,9 +27,9 @@ ATTEMPTS = 4
 class Expert:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
 
-    def __init__(self, task, judge) -> None:
+    def __init__(self, task: Task, judge: Judge | None = None) -> None:
         self._task = task
-        self._holds = judge
+        self._judge = judge or Judge(task.scene)
         self._worker = Worker(task.scene, task.robots, task.control_hz)
         self._script: Script | None = None
         self.log: list[str] = []
@@ -79,7 +81,7 @@ class Expert:
 
     def _achieve(self, step: Step) -> Script:
         for _ in range(ATTEMPTS):
-            if self._holds(step.until, self._worker.now.state):
+            if self._judge(step.until, self._worker.now.state).value:
                 return
             try:
                 yield from self._do(step)
@@ -97,12 +99,22 @@ class Expert:
             case Skill.PUT_ON | Skill.PUT_IN:
                 thing, target = step.args
                 inside = step.skill is Skill.PUT_IN
-                found = places(worker.scene, worker.now.state, thing, target, inside)
+                found = self._good(step, places(worker.scene, worker.now.state, thing, target, inside))
                 if not found:
                     raise FailedError(f"there is no place for {thing} at {target}")
                 if robot not in worker.held:
                     yield from pick(worker, robot, thing, found)
                 yield from put(worker, robot, found)
+
+    def _good(self, step: Step, found: list[PlaceAt]) -> list[PlaceAt]:
+        """The places at which the step would be done."""
+        state, thing = self._worker.now.state, step.args[0]
+        apart = replace(state, robots=MappingProxyType({}), speeds=MappingProxyType({}))
+        states = [replace(apart, poses={**state.poses, thing: place.X_WO}) for place in found]
+        if not states:
+            return []
+        holds, _ = self._judge.batch(step.until, StateBatch.of(self._task.scene, states))
+        return [place for place, good in zip(found, holds, strict=True) if good]
 
     def _recover(self) -> Script:
         """Let go, and back to where the arm began."""

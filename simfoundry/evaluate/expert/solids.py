@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.frames import Array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Geometry, SceneObject
 from simfoundry.scene.state import SceneState
@@ -22,11 +23,15 @@ TOGETHER = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """A convex part in the world: ``normals @ x <= offsets``; ``corners`` [m], shape (n, 3)."""
+class Solid:
+    """Convex parts in the world: part k is where ``normals @ x <= offsets`` in the rows from ``first[k]`` on.
+
+    ``corners`` [m], shape (n, 3), are those of all parts.
+    """
 
     normals: Array
     offsets: Array
+    first: NDArray[np.intp]
     corners: Array
 
 
@@ -50,25 +55,25 @@ class Span:
 _planes: WeakKeyDictionary[object, tuple[Array, Array, Array]] = WeakKeyDictionary()
 
 
-def parts(item: SceneObject, state: SceneState, links: Iterable[str] | None = None) -> tuple[Part, ...]:
+def solid(item: SceneObject, state: SceneState, links: Iterable[str] | None = None) -> Solid:
     """The colliders of an object, or of some of its links, where it is now."""
     chosen = None if links is None else set(links)
     X_OL = link_poses(item, state.of_object(item))
     X_WO = state.poses[item.name]
-    found = []
+    normals, offsets, corners = [], [], []
     for link in item.links:
-        if chosen is None or link.name in chosen:
-            for piece in link.colliders:
-                found.append(_posed(piece, piece.geometry, X_WO @ X_OL[link.name] @ piece.X_LG))
-    return tuple(found)
-
-
-def _posed(key: object, geometry: Geometry, X_WG: Pose) -> Part:
-    if key not in _planes:
-        _planes[key] = _half_spaces(geometry)
-    normals, offsets, corners = _planes[key]
-    turned = normals @ X_WG.rotation.T
-    return Part(turned, offsets + turned @ X_WG.p, X_WG.apply(corners))
+        if chosen is not None and link.name not in chosen:
+            continue
+        for piece in link.colliders:
+            if piece not in _planes:
+                _planes[piece] = _half_spaces(piece.geometry)
+            n, d, c = _planes[piece]
+            X_WG = X_WO @ X_OL[link.name] @ piece.X_LG
+            normals.append(n @ X_WG.rotation.T)
+            offsets.append(d + normals[-1] @ X_WG.p)
+            corners.append(X_WG.apply(c))
+    first = np.cumsum([0, *(len(n) for n in normals[:-1])])
+    return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners))
 
 
 def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
@@ -80,37 +85,55 @@ def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
     return planes[:, :3].copy(), -planes[:, 3], hull.points[hull.vertices]
 
 
-def bounds(shape: tuple[Part, ...], axes: Array) -> tuple[Array, Array]:
+def bounds(shape: Solid, axes: Array) -> tuple[Array, Array]:
     """Lowest and highest coordinates [m] along the columns of ``axes``, shapes (3,)."""
-    along = np.concatenate([part.corners for part in shape]) @ axes
+    along = shape.corners @ axes
     return along.min(axis=0), along.max(axis=0)
 
 
-def crossings(shape: tuple[Part, ...], starts: Array, direction: Array) -> list[list[Span]]:
+def crossings(shape: Solid, starts: Array, direction: Array) -> list[list[Span]]:
     """The pieces of each line within the object, in order; ``starts`` [m], shape (n, 3), a unit ``direction``."""
-    entry, leave, facing_in, facing_out = (np.empty((len(starts), len(shape))) for _ in range(4))
-    for k, part in enumerate(shape):
-        room = part.offsets - starts @ part.normals.T
-        slope = part.normals @ direction
-        with np.errstate(divide="ignore", invalid="ignore"):
-            at = room / slope
-        into, out = slope < -1e-9, slope > 1e-9
-        aside = ~into & ~out
-        first = np.where(into, at, -np.inf)
-        last = np.where(out, at, np.inf)
-        entry[:, k], leave[:, k] = first.max(axis=1), last.min(axis=1)
-        facing_in[:, k], facing_out[:, k] = -slope[first.argmax(axis=1)], slope[last.argmin(axis=1)]
-        leave[(room[:, aside] < 0).any(axis=1), k] = -np.inf
-    return [_merged(*rows) for rows in zip(entry, leave, facing_in, facing_out, strict=True)]
+    slope = shape.normals @ direction
+    room = shape.offsets - starts @ shape.normals.T
+    entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
+    return [_merged(shape, room[k], slope, entry[k], leave[k]) for k in range(len(starts))]
 
 
-def _merged(entry: Array, leave: Array, facing_in: Array, facing_out: Array) -> list[Span]:
-    met = np.flatnonzero(leave > entry)
-    spans: list[list[float]] = []
-    for k in met[np.argsort(entry[met], kind="stable")]:
+def met(shape: Solid, start: Array, directions: Array) -> NDArray[np.bool_]:
+    """Which rays from a point [m], shape (3,), meet the object; ``directions``, shape (n, 3)."""
+    slope = directions @ shape.normals.T
+    room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
+    entry, leave = _clipped(shape, room, slope)
+    return np.asarray(((leave > entry) & (leave > 0)).any(axis=1))
+
+
+def _clipped(shape: Solid, room: Array, slope: Array) -> tuple[Array, Array]:
+    """Where lines enter and leave each part, shapes (lines, parts)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = room / slope
+    beside = (np.abs(slope) <= 1e-9) & (room < 0)
+    first = np.where(slope < -1e-9, at, np.where(beside, np.inf, -np.inf))
+    last = np.where(slope > 1e-9, at, np.inf)
+    return np.maximum.reduceat(first, shape.first, axis=1), np.minimum.reduceat(last, shape.first, axis=1)
+
+
+def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array) -> list[Span]:
+    inside = np.flatnonzero(leave > entry)
+    spans: list[tuple[float, float, int, int]] = []
+    for k in inside[np.argsort(entry[inside], kind="stable")]:
         if spans and entry[k] <= spans[-1][1] + TOGETHER:
             if leave[k] > spans[-1][1]:
-                spans[-1][1], spans[-1][3] = float(leave[k]), float(facing_out[k])
+                spans[-1] = (spans[-1][0], float(leave[k]), spans[-1][2], int(k))
         else:
-            spans.append([float(entry[k]), float(leave[k]), float(facing_in[k]), float(facing_out[k])])
-    return [Span(start, end, min(a, b)) for start, end, a, b in spans]
+            spans.append((float(entry[k]), float(leave[k]), int(k), int(k)))
+    return [
+        Span(start, end, min(-_slope(shape, room, slope, a, start), _slope(shape, room, slope, b, end)))
+        for start, end, a, b in spans
+    ]
+
+
+def _slope(shape: Solid, room: Array, slope: Array, part: int, at: float) -> float:
+    """The cosine between the line and the face of a part that it goes through at ``at`` [m]."""
+    end = shape.first[part + 1] if part + 1 < len(shape.first) else len(room)
+    rows = slice(int(shape.first[part]), int(end))
+    return float(slope[rows][np.abs(room[rows] - slope[rows] * at).argmin()])

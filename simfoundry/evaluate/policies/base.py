@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 
@@ -95,5 +96,5 @@ class Policy(Protocol):
         ...
 
 
-class PolicyError(Exception):
+class PolicyError(SimfoundryError):
     """A policy did not answer, or with something that is not actions; the message says what and what to do."""

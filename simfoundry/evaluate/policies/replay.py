@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -60,7 +61,7 @@ def load_replay(path: Path) -> ReplayPolicy:
         if path.stat().st_size > LARGEST:
             raise PolicyError(f"{path} is larger than {LARGEST // 2**20} MiB, which no recorded actions are")
         actions, space = _read(path)
-    except (OSError, ValueError, KeyError, EOFError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, EOFError, RecursionError, MemoryError, zipfile.BadZipFile) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise PolicyError(f"{path} holds no recorded actions: {why}") from None
     if actions.ndim != 2 or not actions.size:
@@ -93,19 +94,14 @@ def _read(path: Path) -> tuple[Array, str]:
 
 def _mapped(path: Path) -> np.ndarray[Any, Any]:
     """The array of a file without setting aside what its header claims: mapped, it must be as long as it says."""
-    stored: np.ndarray[Any, Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    stored: np.ndarray[Any, Any] = np.lib.format.open_memmap(path, mode="r")
     return stored
 
 
 def _expansion(path: Path) -> None:
     """Raise where a compressed file would unpack to more than recordings have."""
-    import zipfile
-
-    try:
-        with zipfile.ZipFile(path) as files:
-            total = math.fsum(file.file_size for file in files.infolist())
-    except zipfile.BadZipFile as error:
-        raise ValueError(str(error)) from None
+    with zipfile.ZipFile(path) as files:
+        total = math.fsum(file.file_size for file in files.infolist())
     if total > LARGEST:
         raise ValueError(f"it unpacks to more than {LARGEST // 2**20} MiB")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -42,6 +42,7 @@ class Connection:
         self.uri = address_uri(spec.protocol, spec.address)
         self.greeting: Mapping[str, Any] = {}
         self._socket: ClientConnection | None = None
+        self._open = ExitStack()
         self._left = spec.retries
         self._answered = False
 
@@ -71,10 +72,9 @@ class Connection:
 
     def close(self) -> None:
         """Hang up."""
-        socket, self._socket = self._socket, None
-        if socket is not None:
-            with suppress(Exception):  # the other end may be gone in any way
-                socket.close()
+        self._socket = None
+        with suppress(Exception):  # the other end may be gone in any way
+            self._open.close()
 
     def fail(self, message: str) -> PolicyError:
         """An error to raise, noted in the record."""
@@ -119,11 +119,11 @@ class Connection:
 
         key = secret(self.spec)
         try:
-            self._socket = client.connect(
+            self._socket = self._open.enter_context(client.connect(
                 self.uri, compression=None, max_size=LARGEST, ping_interval=PING_S, ping_timeout=PONG_S,
                 close_timeout=1, open_timeout=self.spec.timeout, proxy=None if self._is_here() else True,
                 additional_headers={"Authorization": f"Api-Key {key}"} if key else None,
-            )  # fmt: skip
+            ))  # fmt: skip
         except InvalidURI:
             raise self.fail(f"`{self.uri}` is no address of a websocket") from None
         except InvalidHandshake as error:

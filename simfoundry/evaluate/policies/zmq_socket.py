@@ -109,8 +109,10 @@ class Requests:
             raise self.fail(f"{self.spec.name} cannot be asked: {error}") from None
         socket = self._opened(zmq)
         try:
-            while self._monitor.poll(0):  # what happened before this question
-                self._monitor.recv_multipart()
+            while self._monitor.poll(0):  # lost since the last question, and made anew by ZeroMQ itself
+                lost = _event(self._monitor) == zmq.EVENT_DISCONNECTED
+                self.record.reconnects += lost
+                self.record.connections += lost
             socket.send(packed)
             self._wait(zmq, socket, patience, endpoint == "ping")
             answer: bytes = socket.recv()

@@ -1,0 +1,93 @@
+"""``simfoundry compile`` of many scenes: side by side, resumable, each failure listed at the end."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar
+
+if TYPE_CHECKING:
+    from simfoundry.worlds.batch import Job, Outcome
+
+FUNCTION = "simfoundry.cli.compile_many:work"
+"""What the processes call: with the command line they import what reads a scene from a stage."""
+
+
+def compile_many(
+    paths: Sequence[Path], targets: tuple[str, ...], out: Path, workers: int | None, strict: bool, force: bool,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Compile the scenes among ``paths`` and below its folders; returns the exit code."""
+    from simfoundry.targets.find import find_target
+    from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED, jobs_of
+
+    for name in targets:
+        find_target(name)  # a misspelt one is said once
+    jobs = list({job.scene.resolve(): job for job in jobs_of(paths, targets, out, force)}.values())
+    _ensure_apart(jobs, paths)
+    with progress_bar(as_json) as progress:
+        outcomes = _outcomes(jobs, workers or _cores(), lambda said, done: progress(_short(said), done / len(jobs)))
+    found = Counter(outcome.state for outcome in outcomes)
+    counts = {state.replace(" ", "_"): found[state] for state in (COMPILED, CURRENT, FAILED)}
+    if as_json:
+        print_json({"out": str(out), **counts, "scenes": [outcome.to_json() for outcome in outcomes]})
+    else:
+        _print(outcomes, found)
+    lossy = any(any(outcome.losses.values()) for outcome in outcomes)
+    return FINDINGS if found[FAILED] or (strict and lossy) else DONE
+
+
+def work(job: Job) -> Outcome:
+    """What a process does with one scene."""
+    from simfoundry.worlds.batch import compile_job
+
+    return compile_job(job)
+
+
+def _outcomes(jobs: Sequence[Job], workers: int, report: Callable[[str, int], object]) -> list[Outcome]:
+    """One scene is compiled here: it is not worth the start of a process."""
+    from simfoundry.worlds.batch import compile_all
+
+    return [work(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report, function=FUNCTION)
+
+
+def _ensure_apart(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+    """Raise :class:`CannotError` where there is no scene, or where two would have one folder."""
+    if not jobs:
+        raise CannotError(f"there is no *.scene.yaml below {', '.join(map(str, paths))}")
+    taken: dict[Path, Path] = {}
+    for job in jobs:
+        other = taken.setdefault(job.out, job.scene)
+        if other != job.scene:
+            raise CannotError(f"{other} and {job.scene} would both go to {job.out}; name a folder that holds both")
+
+
+def _print(outcomes: Sequence[Outcome], found: Counter[str]) -> None:
+    """A line for each scene, then what is wrong with those that failed, then how many there are of each."""
+    from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED
+
+    width = max(len(outcome.scene) for outcome in outcomes)
+    for outcome in outcomes:
+        lost = ", ".join(f"{count} in {target}" for target, count in outcome.losses.items() if count)
+        more = "" if outcome.state == FAILED else f"  {outcome.out}" + (f"  (not kept: {lost})" if lost else "")
+        click.echo(f"{outcome.scene:<{width}}  {outcome.state:<{len(CURRENT)}}{more}".rstrip())
+    for outcome in outcomes:
+        print_findings(list(outcome.findings))
+        if outcome.error:
+            click.echo(f"{outcome.scene}: {outcome.error}", err=True)
+    click.echo(", ".join(f"{found[state]} {state}" for state in (COMPILED, CURRENT, FAILED) if found[state]))
+
+
+def _short(text: str, most: int = 60) -> str:
+    return text if len(text) <= most else f"…{text[-most + 1 :]}"
+
+
+def _cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

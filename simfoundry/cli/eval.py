@@ -1,0 +1,189 @@
+"""``simfoundry eval``."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.evaluate.entries import Entry
+    from simfoundry.evaluate.run import Outcome, Plan
+
+
+def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
+    return int(match[1]) - 1, int(match[2])
+
+
+@click.command("eval")
+@click.argument("tasks", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@click.option(
+    "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
+    help="random, expert, replay:FILE, a .policy.yaml, or a server: openpi:localhost:8000?action_space=joint_position.",
+)  # fmt: skip
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/eval"), show_default=True
+)
+@click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
+@click.option("--world", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
+@click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
+@click.option("--video/--no-video", default=True, show_default=True, help="A video of each rollout.")
+@click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
+@click.option("--shard", callback=_shard, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 where a success rate is below this.")
+@json_option
+@reporting
+def command(
+    tasks: tuple[Path, ...],
+    policies: tuple[str, ...],
+    out: Path,
+    rollouts: int,
+    seed: int,
+    world: str,
+    onward: str | None,
+    alone: str | None,
+    subtasks: bool,
+    video: bool,
+    cameras: tuple[str, ...],
+    jobs: int,
+    shard: tuple[int, int],
+    require: float | None,
+    as_json: bool,
+) -> int:
+    """Let policies do tasks, and say how often they succeed.
+
+    TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
+    cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
+    was stopped goes on where it was, and shards that write to one folder are united there. OUT/results.json has the
+    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos.
+
+    Exit code 1 where a policy did not answer, so that rollouts are missing, or where a rate is below --require.
+    """
+    from simfoundry.evaluate.entries import contenders
+    from simfoundry.evaluate.run import Plan, prepare, run
+
+    if sum((onward is not None, alone is not None, subtasks)) > 1:
+        raise CannotError("--from, --step and --subtasks exclude each other")
+    plan = Plan(
+        folder=out,
+        entries=tuple(_entries(tasks, onward, alone, subtasks)),
+        contenders=tuple(contenders(policies)),
+        rollouts=rollouts,
+        seed=seed,
+        world=world,
+        shard=shard,
+        cameras=cameras or None,
+        video=video,
+    )
+    troubles: list[str] = []
+    with progress_bar(as_json) as progress, _interruptible(out):
+        prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
+        won: dict[str, list[int]] = {}
+
+        def seen(outcome: Outcome, done: int, of: int) -> None:
+            label = outcome.job.contender.label
+            tally = won.setdefault(label, [0, 0])
+            if outcome.answered and outcome.record is not None:
+                tally[0] += outcome.record["success"]
+                tally[1] += 1
+            else:
+                troubles.append(f"{label}, rollout {outcome.job.index}: {outcome.trouble}")
+            progress(f"{label} {tally[0]}/{tally[1]}", done / of)
+
+        run(plan, seen, jobs)
+    return _report(plan, troubles, require, as_json)
+
+
+def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
+    from simfoundry.evaluate.entries import Entry, Part
+
+    for path in _documents(tasks):
+        if onward is not None or alone is not None:
+            yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
+            continue
+        yield Entry(path)
+        if subtasks:
+            steps = Entry(path).load().subtasks.values()
+            yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
+
+
+def _documents(tasks: Sequence[Path]) -> Iterator[Path]:
+    for path in tasks:
+        inside = sorted(path.rglob("*.task.yaml")) if path.is_dir() else [path]
+        if not inside:
+            raise CannotError(f"{path} holds no tasks: their names end in .task.yaml")
+        yield from inside
+
+
+@contextmanager
+def _interruptible(out: Path) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"stopped; what is done is in {out}, and the same command goes on from there", err=True)
+        sys.exit(130)
+
+
+def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
+    import json
+
+    from simfoundry.evaluate.page import page
+    from simfoundry.evaluate.records import read_all
+    from simfoundry.evaluate.results import cells, results
+    from simfoundry.evaluate.run import pending
+    from simfoundry.files import write_atomically
+
+    records = [record for _, record in read_all(plan.folder)]
+    found = results(records)
+    write_atomically(plan.folder / "results.json", (json.dumps(found, indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(plan.folder / "report.html", page(records).encode())
+    missing = len(pending(plan))
+    low = [cell for cell in cells(records) if require is not None and cell.success.share < require]
+    if as_json:
+        print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
+    else:
+        _print(records)
+        for trouble in troubles[:10]:
+            click.echo(trouble, err=True)
+        if missing:
+            click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
+        for cell in low:
+            click.echo(f"{cell.title} with {cell.policy}: {cell.success.share:.0%} is below {require:.0%}", err=True)
+        click.echo(f"{plan.folder / 'report.html'}")
+    return FINDINGS if missing or low else DONE
+
+
+def _print(records: Sequence[Mapping[str, Any]]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from simfoundry.evaluate.results import cells
+
+    found = cells(records)
+    policies = list(dict.fromkeys(cell.policy for cell in found))
+    table = Table(box=None, pad_edge=False)
+    for title in ("task", *policies):
+        table.add_column(title, no_wrap=True)
+    for name in dict.fromkeys(cell.title for cell in found):
+        here = {cell.policy: cell for cell in found if cell.title == name}
+        table.add_row(name, *(str(here[p].success) if p in here else "" for p in policies))
+        for step in dict.fromkeys(s for cell in here.values() for s in cell.subtasks):
+            each = (here[p].subtasks.get(step) if p in here else None for p in policies)
+            table.add_row(
+                f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
+            )
+    Console().print(table)

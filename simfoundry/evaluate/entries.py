@@ -1,0 +1,83 @@
+"""What an evaluation is made of: tasks, whole or from a step on, each with every policy, so many rollouts each."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from simfoundry.assets.cache import Cache
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.policies.choose import Choice, Replay, parse_policy
+from simfoundry.evaluate.task import Task, load_task
+
+_LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
+_UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
+
+
+class Part(StrEnum):
+    """How much of a task is evaluated: all of it, one step alone, or the rest from a step on."""
+
+    WHOLE = "whole"
+    ALONE = "alone"
+    ONWARD = "onward"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A task of an evaluation: its document, and the ``step`` where it is not the whole."""
+
+    path: Path
+    part: Part = Part.WHOLE
+    step: str = ""
+
+    def load(self, cache: Cache | None = None) -> Task:
+        """The task, or the part of it."""
+        task = load_task(self.path, cache)
+        if self.part is Part.WHOLE:
+            return task
+        return task.alone(self.step) if self.part is Part.ALONE else task.onward(self.step)
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A policy of an evaluation: the ``label`` that reports have for it, and what was asked for."""
+
+    label: str
+    text: str
+
+    def choice(self) -> Choice:
+        """What the text means; raises :class:`PolicyError` or :class:`SpecError`."""
+        return parse_policy(self.text)
+
+    @property
+    def digest(self) -> str:
+        """Names what was asked for, by the content of its document or recording where it has one."""
+        choice = self.choice()
+        said = choice.path.read_bytes() if isinstance(choice, Replay) else repr(choice).encode()
+        return hashlib.sha256(said).hexdigest()[:16]
+
+
+def contenders(texts: tuple[str, ...]) -> list[Contender]:
+    """The policies of some texts, each ``POLICY`` or ``LABEL=POLICY``; every label stands once."""
+    found: list[Contender] = []
+    for text in texts:
+        match = _LABELLED.fullmatch(text)
+        label, policy = match.groups() if match else (_label(text), text)
+        if any(label == other.label for other in found):
+            raise SimfoundryError(f"two policies are called `{label}`; give one a name of its own: `NAME={policy}`")
+        one = Contender(label, policy)
+        one.choice()  # a policy that cannot be is said now, and not after an hour
+        found.append(one)
+    return found
+
+
+def _label(text: str) -> str:
+    word = text
+    if text.endswith((".yaml", ".yml")):
+        word = Path(text).name.partition(".")[0]
+    elif ":" in text:
+        word = text.partition("?")[0]
+    return _UNFIT.sub("-", word).strip("-.") or "policy"

@@ -1,0 +1,107 @@
+"""Checkpoints of LeRobot behind openpi's protocol: ``python -m simfoundry.evaluate.policies.lerobot CHECKPOINT``.
+
+Runs in an environment with LeRobot and its PyTorch, which SimFoundry itself needs not; a policy document with
+``protocol: openpi`` reaches it from any other. The keys of the messages are the checkpoint's own features
+(``observation.state``, ``observation.images.front``), the instruction is ``prompt``. LeRobot's own remote protocol
+unpickles what it is sent, so nothing here speaks it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.missing import needed
+from simfoundry.evaluate.policies.serve import Infer, serve
+
+INSTALL = "install it where the checkpoint runs (`pip install lerobot 'simfoundry[policies]'`)"
+
+
+def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:
+    """What answers for a checkpoint, a folder or a name on the Hub, and what it takes, by its own names.
+
+    Raises :class:`PolicyError` where LeRobot is absent or the checkpoint is none. Not seeded: a policy that draws
+    random numbers answers each question with new ones.
+    """
+    torch = needed("torch", "a LeRobot checkpoint", INSTALL)
+    factory = needed("lerobot.policies.factory", "a LeRobot checkpoint", INSTALL)
+    configs = needed("lerobot.configs.policies", "a LeRobot checkpoint", INSTALL)
+    try:
+        config = configs.PreTrainedConfig.from_pretrained(checkpoint)
+        config.device = device or ("cuda" if torch.cuda.is_available() else "cpu")
+        policy = factory.get_policy_class(config.type).from_pretrained(checkpoint, config=config).to(config.device)
+        places = {"device_processor": {"device": config.device}}
+        before, after = factory.make_pre_post_processors(config, checkpoint, preprocessor_overrides=places)
+    except Exception as error:  # LeRobot raises of many kinds for what is no checkpoint
+        reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else type(error).__name__
+        raise PolicyError(f"{checkpoint} is no checkpoint that this LeRobot can load: {reason}") from None
+    if getattr(config, "n_obs_steps", 1) > 1:
+        message = f"{checkpoint} looks at {config.n_obs_steps} steps at once, and a question shows one"
+        raise PolicyError(f"{message}; policies with `n_obs_steps: 1` can be served (act, pi0, pi05, smolvla)")
+    policy.eval()
+    takes = {name: list(feature.shape) for name, feature in config.input_features.items()}
+
+    def infer(question: Mapping[str, Any]) -> Mapping[str, Any]:
+        batch = {name: torch.from_numpy(feature(question, name, shape)) for name, shape in takes.items()}
+        with torch.inference_mode():
+            ready = before({**batch, "task": str(question.get("prompt", ""))})
+            policy.reset()
+            actions = after(policy.predict_action_chunk(ready))
+        return {"actions": actions[0].to("cpu", torch.float32).numpy()}
+
+    gives = {name: list(feature.shape) for name, feature in config.output_features.items()}
+    return infer, {"policy": config.type, "takes": takes, "gives": gives}
+
+
+def feature(question: Mapping[str, Any], name: str, shape: list[int]) -> np.ndarray[Any, Any]:
+    """One feature of a question as LeRobot takes it; raises :class:`ValueError` naming what is missing or amiss.
+
+    A picture (h, w, 3) of bytes becomes (3, h, w) of floats from 0 to 1.
+    """
+    value = question.get(name)
+    if not isinstance(value, np.ndarray):
+        there = ", ".join(key for key in question if isinstance(key, str))
+        raise ValueError(f"the checkpoint takes `{name}`, and the question has {there}")
+    if value.dtype == np.uint8 and value.ndim == 3 and len(shape) == 3:
+        value = np.moveaxis(value, -1, 0).astype(np.float32) / 255
+    if list(value.shape) != shape:
+        raise ValueError(f"the checkpoint takes `{name}` of the shape {shape}, not {list(value.shape)}")
+    return np.ascontiguousarray(value, dtype=np.float32)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve a checkpoint until stopped."""
+    parser = argparse.ArgumentParser(prog="python -m simfoundry.evaluate.policies.lerobot", description=__doc__)
+    parser.add_argument("checkpoint", help="a folder with config.json and weights, or a name on the Hub")
+    parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 for every network of this machine")
+    parser.add_argument("--port", type=int, default=8000)
+    parser.add_argument("--device", help="cuda, cpu; default: the best there is")
+    chosen = parser.parse_args(arguments)
+    try:
+        infer, metadata = load_checkpoint(chosen.checkpoint, chosen.device)
+        server = serve(infer, metadata, chosen.host, chosen.port)
+    except PolicyError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"{chosen.host}:{chosen.port} cannot be served: {error.strerror or error}", file=sys.stderr)
+        return 2
+    for name, shape in metadata["takes"].items():
+        print(f"takes {name} {shape}")
+    print(f"serving {chosen.checkpoint} ({metadata['policy']}) at ws://{chosen.host}:{server.socket.getsockname()[1]}")
+    sys.stdout.flush()
+    with server:
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""Evaluate policies on tasks: the rollouts that are not there yet, here or in several processes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from simfoundry.assets.cache import Cache
+from simfoundry.errors import OutputError, SimfoundryError
+from simfoundry.evaluate.entries import Contender, Entry, Part
+from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
+from simfoundry.evaluate.policies.choose import Expert, open_policy
+from simfoundry.evaluate.records import Slot
+from simfoundry.evaluate.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.starts import Start, starts
+from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+
+GIVE_UP = 3
+"""After so many rollouts in a row that a policy did not answer, the others are not tried with it."""
+
+FRAME_EVERY = 3
+"""Control steps from one picture of a video to the next: five a second at 15 Hz."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be evaluated, and how.
+
+    ``shard`` (i, n) takes every n-th rollout from the i-th on, i from 0. ``cameras`` are those of the videos.
+    """
+
+    folder: Path
+    entries: tuple[Entry, ...]
+    contenders: tuple[Contender, ...]
+    rollouts: int = 25
+    seed: int = 0
+    world: str = "mujoco"
+    shard: tuple[int, int] = (0, 1)
+    cameras: tuple[str, ...] | None = None
+    video: bool = True
+    size: ImageSize = field(default=ImageSize(320, 240))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One rollout of a plan."""
+
+    entry: Entry
+    contender: Contender
+    index: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job: its record; or, where there is none, why it could not be tried."""
+
+    job: Job
+    record: dict[str, Any] | None
+    trouble: str = ""
+
+    @property
+    def answered(self) -> bool:
+        """Whether the policy answered to the end."""
+        return self.record is not None and self.record["end"] != "policy error"
+
+
+Seen = Callable[[Outcome, int, int], None]
+"""Hears what came of each job, how many are done, and how many there are."""
+
+
+def task_key(entry: Entry, task: Task) -> str:
+    """The name of a task's folder: with the step, where it is not the whole."""
+    mark = {Part.WHOLE: "", Part.ALONE: ".", Part.ONWARD: "+"}[entry.part]
+    return f"{task.name}{mark}{entry.step}"
+
+
+def jobs(plan: Plan) -> list[Job]:
+    """Every rollout of the plan's shard: tasks, then policies, then starts."""
+    first, of = plan.shard
+    every = [Job(e, c, k) for e in plan.entries for c in plan.contenders for k in range(plan.rollouts)]
+    return every[first::of]
+
+
+def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
+    """Load every task and find its starts, so that what is wrong is said before the first rollout."""
+    cache, keys = Cache.default(), set()
+    for entry in plan.entries:
+        task = entry.load(cache)
+        if task_key(entry, task) in keys:
+            raise SimfoundryError(f"two tasks are called `{task_key(entry, task)}`; name each once")
+        keys.add(task_key(entry, task))
+        need_robots(task)
+        starts(task, plan.rollouts, plan.seed, cache, _told(progress, task.name))
+
+
+def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callable[[int, int], None] | None:
+    return None if progress is None else lambda done, of: progress(name, done, of)
+
+
+def pending(plan: Plan) -> list[Job]:
+    """The jobs that no record answers; raises :class:`OutputError` where one belongs to another evaluation."""
+    return [job for job in jobs(plan) if not _is_done(plan, job)]
+
+
+def run(plan: Plan, seen: Seen, workers: int = 1) -> list[Outcome]:
+    """Carry out the jobs that are not done. Where a policy does not answer any more, its other jobs are left."""
+    waiting = pending(plan)
+    silent: Counter[str] = Counter()
+    outcomes: list[Outcome] = []
+    for outcome in _carried_out(plan, waiting, workers, lambda job: silent[job.contender.label] >= GIVE_UP):
+        label = outcome.job.contender.label
+        silent[label] = 0 if outcome.answered else silent[label] + 1
+        outcomes.append(outcome)
+        seen(outcome, len(outcomes), len(waiting))
+    return outcomes
+
+
+def _carried_out(
+    plan: Plan, waiting: Sequence[Job], workers: int, given_up: Callable[[Job], bool]
+) -> Iterator[Outcome]:
+    """Outcomes as they come; jobs that are given up are not begun."""
+    if workers == 1 or len(waiting) < 2:
+        try:
+            for job in waiting:
+                if not given_up(job):
+                    yield carry_out(plan, job)
+        finally:
+            _close()
+        return
+    import multiprocessing
+    from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        queue, running = list(reversed(waiting)), dict[Future[Outcome], Job]()
+        while queue or running:
+            while queue and len(running) < workers:
+                job = queue.pop()
+                if not given_up(job):
+                    running[pool.submit(carry_out, plan, job)] = job
+            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
+                del running[future]
+                yield future.result()
+
+
+def carry_out(plan: Plan, job: Job) -> Outcome:
+    """One rollout, written where it belongs."""
+    setting = _setting(job.entry, plan.rollouts, plan.seed, plan.world)
+    try:
+        policy = _policy(job, setting)
+    except PolicyError as error:
+        return Outcome(job, None, str(error))
+    start = setting.starts[job.index]
+    video = _video(plan, setting.task)
+    result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
+    slot = _slot(plan, job, setting.task)
+    about = {**_conditions(plan, job, setting.task, start), "cells": {n: list(c) for n, c in start.cells.items()}}
+    if video is not None and result.frames:
+        about["video"] = slot.video.relative_to(plan.folder).as_posix()
+        _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
+    return Outcome(job, slot.write(result, about, policy.action_space), result.reason)
+
+
+def _is_done(plan: Plan, job: Job) -> bool:
+    setting = _setting(job.entry, plan.rollouts, plan.seed, plan.world)
+    slot = _slot(plan, job, setting.task)
+    record = slot.read()
+    if record is None:
+        return False
+    for key, value in _conditions(plan, job, setting.task, setting.starts[job.index]).items():
+        if record.get(key) != value:
+            raise OutputError(
+                f"{slot.path} is of another evaluation: its {key} is {record.get(key)!r}, not {value!r}; "
+                "write to another folder, or remove that one"
+            )
+    return True
+
+
+def _conditions(plan: Plan, job: Job, task: Task, start: Start) -> dict[str, Any]:
+    """Under which conditions a rollout takes place; two of the same are the same to the last bit."""
+    return {
+        "task": task.name,
+        "part": str(job.entry.part),
+        "step": job.entry.step,
+        "policy": job.contender.label,
+        "asked": job.contender.digest,
+        "world": plan.world,
+        "start": start.digest,
+    }
+
+
+def _slot(plan: Plan, job: Job, task: Task) -> Slot:
+    return Slot(plan.folder, task_key(job.entry, task), job.contender.label, job.index)
+
+
+def _video(plan: Plan, task: Task) -> Video | None:
+    known = [camera.name for camera in task.scene.cameras]
+    names = plan.cameras if plan.cameras is not None else tuple(known[:1])
+    if not plan.video or not names:
+        return None
+    return Video(dict.fromkeys(names, plan.size), FRAME_EVERY)
+
+
+def _write_video(path: Path, result: Rollout, rate: float) -> None:
+    import numpy as np
+
+    from simfoundry.evaluate.videos import write_video
+
+    views = [frames for frames in result.frames.values() if frames]
+    if views:
+        write_video(path, [np.concatenate(row, axis=1) for row in zip(*views, strict=True)], rate)
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What the rollouts of a task share in one process."""
+
+    task: Task
+    starts: tuple[Start, ...]
+    world: World
+    judge: Any
+
+
+@lru_cache(maxsize=1)
+def _setting(entry: Entry, rollouts: int, seed: int, world: str) -> _Setting:
+    """Kept for the next rollout of the same task."""
+    from simfoundry.evaluate.judging import judge_of
+
+    cache = Cache.default()
+    task = entry.load(cache)
+    found = starts(task, rollouts, seed, cache)
+    return _Setting(task, found, open_world(task.scene, world), judge_of(task.scene))
+
+
+_open: dict[tuple[Entry | None, str], Policy] = {}
+"""The policies of this process: a connection lasts as long as it can."""
+
+
+def _policy(job: Job, setting: _Setting) -> Policy:
+    """The policy of a job: the expert is made for each task, others stay connected from task to task."""
+    choice = job.contender.choice()
+    key = (job.entry if isinstance(choice, Expert) else None, job.contender.text)
+    if key not in _open:
+        for stale in [k for k in _open if k[0] is not None]:
+            _open.pop(stale).close()
+        if isinstance(choice, Expert):
+            from simfoundry.evaluate.expert.policy import Expert as Scripted
+
+            _open[key] = Scripted(setting.task, setting.judge)
+        else:
+            _open[key] = open_policy(choice)
+    return _open[key]
+
+
+def _close() -> None:
+    while _open:
+        _open.popitem()[1].close()
+    _setting.cache_clear()

@@ -1,0 +1,185 @@
+"""``simfoundry eval``: one command, its files, what it does not do again, and what it makes of a failing policy."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from simfoundry.evaluate.entries import contenders
+from simfoundry.evaluate.metrics import wilson
+from simfoundry.evaluate.page import page
+from simfoundry.evaluate.results import cells
+from tests.cli.command import run
+from tests.evaluate.benches import TASK, write_bench
+
+PUSH = np.column_stack([np.zeros(45), np.minimum(0.05 + 0.006 * np.arange(45), 0.22), np.zeros(45)])
+"""Straight on, slowly, into the block."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the bench, its task and a recorded push."""
+    folder = tmp_path_factory.mktemp("bench")
+    write_bench(folder, TASK.replace("goal: At(block, 0.45, 0)", "goal: Touching(arm, block)", 1))
+    np.save(folder / "push.npy", PUSH)
+    np.save(folder / "still.npy", np.zeros((1, 3)))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(bench: Path) -> Path:
+    """An evaluation of two policies."""
+    out = bench / "out"
+    result = run("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", out, "--no-video")
+    assert result.code == 0, result.err
+    assert "4/4  100%" in result.out
+    return out
+
+
+def _policies(bench: Path) -> list[str]:
+    return ["-p", f"push=replay:{bench / 'push.npy'}", "-p", f"still=replay:{bench / 'still.npy'}"]
+
+
+def _results(out: Path) -> dict[str, Any]:
+    return dict(json.loads((out / "results.json").read_text()))
+
+
+def test_scores_have_counts_intervals_steps_and_ends(done: Path) -> None:
+    push, still = _results(done)["scores"]
+    assert (push["policy"], push["successes"], push["rollouts"], push["rate"]) == ("push", 4, 4, 1.0)
+    assert push["interval"] == pytest.approx(list(wilson(4, 4)), abs=1e-6)
+    assert push["subtasks"]["touch"]["done"] == 4 and push["ends"] == {"success": 4}
+    assert (still["successes"], still["ends"], still["subtasks"]["touch"]["done"]) == (0, {"horizon": 4}, 0)
+
+
+def test_policies_begin_alike_in_cells_of_their_own(done: Path) -> None:
+    rollouts = _results(done)["rollouts"]
+    by_policy = {name: [r for r in rollouts if r["policy"] == name] for name in ("push", "still")}
+    for mine, other in zip(by_policy["push"], by_policy["still"], strict=True):
+        assert mine["start"] == other["start"] and mine["cells"] == other["cells"]
+    for name in ("block", "dish"):
+        assert len({tuple(r["cells"][name]) for r in by_policy["push"]}) == 4
+
+
+def test_a_second_run_does_nothing_and_a_lost_rollout_comes_back_the_same(bench: Path, done: Path) -> None:
+    before = (done / "results.json").read_bytes()
+    files = {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")}
+    lost = done / "rollouts/push/push/002.json"
+    command = ("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done, "--no-video")
+    assert run(*command).code == 0
+    assert {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")} == files
+    lost.unlink()
+    assert run(*command).code == 0
+    assert lost.exists() and (done / "results.json").read_bytes() == before
+
+
+def test_shards_and_processes_give_what_one_run_gives(bench: Path, done: Path, tmp_path: Path) -> None:
+    command = ["eval", str(bench / "push.task.yaml"), *_policies(bench), "-n", "4", "-o", str(tmp_path), "--no-video"]
+    first = run(*command, "--shard", "1/2")
+    assert first.code == 0 and len(_results(tmp_path)["rollouts"]) == 4
+    second = run(*command, "--shard", "2/2", "-j", "2")
+    assert second.code == 0, second.err
+    ours, theirs = _results(tmp_path), _results(done)
+    assert ours == theirs
+
+
+def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: Path) -> None:
+    command = ("eval", bench / "push.task.yaml", _policies(bench)[0], _policies(bench)[1], "-n", "1", "-o", tmp_path)
+    assert run(*command, "--camera", "front", "--camera", "tip").code == 0
+    record = _results(tmp_path)["rollouts"][0]
+    video = cv2.VideoCapture(str(tmp_path / record["video"]))
+    ok, frame = video.read()
+    assert ok and frame.shape == (240, 640, 3) and frame.std() > 5
+    text = (tmp_path / "report.html").read_text()
+    assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/000.webm" in text
+
+
+def test_a_recorded_rollout_replays_to_the_same_trajectory(bench: Path, done: Path, tmp_path: Path) -> None:
+    recorded = _results(done)["rollouts"][0]
+    replay = f"again=replay:{done / 'rollouts/push/push/000.npz'}"
+    assert run("eval", bench / "push.task.yaml", "-p", replay, "-n", "1", "-o", tmp_path, "--no-video").code == 0
+    assert _results(tmp_path)["rollouts"][0]["trajectory"] == recorded["trajectory"]
+
+
+def test_a_step_alone_and_the_rest_from_a_step(bench: Path, tmp_path: Path) -> None:
+    command = [
+        "eval",
+        bench / "push.task.yaml",
+        _policies(bench)[0],
+        _policies(bench)[1],
+        "-n",
+        "1",
+        "--no-video",
+        "-o",
+        tmp_path,
+    ]
+    assert run(*command, "--subtasks").code == 0
+    assert [s["task"] for s in _results(tmp_path)["scores"]] == ["push", "push.away"]
+    assert run(*command, "--from", "away").code == 0
+    assert [s.get("from") for s in _results(tmp_path)["scores"]] == [None, "away", None]
+    result = run(*command, "--step", "awya")
+    assert result.code == 2 and "has no sub-task `awya`" in result.err and "away" in result.err
+
+
+def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Path) -> None:
+    result = run("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done, "--seed", "3")
+    assert result.code == 2 and "another evaluation: its start is" in result.err
+
+
+def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, tmp_path: Path) -> None:
+    task = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
+    np.save(tmp_path / "wide.npy", np.zeros((1, 8)))
+    one = f"one=replay:{tmp_path / 'wide.npy'}"
+    result = run(*task, "-p", one, "-p", _policies(bench)[3])
+    assert result.code == 1 and "8 numbers for each action, and the robots take 3" in result.err
+    assert "5 rollouts are missing" in result.err
+    assert len(list((tmp_path / "rollouts/push/one").glob("*.failed.json"))) == 3  # then it was given up
+    assert [s["policy"] for s in _results(tmp_path)["scores"]] == ["still"]
+    np.save(tmp_path / "wide.npy", np.zeros((1, 3)))
+    assert run(*task, "-p", one).code == 0
+    assert not list((tmp_path / "rollouts/push/one").glob("*.failed.json"))
+
+
+def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
+    task = bench / "push.task.yaml"
+    for arguments, said in [
+        ((task, "-p", "nothing"), "`nothing` is no policy"),
+        ((task, "-p", "random", "-p", "random"), "two policies are called `random`"),
+        ((task, task, "-p", "random"), "two tasks are called `push`"),
+        ((bench / "none", "-p", "random"), "does not exist"),
+        ((task, "-p", "random", "--shard", "3/2"), "is not I/N"),
+        ((task, "-p", "random", "--camera", "nose"), "camera `nose`"),
+    ]:
+        result = run("eval", *arguments, "-o", tmp_path, "-n", "1")
+        assert result.code == 2 and said in result.err, result.err
+    shutil.copytree(bench, tmp_path / "copy", ignore=shutil.ignore_patterns("out"))
+    (tmp_path / "copy/push.task.yaml").write_text(TASK.replace("At(block, 0.45, 0)", "At(block, 0.45)", 1))
+    result = run("eval", tmp_path / "copy/push.task.yaml", "-p", "random", "-o", tmp_path)
+    assert result.code == 2 and "push.task.yaml:5" in result.err
+
+
+def test_a_rate_can_be_required(bench: Path, done: Path) -> None:
+    command = ("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done)
+    result = run(*command, "--require", "0.5")
+    assert result.code == 1 and "push with still: 0% is below 50%" in result.err
+
+
+def test_labels_come_from_what_was_asked_for() -> None:
+    texts = ("random", "a.b=random", "openpi:localhost:8000?action_space=joint_position")
+    assert [c.label for c in contenders(texts)] == ["random", "a.b", "openpi-localhost-8000"]
+
+
+def test_the_page_escapes_what_it_is_told() -> None:
+    record = {
+        "task": "<script>", "part": "whole", "step": "", "policy": "p&q", "index": 0, "success": False, "end": "fell",
+        "reason": "<b>", "steps": 3, "subtasks": {"<i>": None}, "cells": {"x": [0, 0]}, "video": "a'b.webm",
+    }  # fmt: skip
+    text = page([record])
+    assert "<script>" not in text and "<b>" not in text and "<i>" not in text and "a'b" not in text
+    assert cells([record])[0].success.interval == pytest.approx(wilson(0, 1))

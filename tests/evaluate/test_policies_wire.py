@@ -1,0 +1,268 @@
+"""What comes over the wire is data: sound answers are actions, and everything else is one clear sentence."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import struct
+from contextlib import suppress
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from simfoundry.evaluate.policies import codec, groot_codec
+from simfoundry.evaluate.policies.base import ImageSize, PolicyError
+from simfoundry.evaluate.policies.chunk import actions_of
+from simfoundry.evaluate.policies.codec import CodecError
+from simfoundry.evaluate.policies.images import resize_with_pad
+from simfoundry.evaluate.policies.reading import pictures, reading, roll_pitch_yaw
+from simfoundry.scene.frames import Pose
+from tests.evaluate.drive import JOINTS, observation, spec_of
+
+DTYPES = st.sampled_from(["|u1", "<f4", ">f4", "<f8", "<i8", "<u2", "|b1", "<f2"]).map(np.dtype)
+ARRAYS = arrays.arrays(DTYPES, arrays.array_shapes(min_dims=0, min_side=0, max_side=4))
+
+
+@given(array=ARRAYS)
+@settings(derandomize=True, deadline=None, max_examples=60)
+def test_arrays_come_back_as_they_were(array: np.ndarray[Any, Any]) -> None:
+    for pack, unpack in ((codec.pack, codec.unpack), (groot_codec.pack, groot_codec.unpack)):
+        back = unpack(pack({"a": [array], "prompt": "größer"}))
+        assert back["prompt"] == "größer"
+        assert back["a"][0].dtype == array.dtype and back["a"][0].shape == array.shape
+        assert back["a"][0].tobytes() == array.tobytes()
+
+
+@given(data=st.binary(max_size=200))
+@settings(derandomize=True, deadline=None, max_examples=200)
+def test_any_bytes_are_a_message_or_an_error_of_ours(data: bytes) -> None:
+    for unpack in (codec.unpack, groot_codec.unpack):
+        with suppress(CodecError):
+            unpack(data)
+
+
+def array(**changed: Any) -> Any:
+    sound = {"__ndarray__": True, "data": bytes(32), "dtype": "<f4", "shape": [1, 8]} | changed
+    return msgpack.packb({key.encode(): value for key, value in sound.items()})
+
+
+class Trap:
+    """What would run if it were unpickled."""
+
+    def __reduce__(self) -> Any:
+        return (pytest.fail, ("it was unpickled",))
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (array(dtype="|O", data=pickle.dumps(Trap())), "not of plain numbers"),
+        (array(dtype="<c8"), "not of plain numbers"),
+        (array(dtype="<M8[s]"), "not of plain numbers"),
+        (array(dtype="f4,f4"), "not of plain numbers"),
+        (array(dtype="nonsense"), "no known type"),
+        (array(dtype=[["a", "<f4"]]), "no known type"),
+        (array(shape=[10**6, 10**6]), "in 32 bytes"),
+        (array(shape=[-1, 8]), "the shape [-1, 8]"),
+        (array(shape=[1] * 40), "the shape"),
+        (array(shape="18"), "without data or shape"),
+        (array(data="text"), "without data or shape"),
+        (msgpack.packb({b"__npgeneric__": True, b"data": 300, b"dtype": "|u1"}), "beyond `uint8`"),
+        (msgpack.packb({b"__npgeneric__": True, b"data": b"x", b"dtype": "<f4"}), "no known type"),
+        (b"\x91" * 100_000 + b"\x00", "not msgpack"),
+        (b"\xdd\xff\xff\xff\xff", "not msgpack"),
+        (b"\xc6\xff\xff\xff\xff", "not msgpack"),
+        (b"\x80\x80", "not msgpack"),
+        (b"", "not msgpack"),
+        (pickle.dumps(Trap()), "not msgpack"),
+    ],
+)
+def test_what_is_no_array_is_refused(data: bytes, words: str) -> None:
+    with pytest.raises(CodecError, match=words.replace("[", r"\[")):
+        codec.unpack(data)
+
+
+def npy(header: bytes, body: bytes = bytes(8), version: int = 1) -> Any:
+    length = struct.pack("<H" if version == 1 else "<I", len(header))
+    return msgpack.packb(
+        {"__ndarray_class__": True, "as_npy": b"\x93NUMPY" + bytes([version, 0]) + length + header + body}
+    )
+
+
+def pickled() -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.array([Trap()], dtype=object), allow_pickle=True)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (msgpack.packb({"__ndarray_class__": True, "as_npy": pickled()}), "not of plain numbers"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}"), "in 8 bytes"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}"), "the shape"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False, 'shape': 1}"), "without a shape"),
+        (npy(b"{'descr': '<f8', 'fortran_order': False}"), "cannot be read"),
+        (npy(b"{'descr': [('a', '|O')], 'fortran_order': False, 'shape': (1,)}"), "no known type"),
+        (npy(b"__import__('os').abort()"), "cannot be read"),
+        (npy(b"(" * 9000), "cannot be read"),
+        (npy(b" " * 20_000), "too long"),
+        (npy(b"{}", version=3), "no NumPy file"),
+        (msgpack.packb({"__ndarray_class__": True, "as_npy": b"PK\x03\x04"}), "no NumPy file"),
+        (msgpack.packb({"__ndarray_class__": True}), "no NumPy file"),
+        (msgpack.packb({"__ModalityConfig_class__": True, "as_json": "{"}), "describes nothing"),
+        (b"\x91" * 100_000 + b"\x00", "not msgpack"),
+    ],
+)
+def test_what_is_no_array_of_groot_is_refused(data: bytes, words: str) -> None:
+    with pytest.raises(CodecError, match=words):
+        groot_codec.unpack(data)
+
+
+@pytest.mark.parametrize("value", [object(), np.array([Trap()], dtype=object), np.zeros(2, "c8"), {1, 2}])
+def test_what_cannot_be_said_is_refused(value: Any) -> None:
+    for pack in (codec.pack, groot_codec.pack) if not isinstance(value, np.ndarray) else (codec.pack,):
+        with pytest.raises(CodecError):
+            pack({"a": value})
+
+
+def test_fortran_order_is_read() -> None:
+    array = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    np.testing.assert_array_equal(groot_codec.unpack(groot_codec.pack(array)), np.arange(6.0).reshape(2, 3))
+
+
+CHUNK = np.hstack([np.tile(JOINTS, (15, 1)), np.linspace(0, 1, 15)[:, None]])
+
+
+def test_a_chunk_is_cut_to_the_horizon_and_the_gripper_decides() -> None:
+    actions = actions_of(spec_of("openpi", "a"), CHUNK, observation().robots)
+    assert actions.shape == (8, 8) and actions.dtype == np.float64
+    np.testing.assert_array_equal(actions[:, :7], CHUNK[:8, :7])
+    np.testing.assert_array_equal(actions[:, 7], np.zeros(8))  # 0.5 itself does not count as closed
+    late = actions_of(spec_of("openpi", "a", horizon=15), CHUNK, observation().robots)
+    np.testing.assert_array_equal(late[:, 7], [0] * 8 + [1] * 7)
+
+
+@pytest.mark.parametrize(
+    ("gripper", "said", "closed"),
+    [
+        ({}, [0, 0.3, 1, 1.7], [0, 0.3, 1, 1]),
+        ({"open": 1.0, "closed": 0.0}, [1, 0.7, 0, -2], [0, 0.3, 1, 1]),
+        ({"open": -1.0, "closed": 1.0}, [-1, 0, 1, 0.5], [0, 0.5, 1, 0.75]),
+        ({"open": 0.04, "closed": 0.0, "threshold": 0.5}, [0.04, 0.019, 0, 0.021], [0, 1, 1, 0]),
+    ],
+)
+def test_every_convention_of_the_gripper(gripper: dict[str, float], said: list[float], closed: list[float]) -> None:
+    spec = spec_of("openpi", "a", gripper=gripper, horizon=4)
+    chunk = np.hstack([np.zeros((4, 7)), np.array(said)[:, None]])
+    np.testing.assert_allclose(actions_of(spec, chunk, observation().robots)[:, 7], closed, atol=1e-12)
+
+
+def test_velocities_from_minus_one_to_one_have_a_unit() -> None:
+    spec = spec_of("openpi", "a", action_space="joint_velocity", velocity_unit=3.0, horizon=1)
+    chunk = np.array([[0.5, -2.0, 1.0, 0, 0, 0, 0.1, 1.0]])
+    expected = [[1.5, -3.0, 3.0, 0, 0, 0, 0.3, 1.0]]
+    np.testing.assert_allclose(actions_of(spec, chunk, observation().robots), expected)
+    plain = spec_of("openpi", "a", action_space="joint_velocity", horizon=1)
+    np.testing.assert_allclose(actions_of(plain, chunk, observation().robots), chunk)
+
+
+def test_two_arms_have_their_numbers_in_turn() -> None:
+    chunk = np.hstack([CHUNK, CHUNK + 1.0])
+    actions = actions_of(spec_of("openpi", "a"), chunk, observation(robots=2).robots)
+    np.testing.assert_array_equal(actions[:, 8:15], CHUNK[:8, :7] + 1.0)
+    np.testing.assert_array_equal(actions[:, 15], np.ones(8))
+
+
+def broken(step: int, column: int, value: float) -> np.ndarray[Any, Any]:
+    chunk = CHUNK.copy()
+    chunk[step, column] = value
+    return chunk
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (CHUNK[0], "an array of (8), not of (steps, 8)"),
+        (CHUNK[None], "an array of (1, 15, 8), not of (steps, 8)"),
+        (CHUNK[:, :7], "7 numbers for each action, and the robots take 8: 7 joints and a gripper of `arm`"),
+        (np.zeros((15, 32)), "32 numbers for each action"),
+        (CHUNK[:5], "5 actions, and its `horizon` is 8; lower it to 5"),
+        (CHUNK[:0], "0 actions, and its `horizon` is 8"),
+        (broken(3, 2, np.nan), "`nan` in action 3, number 2"),
+        (broken(0, 7, np.inf), "`inf` in action 0, number 7"),
+        (broken(14, 1, -np.inf), "`-inf` in action 14"),
+        (CHUNK.astype(bool), "an array of `bool`"),
+        (CHUNK.astype("U8"), "an array of `<U8`"),
+        (CHUNK.tolist(), "a `list`, not with an array"),
+        (None, "a `NoneType`, not with an array"),
+        ({"a": 1}, "a `dict`, not with an array"),
+    ],
+)
+def test_an_answer_that_is_no_chunk_is_told(answer: Any, words: str) -> None:
+    with pytest.raises(PolicyError) as raised:
+        actions_of(spec_of("openpi", "a"), answer, observation().robots)
+    assert words in str(raised.value) and str(raised.value).startswith("tested answered with")
+
+
+def test_a_missing_picture_is_told_and_no_other_is_taken() -> None:
+    shown = observation()
+    less = {name: image for name, image in shown.images.items() if name != "wrist"}
+    with pytest.raises(PolicyError, match="no picture of the camera `wrist`, which tested takes as"):
+        pictures(spec_of("openpi", "a"), type(shown)(0.0, "", shown.robots, less, shown.state))
+
+
+def test_readings() -> None:
+    robots, gripper = observation(robots=2).robots, spec_of("openpi", "a", gripper={"open": 1.0, "closed": 0.0}).gripper
+    np.testing.assert_array_equal(reading("joints", robots, gripper), np.tile(JOINTS, 2))
+    np.testing.assert_array_equal(reading("gripper", robots, gripper), [0.75, 0.75])
+    np.testing.assert_array_equal(reading("joints_gripper", robots, gripper), np.tile([*JOINTS, 0.75], 2))
+    hand = reading("hand", robots, gripper)
+    np.testing.assert_allclose(hand[:3], [0.4, 0.1, 0.3])
+    np.testing.assert_allclose(turned(*hand[3:6]), next(iter(robots.values())).X_BH.rotation, atol=1e-12)
+
+
+def turned(roll: float, pitch: float, yaw: float) -> Any:
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
+    x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    return np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ y @ x
+
+
+@pytest.mark.parametrize("angles", [(0.3, -0.7, 2.1), (-3.0, 1.5, 0.2), (0.4, np.pi / 2, 0.0), (0.4, -np.pi / 2, 0.9)])
+def test_roll_pitch_yaw_turn_back(angles: tuple[float, float, float]) -> None:
+    rotation = turned(*angles)
+    np.testing.assert_allclose(turned(*roll_pitch_yaw(Pose.from_matrix(rotation))), rotation, atol=1e-7)
+
+
+CHECKER = np.indices((45, 80)).sum(axis=0) % 7 * 40
+PICTURE = np.stack([CHECKER, CHECKER.T[:45, :45].repeat(2, axis=1)[:, :80], 255 - CHECKER], axis=-1).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("size", "inner", "total"),
+    [
+        (ImageSize(224, 224), (slice(49, 175), slice(0, 224)), 5_270_038_109),
+        (ImageSize(32, 24), (slice(3, 21), slice(0, 32)), 118_954_344),
+        (ImageSize(40, 100), (slice(39, 61), slice(0, 40)), 163_764_738),
+        (ImageSize(33, 18), (slice(0, 18), slice(0, 32)), 97_301_925),
+    ],
+)
+def test_pictures_are_fitted_in_and_padded(size: ImageSize, inner: tuple[slice, slice], total: int) -> None:
+    """Where the picture lies, and a weighted sum of its pixels: as openpi-client 0.1.2 has them."""
+    out = resize_with_pad(PICTURE, size)
+    assert out.shape == (size.height, size.width, 3) and out.dtype == np.uint8
+    outside = out.copy()
+    outside[inner] = 0
+    assert not outside.any()
+    assert out[inner][0].any() and out[inner][-1].any() and out[inner][:, 0].any() and out[inner][:, -1].any()
+    assert int((out.ravel().astype(np.int64) * (np.arange(out.size) % 997)).sum()) == total
+
+
+def test_a_picture_of_the_right_size_stays_as_it_is() -> None:
+    assert resize_with_pad(PICTURE, ImageSize(80, 45)) is PICTURE
