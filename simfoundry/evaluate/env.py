@@ -37,7 +37,7 @@ FASTEST = 3.0
 Observations = dict[str, NDArray[Any]]
 
 
-class TaskEnv(gymnasium.Env[Observations, Array]):
+class TaskEnv(gymnasium.Env[Any, Any]):
     """A task that ends (``terminated``) when its goal has held, and is cut off (``truncated``) at its horizon.
 
     The reward is 1 where the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (at which step each was
@@ -49,6 +49,12 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
+
+    action_space: spaces.Box
+    observation_space: spaces.Dict
+    _state: SceneState
+    _controller: Controller
+    _progress: Progress
 
     def __init__(
         self,
@@ -82,9 +88,9 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
         check_cameras(self._whole.scene, self._picture, "the environment")
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
-        self.action_space: spaces.Box = _actions(self._now.robots, self._kind)
+        self.action_space = _actions(self._now.robots, self._kind)
         self._begin(Start(-1, seed, {}, self._now.world.state()))
-        self.observation_space: spaces.Dict = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
+        self.observation_space = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -126,12 +132,12 @@ class TaskEnv(gymnasium.Env[Observations, Array]):
         self._scenes.clear()
 
     def _begin(self, start: Start) -> None:
-        now: _Opened = self._now
+        now = self._now
         now.world.reset(start.state)
         self._start, self._steps, self._trouble = start, 0, ""
-        self._state: SceneState = now.world.state()
-        self._controller: Controller = Controller(now.robots, self._kind, now.task.control_hz)
-        self._progress: Progress = Progress(now.task, now.judge, self._state)
+        self._state = now.world.state()
+        self._controller = Controller(now.robots, self._kind, now.task.control_hz)
+        self._progress = Progress(now.task, now.judge, self._state)
 
     def _observation(self) -> Observations:
         found: Observations = {}

@@ -86,7 +86,7 @@ def test_resets_are_the_starts_of_rollouts_and_repeat(env: TaskEnv, push_starts:
 def trajectory(env: TaskEnv) -> list[np.ndarray]:
     env.reset(seed=3)
     rng = np.random.default_rng(0)
-    low, high = env.action_space.low, env.action_space.high
+    low, high = (np.asarray(end, dtype=np.float64) for end in (env.action_space.low, env.action_space.high))
     return [env.step(low + rng.random(3) * (high - low))[0]["objects"] for _ in range(12)]
 
 
