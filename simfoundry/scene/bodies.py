@@ -84,7 +84,8 @@ class BodyBuilder:
             faces = np.ascontiguousarray(faces[:, ::-1])
         parts = convex_parts(vertices, faces, self.body.collision, self.cache, path.name)
         for k, (corners, sides) in enumerate(parts):
-            label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
+            hull = name if _use(part) == "collision" else f"{name}_hull"
+            label = hull if len(parts) == 1 else f"{hull}_{k}"
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
