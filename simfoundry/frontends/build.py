@@ -120,21 +120,21 @@ def _material(part: PartDraft, link: LinkDraft, materials: dict[str, Any]) -> st
 
 
 def part_names(link: LinkDraft) -> Iterator[str]:
-    """A name for each part; none starts like another, because pieces of meshes are numbered after it."""
-    taken: list[tuple[str, str]] = []
+    """A name for each part; none starts like that of a mesh of the same use, whose pieces are numbered after it."""
+    taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
         numbered = (n for k in range(2, 100_000) for n in (f"{plain}{k}", f"part{k}_{plain}"))
-        candidates = chain([plain], numbered)
-        name = next(n for n in candidates if not any(_clash(n, part.use, *other) for other in taken))
-        taken.append((name, part.use))
+        name = next(n for n in chain([plain], numbered) if not any(_clash((n, part), other) for other in taken))
+        taken.append((name, part))
         yield name
 
 
-def _clash(name: str, use: str, other: str, other_use: str) -> bool:
-    """Whether pieces of two parts could be called alike; what is seen and what touches are called apart."""
-    alike = f"{name}_".startswith(f"{other}_") or f"{other}_".startswith(f"{name}_")
-    return name == other or (alike and (use == other_use or "both" in (use, other_use)))
+def _clash(one: tuple[str, PartDraft], other: tuple[str, PartDraft]) -> bool:
+    """Whether two parts, or pieces of them, would be called alike; what is seen and what touches are called apart."""
+    (short, mesh), (long, part) = sorted((one, other), key=lambda named: len(named[0]))
+    alike = mesh.use == part.use or "both" in (mesh.use, part.use)
+    return short == long or (alike and isinstance(mesh.geometry, MeshDraft) and long.startswith(f"{short}_"))
 
 
 def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:

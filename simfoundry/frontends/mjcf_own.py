@@ -13,6 +13,7 @@ import numpy as np
 
 from simfoundry.backends.mjcf.texts import MARK
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LightDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.masses import SURFACE
 from simfoundry.scene.frames import Pose
 
 BACKGROUND = ":background:"
@@ -128,17 +129,20 @@ def _united(link: LinkDraft) -> list[PartDraft]:
     """What is seen and what touches under one name as one part, where they are one shape."""
     seen = {part.name: part for part in link.parts if part.use == "visual"}
     out = list(seen.values())
-    for part in link.parts:
+    for part in (part for part in link.parts if part.use != "visual"):
         twin = seen.get(part.name)
-        if part.use == "visual":
-            continue
-        if twin is None or isinstance(part.geometry, MeshDraft) or part.geometry != twin.geometry:
+        if twin is None or not _is_shape_of(part, twin):
             out.append(part)
-        elif np.allclose(part.X_LG.matrix, twin.X_LG.matrix, rtol=0, atol=1e-12):
-            twin.use = "both"
-            twin.friction, twin.restitution = part.friction, part.restitution
-            twin.torsional, twin.rolling = part.torsional, part.rolling
+            continue
+        twin.use = "both"
+        for word in SURFACE:
+            setattr(twin, word, getattr(part, word))
     return out
+
+
+def _is_shape_of(felt: PartDraft, seen: PartDraft) -> bool:
+    still = bool(np.allclose(felt.X_LG.matrix, seen.X_LG.matrix, rtol=0, atol=1e-12))
+    return not isinstance(felt.geometry, MeshDraft) and felt.geometry == seen.geometry and still
 
 
 def _describe(body: BodyDraft, own: Said) -> None:
