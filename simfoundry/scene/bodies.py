@@ -171,7 +171,7 @@ def _use(part: Part | None) -> str:
 
 
 def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
-    """What the convex parts of a piece are called: it is theirs alone where it is one, and nothing seen has the name."""
+    """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 

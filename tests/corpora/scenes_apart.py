@@ -1,4 +1,4 @@
-"""In what two lowered scenes differ, field by field, each named by the feature of ``docs/support.md`` that it belongs to."""
+"""In what two lowered scenes differ, field by field, each with its feature of ``docs/support.md``."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from simfoundry.scene.model import (
     Cylinder,
     Geometry,
     Joint,
+    JointType,
     Light,
     LightType,
     Link,
@@ -122,9 +123,12 @@ def shape_feature(geometry: Geometry) -> str:
 
 
 def _joint(one: Joint, two: Joint) -> Iterator[Apart]:
-    yield from _same("type", one.type.value if one.type.value != "fixed" else "fixed_joint", one.type, two.type)
+    yield from _same("type", "fixed_joint" if one.type is JointType.FIXED else one.type.value, one.type, two.type)
     yield from _same("parent", "joint_names", one.parent, two.parent)
     yield from _same("child", "joint_names", one.child, two.child)
+    if one.type is not two.type:  # of another type it has other fields; but the child has to stand where it stood
+        yield from _pose("stands", "pose", one.X_PC @ one.motion, two.X_PC @ two.motion)
+        return
     yield from _pose("X_PC", "pose", one.X_PC, two.X_PC)
     if one.has_axis:
         yield from _close("axis", one.type.value, one.axis, two.axis)
@@ -186,7 +190,7 @@ def _geometry(path: str, feature: str, one: tuple[Geometry, Pose], two: tuple[Ge
 
 
 def _meshes(path: str, feature: str, one: tuple[Mesh, Pose], two: tuple[Mesh, Pose]) -> Iterator[Apart]:
-    """Meshes in their link: the same surface, whatever its frame, its order, and corners in the middle of a flat face."""
+    """Meshes in their link: the same surface, whatever its frame, its order, and corners amid a flat face."""
     points = [pose.apply(mesh.vertices) for mesh, pose in (one, two)]
     if feature == "convex_mesh":
         far = max(_outside(points[0], points[1]), _outside(points[1], points[0]))

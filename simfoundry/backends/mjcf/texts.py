@@ -1,7 +1,7 @@
 """What MuJoCo has no place for, as custom texts and numbers: ``simfoundry import`` gives them back.
 
-A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint`` the
-fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
+A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
+the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
 ``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cup:restitution`` what is too
 little for a contact to be damped to, for all colliders of a link or for each in turn; ``sky:dome`` the colour of a dome
 light times its intensity.

@@ -1,4 +1,4 @@
-"""Layers of arrays as crates, USD's binary files: a third of the size of text, mapped into memory when they are read."""
+"""Layers of arrays as crates, USD's binary files: smaller than text, mapped into memory when read."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 MESHES = "assets/meshes.usdc"
-"""The path in the artifact of the layer that holds the meshes: one, because a file for each costs more than its mesh."""
+"""The path in the artifact of the layer that holds all meshes: a file for each costs more than its mesh."""
 
 
 def define_geometry(
