@@ -1,11 +1,12 @@
 """Every scene of ``specs/`` to USD, MJCF and URDF and back: ``python -m tests.corpora.roundtrip``.
 
 MJCF and URDF are imported and lowered; the scene that comes back is compared with the one that was compiled, field by
-field (:mod:`tests.corpora.scenes_apart`). What differs must be of a feature that the loss report of the compile names.
+field (:mod:`tests.scenes_apart`). What differs must be of a feature that the loss report of the compile names.
 
-USD carries the document. Each stage is read as it was written, as a crate, flattened, and below a layer of somebody's own; from each the document
-comes back byte for byte, and compiling what was read gives the same stage. One thing after another is then moved, and
-exactly that comes back. Every stage is held to all validators of USD. Prints two tables; exit code 1 if a bar is missed.
+USD carries the document. Each stage is read as it was written, as a crate, flattened, and below a layer of somebody's
+own; from each the document comes back byte for byte, and compiling what was read gives the same stage. One thing after
+another is then moved, and exactly that comes back. Every stage is held to all validators of USD. Prints two tables;
+exit code 1 if a bar is missed.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from simfoundry.frontends.usd_spec.loading import load_usd
 from simfoundry.frontends.usd_spec.reading import read_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
-from tests.corpora.scenes_apart import Apart, apart
+from tests.scenes_apart import Apart, apart
 from tests.specs.documents import SCENES, SPECS, name_of
 from tests.targets.everything import LIGHTS, write_everything
 

@@ -6,8 +6,8 @@
 - ``check_urdf`` on each URDF. The files for PyBullet may have its ``<capsule>``, which is of no other reader.
 - MuJoCo: no warning on loading and in one second of steps.
 
-Robots are those of ``SIMFOUNDRY_ROBOTS``; without it scenes are compiled without them. Prints a table with the errors of
-each file set; exit code 1 on an error, or where a validator is missing.
+Robots are those of ``SIMFOUNDRY_ROBOTS``; without it scenes are compiled without them. Prints a table with the
+errors of each file set; exit code 1 on an error, or where a validator is missing.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def built(path: Path, folder: Path) -> tuple[str, ...]:
     scene = lower_file(path)
     for name in TARGETS:
         compile_target(scene, find_target(name)).write(folder / name)
-    return tuple(sorted({str(model.file) for robot in scene.robots for model in robot.models}))
+    return tuple(sorted({str(model.file) for robot in scene.robots for model in robot.models.values()}))
 
 
 def is_ours(file: Path, build: Path) -> bool:

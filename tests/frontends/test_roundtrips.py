@@ -15,7 +15,7 @@ from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from tests.corpora.roundtrip import MAINS, trip_by_scene
-from tests.corpora.scenes_apart import apart
+from tests.scenes_apart import apart
 from tests.specs.documents import SPECS
 from tests.targets.everything import LIGHTS, write_everything
 
