@@ -1,4 +1,4 @@
-"""The checks of ``tests.corpora.validators`` that need nothing more, on one scene that says everything, and can fail."""
+"""What of ``tests.corpora.validators`` needs nothing more, on one scene that says everything; and that it can fail."""
 
 from __future__ import annotations
 
