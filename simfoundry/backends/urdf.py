@@ -285,7 +285,17 @@ def _rounded(value: float) -> float:
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
-    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree)
+    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree) | _loose(tree)
+
+
+def _loose(tree: Tree) -> dict[str, object]:
+    """Of a part that lies loose: its object, and the free joint from the link on which it lies (p, q_wxyz)."""
+    joint = tree.free_joint
+    if joint is None:
+        return {}
+    zero, motion = ([_rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
+    said = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
+    return {"free": said}
 
 
 def meaning(item: SceneObject) -> dict[str, object]:

@@ -62,8 +62,9 @@ class BodyBuilder:
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
-            for k, piece in enumerate(touching):
-                self._collide(name if len(touching) == 1 else f"{name}_{k}", piece, X_LG, part)
+            names = [name] if touching[0] is geometry else _piece_names(name, len(touching), part)
+            for label, piece in zip(names, touching, strict=True):
+                self._collide(label, piece, X_LG, part)
         self._weigh(name, solid, X_LG, part)
 
     def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
@@ -83,8 +84,7 @@ class BodyBuilder:
         elif mass.mesh(vertices, faces).volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         parts = convex_parts(vertices, faces, self.body.collision, self.cache, path.name)
-        for k, (corners, sides) in enumerate(parts):
-            label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
+        for label, (corners, sides) in zip(_piece_names(name, len(parts), part), parts, strict=True):
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
@@ -168,6 +168,11 @@ class BodyBuilder:
 def _use(part: Part | None) -> str:
     """What a part is for; whatever is no part is for both."""
     return "both" if part is None else part.use
+
+
+def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
+    """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
+    return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:

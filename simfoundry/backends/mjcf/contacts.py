@@ -23,7 +23,7 @@ from simfoundry.scene.touching import silent_pairs
 _CONTACT_TIME = 0.02
 """Time constant of a contact [s]: MuJoCo's own default."""
 
-_CRITICAL_REBOUND = math.exp(-2)
+CRITICAL_REBOUND = math.exp(-2)
 """Restitution of a critically damped contact."""
 
 
@@ -120,7 +120,7 @@ def damping_ratio(restitution: float) -> float:
     The bodies part when the force, not the depth, reaches zero (Schwager and Poeschel, Granular Matter 9, 2007), so
     critical damping still rebounds at exp(-2): less than that is out of reach and gets ratio 1.
     """
-    if restitution <= _CRITICAL_REBOUND:
+    if restitution <= CRITICAL_REBOUND:
         return 1.0
     low, high = 1e-3, 1.0
     for _ in range(60):
