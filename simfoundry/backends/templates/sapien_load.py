@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import tempfile
 import xml.etree.ElementTree as ET
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -41,7 +42,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
         world = {}
         for group, (name, item) in enumerate(poses.items(), start=1):
             path = prepared(HERE / item["urdf"], Path(temporary), item["fixed"], visuals)
-            world[name] = load_object(scene, path, item, physics["objects"][name], group)
+            world[name] = load_object(scene, path, item, physics["objects"].get(name), group)
     return scene, world
 
 
@@ -62,8 +63,13 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
     return folder / urdf.name
 
 
-def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
-    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other."""
+def load_object(
+    scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any] | None, group: int
+) -> Loaded:
+    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other.
+
+    A robot with a URDF of its own has no ``physics``: it keeps SAPIEN's surfaces, and its links pass each other.
+    """
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
     articulations, actors, _ = loader.parse(str(urdf))
@@ -72,14 +78,20 @@ def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: 
         actors[0].set_initial_pose(pose)
         name = actors[0].name
         entity = actors[0].build_static(name) if item["fixed"] else actors[0].build(name)
-        set_surfaces(component_of(entity), physics["links"][name], 0, group)
+        if physics is not None:
+            set_surfaces(component_of(entity), physics["links"][name])
+        set_masks(component_of(entity), 0, group)
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"])
-    bits = silence({link.name for link in articulation.links}, {frozenset(pair) for pair in physics["silent"]})
+    names = {link.name for link in articulation.links}
+    silent = physics["silent"] if physics is not None else combinations(sorted(names), 2)
+    bits = silence(names, {frozenset(pair) for pair in silent})
     for link in articulation.links:
-        set_surfaces(link, physics["links"][link.name], bits[link.name], group)
-    for joint in articulation.active_joints:
+        if physics is not None:
+            set_surfaces(link, physics["links"][link.name])
+        set_masks(link, bits[link.name], group)
+    for joint in articulation.active_joints if physics is not None else ():
         set_joint(joint, physics["joints"][joint.name])
     articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
     return articulation
@@ -110,10 +122,8 @@ def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
     return masks
 
 
-def set_surfaces(
-    link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], mask: int, group: int
-) -> None:
-    """Give each collision shape its material, and the mask that silences it within the group of its object."""
+def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]]) -> None:
+    """Give each collision shape its material."""
     if hasattr(link, "angular_damping"):  # PhysX drags by itself
         link.linear_damping = link.angular_damping = 0.0
     shapes = link.collision_shapes
@@ -122,6 +132,11 @@ def set_surfaces(
     for shape, surface in zip(shapes, surfaces.values(), strict=True):
         mu = surface["friction"]
         shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
+
+
+def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> None:
+    """Silence each collision shape, by its mask, within the group of its object."""
+    for shape in link.collision_shapes:
         first, second, ignored, _ = shape.collision_groups
         shape.set_collision_groups([first, second, ignored | mask, group])
 
