@@ -17,7 +17,8 @@ from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN
 from simfoundry.scene.model import Mesh, Scene
-from simfoundry.verify.engines import Engine, Gap
+from simfoundry.targets.profile import Gap
+from simfoundry.verify.engines import Engine
 from simfoundry.verify.expected import expected_facts, static_links
 from simfoundry.verify.facts import ColliderFacts, Facts, JointFacts, LinkFacts, Numbers, mesh_bounds, pose_of
 from simfoundry.verify.robots import RobotFacts, expected_robots, without_robots
@@ -120,7 +121,7 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
     used: set[str] = set()
     for difference, keys in checker.found:
         loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected, scene)), None)
-        gap = next((g for g in engine.gaps if g.quantity == difference.quantity), None)
+        gap = engine.gap(difference.quantity)
         used |= {lo.path for lo in lost if lo.path in keys}
         reason = loss.reason if loss is not None else _gap_reason(gap, difference)
         if reason:
@@ -135,7 +136,7 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
     """A gap is a quantity that the engine has none of, or that is off by no more than a stated size."""
     if gap is None:
         return ""
-    if gap.size > 0 and difference.got is not None:
+    if gap.size is not None and difference.got is not None:
         off = float(np.abs(np.asarray(difference.expected) - np.asarray(difference.got)).max())
         return f"{gap.reason} (up to {gap.size:g})" if off <= gap.size else ""
     return gap.reason if not difference.got else ""
@@ -262,9 +263,7 @@ class _Checker:
                 there, here = ("pass" if pair in each else "touch" for each in (expected, got))
                 self._words(pair.replace("|", " and "), "contact", there, here, keys)
 
-    def _words(
-        self, name: str, quantity: str, expected: str | None, got: str | None, keys: frozenset[str]
-    ) -> None:
+    def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: frozenset[str]) -> None:
         """Compare words; what an engine does not tell is passed over."""
         if got is None or expected is None:
             self.untold |= keys
@@ -362,7 +361,7 @@ def _tip(scene: Scene, name: str) -> float:
                     smaller = inset_hull(part.geometry, SKIN)
                     if smaller is not None:
                         bounds = [mesh_bounds(m.vertices, part.X_LG) for m in (part.geometry, smaller)]
-                        return float(np.abs(np.subtract(*bounds)).max())
+                        return float(np.abs(np.subtract(bounds[0], bounds[1])).max())
     return 0.0
 
 

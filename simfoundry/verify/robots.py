@@ -10,8 +10,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from simfoundry.backends.robot_object import as_object
 from simfoundry.backends.robots import MujocoRobot, mujoco_model, read_robot
 from simfoundry.scene.model import Scene
@@ -119,6 +117,6 @@ def _of_urdf(robot: Robot, native: NativeModel) -> RobotFacts:
 
 def _urdf_joint(joint: ET.Element, position: float) -> JointFacts:
     limit = joint.find("limit")
-    bounded = limit is not None and joint.get("type") != "continuous"
-    limits = numbers(np.array([limit.get("lower", "0"), limit.get("upper", "0")], dtype=float)) if bounded else ()  # type: ignore[union-attr]
-    return JointFacts(limits=limits, position=position)
+    if limit is None or joint.get("type") == "continuous":
+        return JointFacts(limits=(), position=position)
+    return JointFacts(limits=(float(limit.get("lower", "0")), float(limit.get("upper", "0"))), position=position)

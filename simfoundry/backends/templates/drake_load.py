@@ -90,8 +90,9 @@ def load_object(
     else:
         plant.SetDefaultFloatingBaseBodyPose(bodies[0], X_WO)
     geometries = {body.name(): plant.GetCollisionGeometriesForBody(body) for body in bodies}
-    for link, found in geometries.items() if physics else ():
-        set_friction(plant, scene_graph, found, physics["links"][link])
+    for link, found in geometries.items():
+        if physics is not None:
+            set_friction(plant, scene_graph, found, physics["links"][link])
     silent = CollisionFilterDeclaration()
     for a, b in physics["silent"] if physics else combinations(geometries, 2):
         silent.ExcludeBetween(GeometrySet(geometries[a]), GeometrySet(geometries[b]))

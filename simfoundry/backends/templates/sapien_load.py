@@ -25,6 +25,9 @@ HERE = Path(__file__).resolve().parent
 HOLD = 1e5
 """Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
 
+TENDON = 1e5
+"""Stiffness of the tendon that lets a joint follow another [N/m or N m/rad]."""
+
 Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
 
 
@@ -83,7 +86,9 @@ def load_object(
         set_masks(component_of(entity), 0, group)
         return entity
     articulations[0].set_initial_pose(pose)
-    articulation = articulations[0].build(fix_root_link=item["fixed"])
+    articulation = articulations[0].build(fix_root_link=item["fixed"], build_mimic_joints=False)
+    for mimic in articulations[0].mimic_joint_records:
+        follow(articulation, mimic.joint, mimic.mimic, mimic.multiplier, mimic.offset)
     names = {link.name for link in articulation.links}
     silent = physics["silent"] if physics is not None else combinations(sorted(names), 2)
     bits = silence(names, {frozenset(pair) for pair in silent})
@@ -91,10 +96,37 @@ def load_object(
         if physics is not None:
             set_surfaces(link, physics["links"][link.name])
         set_masks(link, bits[link.name], group)
-    for joint in articulation.active_joints if physics is not None else ():
-        set_joint(joint, physics["joints"][joint.name])
+    for joint in articulation.active_joints:
+        if physics is not None:
+            set_joint(joint, physics["joints"][joint.name])
     articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
     return articulation
+
+
+def follow(articulation: physx.PhysxArticulation, name: str, leader: str, multiplier: float, offset: float) -> None:
+    """Let a joint follow another, by a stiff tendon, as SAPIEN's reader does; but it turns the ratio of siblings round.
+
+    PhysX can tie a joint to the one above it or to one beside it: any other is left free, which is said.
+    """
+    joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(leader)
+    above, beside = joint.parent_link == other.child_link, joint.parent_link == other.parent_link
+    root = other.parent_link
+    if multiplier == 0 or root is None or not (above or beside):
+        print(f"{articulation.name}: PhysX cannot let {name} follow {leader}: it moves freely")
+        return
+    if above:
+        links, ratios, inverse = (
+            [root, other.child_link, joint.child_link],
+            [0, -multiplier, 1],
+            [0, -1 / multiplier, 1],
+        )
+    else:
+        links, ratios, inverse = (
+            [root, joint.child_link, other.child_link],
+            [0, 1, -multiplier],
+            [0, 1, -1 / multiplier],
+        )
+    articulation.create_fixed_tendon(links, ratios, inverse, rest_length=offset, stiffness=TENDON)
 
 
 def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:

@@ -1,4 +1,4 @@
-"""Newton, from the mjcf build; keyframe and gravity, which its importer leaves out, are brought in here."""
+"""Newton, from the mjcf build; keyframe and gravity, which its importer leaves out, are set here."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def open_build(folder: Path) -> Session:
     model = builder.finalize(device="cpu")
     model.set_gravity(tuple(_floats(root.find("option"), "gravity")))
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
-    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}))
+    controls = _floats(root.find("keyframe/key"), "ctrl")
+    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}), controls)
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:

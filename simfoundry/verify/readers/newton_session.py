@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import newton
@@ -59,7 +59,7 @@ class NewtonSession:
 
     timestep = TIMESTEP
 
-    def __init__(self, model: newton.Model, names: Names) -> None:
+    def __init__(self, model: newton.Model, names: Names, controls: Sequence[float] = ()) -> None:
         self.model, self.names = model, names
         self._bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
         self._kinds = [int(k) for k in _array(model.joint_type)]
@@ -70,6 +70,8 @@ class NewtonSession:
         if self._bodies:
             newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
         self._control = model.control()
+        if controls:
+            self._control.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:
@@ -181,7 +183,9 @@ class NewtonSession:
             damping=damping,
             friction=float(model.joint_friction.numpy()[dof]),
             armature=float(model.joint_armature.numpy()[dof]),
-            position=numbers(from_xyzw(model.joint_q.numpy()[start : start + 4])) if ball else float(model.joint_q.numpy()[start]),
+            position=numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
+            if ball
+            else float(model.joint_q.numpy()[start]),
             drive=drive,
         )
 

@@ -92,11 +92,13 @@ class UsdSession:
         Of other links of an object that cannot move a stage does not tell what they hang on.
         """
         names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
-        found = {}
+        found: dict[str, str | None] = {}
         for item in self._objects():
             scope = item.GetChild("Joints")
             for prim in scope.GetChildren() if scope else []:
-                ends = [r.GetTargets() for r in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())]
+                ends = [
+                    r.GetTargets() for r in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())
+                ]
                 if ends[1] and ends[1][0] in names:
                     found[names[ends[1][0]]] = names.get(ends[0][0], WORLD) if ends[0] else WORLD
         for name, prim in links(self.stage).items():
