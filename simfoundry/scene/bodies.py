@@ -35,6 +35,9 @@ GREY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of a piece that gives none, where that is allowed: its body is fixed, or its mass is given."""
 
+LEAST_MASS = LEAST_MOMENT = 1e-15
+"""What moves and has less mass [kg] or less inertia [kg m^2], MuJoCo refuses."""
+
 ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
 
@@ -103,7 +106,7 @@ class BodyBuilder:
         total = quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
-            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia))
+            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia), fixed)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
         if total is not None or fixed:  # of a given mass only the shares matter; what is fixed does not move
@@ -120,11 +123,14 @@ class BodyBuilder:
             inertia = inertia * (total / computed)
         if inertial is not None:
             com = np.array(inertial.com)
-        return self._finished(total if total is not None else computed, com, inertia)
+        return self._finished(total if total is not None else computed, com, inertia, fixed)
 
-    def _finished(self, mass_kg: float, com: Array, inertia: Array) -> Link:
+    def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
-        _check_inertia(self.name, inertia)
+        least = _check_inertia(self.name, inertia)
+        if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
+            shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
+            raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
         return Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
 
     def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
@@ -229,9 +235,10 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _check_inertia(name: str, inertia: Array) -> None:
-    """Moments of a real body are positive, and none exceeds the sum of the other two."""
+def _check_inertia(name: str, inertia: Array) -> float:
+    """The least moment; those of a real body are positive, and none exceeds the sum of the other two."""
     moments = np.linalg.eigvalsh(inertia)
     if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
         shown = ", ".join(f"{m:.3g}" for m in moments)
         raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")
+    return float(moments[0])
