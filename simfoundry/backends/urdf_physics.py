@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Protocol
 
-from simfoundry.backends.artifact import number
+from simfoundry.backends.artifact import json_text, number
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Geometry, JointType, Link, Scene
 from simfoundry.scene.touching import silent_pairs
@@ -23,11 +22,11 @@ class Split(Protocol):
 
 def physics_manifest(scene: Scene, split: Split) -> bytes:
     """The file; collision shapes go by the names and in the order of the URDF."""
-    data = {
+    data: dict[str, object] = {
         "gravity": [_number(v) for v in scene.gravity],
         "objects": {tree.name: _object(tree, split) for item in scene.objects for tree in trees(item)},
     }
-    return (json.dumps(data, indent=2) + "\n").encode()
+    return json_text(data)
 
 
 def _object(tree: Tree, split: Split) -> dict[str, object]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class Mesh:
     uv: Array | None = None
     texture: bytes | None = None
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Sixteen hex digits that name this mesh by its content."""
         h = hashlib.sha256()
@@ -374,9 +375,9 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     Returns moments [kg m^2], shape (3,), and the wxyz quaternion of R, shape (4,). An inertia that is diagonal already
     keeps its axes, so that symmetric bodies are not turned by rounding.
     """
-    off_diagonal = max(abs(inertia[0, 1]), abs(inertia[0, 2]), abs(inertia[1, 2]))
-    if off_diagonal <= 1e-12 * float(np.trace(inertia)):
-        return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+    if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
+        return np.array([xx, yy, zz]), np.array([1.0, 0.0, 0.0, 0.0])
     moments, axes = np.linalg.eigh(inertia)
     for k in range(3):  # the sign of an eigenvector is arbitrary: its largest entry is made positive
         if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
