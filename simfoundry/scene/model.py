@@ -339,11 +339,15 @@ class Scene:
     source: Source | None = None
     viewer: Pose | None = None
 
+    @cached_property
+    def by_name(self) -> dict[str, SceneObject]:
+        """The objects by name."""
+        return {item.name: item for item in self.objects}
+
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""
-        for item in self.objects:
-            if item.name == name:
-                return item
+        if name in self.by_name:
+            return self.by_name[name]
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:

@@ -83,12 +83,13 @@ def mjcf(count: int) -> str:
     """The same scene as MJCF, as short as it can be said."""
     half = table_size(count) / 2
     lines = [
-        f'<mujoco model="grid_{count}"><compiler autolimits="true"/><default><geom friction="0.7 0.005 0.0001"/></default>',
+        f'<mujoco model="grid_{count}"><compiler autolimits="true"/>',
+        '<default><geom friction="0.7 0.005 0.0001"/></default>',
         f'<worldbody><body name="table" pos="0 0 {TOP - 0.015}"><geom type="box" size="{half} {half} 0.015"/></body>',
     ]
-    for thing in things(count):
-        lines.append(
-            f'<body name="{thing.name}" pos="{thing.x} {thing.y} {thing.z:.6g}"><freejoint name="{thing.name}_free"/>'
-            f'<geom {GEOMS[thing.kind]} mass="{MASSES[thing.kind]}" rgba="0.8 0.3 0.2 1"/></body>'
-        )
+    lines += [
+        f'<body name="{thing.name}" pos="{thing.x} {thing.y} {thing.z:.6g}"><freejoint name="{thing.name}_free"/>'
+        f'<geom {GEOMS[thing.kind]} mass="{MASSES[thing.kind]}" rgba="0.8 0.3 0.2 1"/></body>'
+        for thing in things(count)
+    ]
     return "\n".join([*lines, "</worldbody></mujoco>", ""])

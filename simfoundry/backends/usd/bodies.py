@@ -14,11 +14,11 @@ from simfoundry.backends.usd.prims import (
     attribute,
     define,
     place,
-    quatf,
+    quat,
     relate,
     rounded,
     settled,
-    vec3f,
+    vec3,
 )
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
@@ -62,11 +62,9 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
 
 def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
     """What an object, or one variant of it, consists of."""
-    from pxr import Vt
-
     apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
-    attribute(prim, "semantics:labels:category", "token[]", Vt.TokenArray([item.category]))
-    attribute(prim, "semantics:labels:class", "token[]", Vt.TokenArray(item.semantics))
+    attribute(prim, "semantics:labels:category", "token[]", [item.category])
+    attribute(prim, "semantics:labels:class", "token[]", list(item.semantics))
     place(prim, item.X_WO)
     X_OL = link_poses(item)
     links = {}
@@ -92,9 +90,7 @@ def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
 
     ``simfoundry:freePose`` is where it is at zero in its parent, as a matrix of USD, which multiplies row vectors.
     """
-    from pxr import Gf
-
-    matrix = Gf.Matrix4d(*(settled(v) for v in joint.X_PC.matrix.T.ravel()))
+    matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
     attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
     attribute(body, "simfoundry:freePose", "matrix4d", matrix, uniform=True)
     relate(body, "simfoundry:freeParent", [parent])
@@ -171,10 +167,10 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = principal_inertia(link.inertia)
     # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
-    attribute(body, "physics:centerOfMass", "point3f", vec3f(link.com))
-    attribute(body, "physics:diagonalInertia", "float3", vec3f(moments))
+    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com))
+    attribute(body, "physics:diagonalInertia", "float3", vec3(moments))
     attribute(body, "physics:mass", "float", rounded(link.mass))
-    attribute(body, "physics:principalAxes", "quatf", quatf(axes))
+    attribute(body, "physics:principalAxes", "quatf", quat(axes))
     if link.visuals:
         _define_visuals(scopes, define(body, "Visuals", "Scope"), link)
     if link.colliders:

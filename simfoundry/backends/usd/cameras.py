@@ -22,18 +22,16 @@ def define_camera(scope: Prim, camera: Camera) -> None:
 
     USD has one focal length, so unequal ``fx`` and ``fy`` become unequal pixels: the vertical aperture is stretched.
     """
-    from pxr import Gf
-
     prim = define(scope, camera.name, "Camera")
     right = camera.width / 2 - (camera.cx + HALF_PIXEL)
     up = camera.cy + HALF_PIXEL - camera.height / 2
     tall = PIXEL * camera.fx / camera.fy
-    attribute(prim, "clippingRange", "float2", Gf.Vec2f(0.01, 1000.0))
+    attribute(prim, "clippingRange", "float2", (0.01, 1000.0))
     attribute(prim, "focalLength", "float", rounded(camera.fx * PIXEL))
     attribute(prim, "horizontalAperture", "float", rounded(camera.width * PIXEL))
     attribute(prim, "horizontalApertureOffset", "float", rounded(right * PIXEL))
     attribute(prim, "projection", "token", "perspective")
-    attribute(prim, "simfoundry:resolution", "int2", Gf.Vec2i(camera.width, camera.height), uniform=True)
+    attribute(prim, "simfoundry:resolution", "int2", (camera.width, camera.height), uniform=True)
     attribute(prim, "verticalAperture", "float", rounded(camera.height * tall))
     attribute(prim, "verticalApertureOffset", "float", rounded(up * tall))
     place(prim, camera.X_WC @ X_CU)

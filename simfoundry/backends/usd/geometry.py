@@ -111,7 +111,4 @@ def _along_z(prim: Prim, height: float) -> None:
 
 
 def _extent(prim: Prim, half: Sequence[float]) -> None:
-    from pxr import Gf, Vt
-
-    corner = Gf.Vec3f(*half)
-    attribute(prim, "extent", "float3[]", Vt.Vec3fArray([-corner, corner]))
+    attribute(prim, "extent", "float3[]", [tuple([-v for v in half]), tuple(half)])

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quatf, relate, rounded, vec3f
+from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quat, relate, rounded, vec3
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic
-
-if TYPE_CHECKING:
-    from pxr import Vt
 
 _TYPE = {
     JointType.FIXED: "PhysicsFixedJoint",
@@ -64,7 +59,7 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
         lower, upper = joint.limits
         attribute(prim, "physics:lowerLimit", "float", rounded(lower * unit))
         attribute(prim, "physics:upperLimit", "float", rounded(upper * unit))
-        attribute(prim, "mjc:solreflimit", "double[]", _doubles(_LIMIT), uniform=True)
+        attribute(prim, "mjc:solreflimit", "double[]", list(_LIMIT), uniform=True)
     _dynamics(prim, joint, unit)
     if joint.mimic is not None and leader is not None:
         _follow(prim, scope, joint.mimic, unit, 1.0 if leader.type is JointType.PRISMATIC else math.degrees(1.0))
@@ -116,8 +111,8 @@ def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> Non
     relate(prim, "physics:body0", [body0])
     relate(prim, "physics:body1", [body1])
     for k, pose in enumerate([X_0J, X_1J]):
-        attribute(prim, f"physics:localPos{k}", "point3f", vec3f(pose.p))
-        attribute(prim, f"physics:localRot{k}", "quatf", quatf(pose.q))
+        attribute(prim, f"physics:localPos{k}", "point3f", vec3(pose.p))
+        attribute(prim, f"physics:localRot{k}", "quatf", quat(pose.q))
 
 
 def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
@@ -149,15 +144,9 @@ def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
         attribute(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
         attribute(prim, f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
     if joint.friction:
-        attribute(prim, "mjc:solimpfriction", "double[]", _doubles(_FRICTION), uniform=True)
+        attribute(prim, "mjc:solimpfriction", "double[]", list(_FRICTION), uniform=True)
     position = rounded(joint.position * unit)
     apply_schemas(prim, [f"PhysicsJointStateAPI:{kind}"])
     attribute(prim, f"newton:{kind}:position", "float", position)
     attribute(prim, f"state:{kind}:physics:position", "float", position)
     attribute(prim, f"state:{kind}:physics:velocity", "float", 0.0)
-
-
-def _doubles(values: Sequence[float]) -> Vt.DoubleArray:
-    from pxr import Vt
-
-    return Vt.DoubleArray(values)

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, connect, define, rounded, vec3f
+from simfoundry.backends.usd.prims import Asset, Prim, apply_schemas, attribute, connect, define, rounded, vec3
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Collider, Mesh, Visual
 
@@ -52,22 +52,20 @@ def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
         image = _texture(material, color, texture)
         connect(surface, "inputs:diffuseColor", "color3f", f"{image.path}.outputs:rgb")
     else:
-        attribute(surface, "inputs:diffuseColor", "color3f", vec3f(color))
+        attribute(surface, "inputs:diffuseColor", "color3f", vec3(color))
     connect(material, "outputs:surface", "token", f"{surface.path}.outputs:surface")
 
 
 def _texture(material: Prim, color: Array, texture: str) -> Prim:
     """The texture's shader, multiplied by ``color``, reading its coordinates from the primvar ``st``."""
-    from pxr import Gf, Sdf
-
     reader = define(material, "Coordinates", "Shader")
     attribute(reader, "info:id", "token", "UsdPrimvarReader_float2", uniform=True)
     attribute(reader, "inputs:varname", "string", "st")
     attribute(reader, "outputs:result", "float2", None)
     image = define(material, "Texture", "Shader")
     attribute(image, "info:id", "token", "UsdUVTexture", uniform=True)
-    attribute(image, "inputs:file", "asset", Sdf.AssetPath(f"./{texture}"))
-    attribute(image, "inputs:scale", "float4", Gf.Vec4f(*(rounded(v) for v in color), 1.0))
+    attribute(image, "inputs:file", "asset", Asset(f"./{texture}"))
+    attribute(image, "inputs:scale", "float4", (*vec3(color), 1.0))
     attribute(image, "inputs:sourceColorSpace", "token", "sRGB")
     connect(image, "inputs:st", "float2", f"{reader.path}.outputs:result")
     attribute(image, "inputs:wrapS", "token", "repeat")

@@ -1,20 +1,17 @@
 """The few strokes with which a stage is drawn: prims, attributes, relationships, transforms.
 
 Prims are plain Python and become text at the end (:mod:`~simfoundry.backends.usd.usda`): authoring through USD's own
-layers takes five times as long. Values are those of ``Gf``, ``Vt`` and Python.
+layers takes five times as long. A vector, a quaternion (w first) or a row of a matrix is a tuple, an array a list.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from simfoundry.backends.artifact import number
 from simfoundry.scene.frames import IDENTITY, Pose
-
-if TYPE_CHECKING:
-    from pxr import Gf
 
 
 class Attribute(NamedTuple):
@@ -24,6 +21,12 @@ class Attribute(NamedTuple):
     value: Any
     uniform: bool = False
     source: str = ""
+
+
+class Asset(NamedTuple):
+    """A path of a file, as the value of an attribute."""
+
+    path: str
 
 
 class Targets(NamedTuple):
@@ -112,21 +115,19 @@ def relate(prim: Prim, name: str, targets: Iterable[Prim | str]) -> None:
 
 def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
     """Pose ``prim`` in its parent, in double precision; ``scale`` applies first."""
-    from pxr import Gf, Vt
-
     operations = []
     p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
     if any(p):
-        attribute(prim, "xformOp:translate", "double3", Gf.Vec3d(*[settled(v) for v in p]))
+        attribute(prim, "xformOp:translate", "double3", tuple([settled(v) for v in p]))
         operations.append("xformOp:translate")
     if any(q[1:]):
-        attribute(prim, "xformOp:orient", "quatd", Gf.Quatd(*[settled(v) for v in q]))
+        attribute(prim, "xformOp:orient", "quatd", quat(q))
         operations.append("xformOp:orient")
     if scale is not None:
-        attribute(prim, "xformOp:scale", "double3", Gf.Vec3d(*[rounded(v) for v in scale]))
+        attribute(prim, "xformOp:scale", "double3", vec3(scale))
         operations.append("xformOp:scale")
     if operations:
-        attribute(prim, "xformOpOrder", "token[]", Vt.TokenArray(operations), uniform=True)
+        attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
 
 
 def rounded(value: float) -> float:
@@ -139,15 +140,11 @@ def settled(value: float) -> float:
     return round(float(value), 12) + 0.0
 
 
-def vec3f(values: Iterable[float]) -> Gf.Vec3f:
-    """Three numbers in single precision."""
-    from pxr import Gf
-
-    return Gf.Vec3f(*[rounded(v) for v in values])
+def vec3(values: Iterable[float]) -> tuple[float, ...]:
+    """Three numbers to twelve significant digits."""
+    return tuple([rounded(v) for v in values])
 
 
-def quatf(q: Iterable[float]) -> Gf.Quatf:
-    """A wxyz quaternion in single precision."""
-    from pxr import Gf
-
-    return Gf.Quatf(*[settled(v) for v in q])
+def quat(q: Iterable[float]) -> tuple[float, ...]:
+    """A wxyz quaternion to twelve decimals."""
+    return tuple([settled(v) for v in q])

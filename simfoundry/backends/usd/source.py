@@ -100,6 +100,8 @@ def plain(value: Any) -> Any:
             return float(_NUMBER % value)
         case str():
             return str(value)
+        case tuple() if value and isinstance(value[0], float | int):
+            return [v if type(v) is int else float(_NUMBER % v) for v in value]
     kind = type(value).__name__
     if kind.endswith("Array"):
         return None

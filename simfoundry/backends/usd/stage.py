@@ -16,7 +16,7 @@ from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.prims import Prim, attribute, define, rounded, vec3f
+from simfoundry.backends.usd.prims import Prim, attribute, define, rounded, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
@@ -70,7 +70,7 @@ def _define_physics(world: Prim, scene: Scene) -> None:
     prim = define(world, "Physics", "PhysicsScene")
     magnitude = float(np.linalg.norm(scene.gravity))
     direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
-    attribute(prim, "physics:gravityDirection", "vector3f", vec3f(direction))
+    attribute(prim, "physics:gravityDirection", "vector3f", vec3(direction))
     attribute(prim, "physics:gravityMagnitude", "float", rounded(magnitude))
 
 

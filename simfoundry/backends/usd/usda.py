@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.usd.prims import Attribute, Prim, Targets
+from simfoundry.backends.usd.prims import Asset, Attribute, Prim, Targets
 
 _CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")
 _STEP = "    "
@@ -90,20 +90,22 @@ def _property(name: str, found: Attribute | Targets) -> str:
     declared = f"{custom}{'uniform ' if found.uniform else ''}{found.type_name} {name}"
     if found.source:
         return f"{declared}.connect = <{found.source}>"
-    return declared if found.value is None else f"{declared} = {_value(found.type_name, found.value)}"
+    return declared if found.value is None else f"{declared} = {_value(found.value)}"
 
 
-def _value(type_name: str, value: Any) -> str:
+def _value(value: Any) -> str:
     match value:
-        case bool():
+        case bool() | int():
             return str(int(value))
         case float():
             return number(value)
         case str():
             return quoted(value)
-    if type_name in ("token[]", "string[]"):
-        return _list(map(quoted, value))
-    return f"@{value.path}@" if type_name == "asset" else str(value)
+        case list():
+            return _list(map(_value, value))
+        case Asset():
+            return f"@{value.path}@"
+    return f"({', '.join([_value(v) for v in value])})"
 
 
 def _list(items: Iterable[str]) -> str:
