@@ -6,7 +6,9 @@ import xml.etree.ElementTree as ET
 
 DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 
-_ESCAPES = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": "&#10;", "\r": "&#13;"})
+_MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
+_WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
+_ESCAPES = str.maketrans(_MARKUP | _WHITE)
 
 
 def xml_text(root: ET.Element) -> bytes:
