@@ -6,7 +6,8 @@ The scene is that of :mod:`tests.benchmarks.reference`. ``in memory`` is timed f
 of every file of all four backends: reading, checking, lowering, compiling; ``and written`` also writes them, with
 manifests, each folder in one step. Both are warm: once before in the same process. All are timed in turns, so that what
 disturbs one disturbs the others. The floor only composes the YAML with PyYAML's C parser and writes the same bytes
-plainly. ``processor`` is the processor time of ``in memory``, for machines that others keep busy. How to set up the peers is said in :mod:`tests.benchmarks.peers`.
+plainly. ``processor`` is the processor time of ``in memory``, for machines that others keep busy. How to set up the
+peers is said in :mod:`tests.benchmarks.peers`.
 """
 
 from __future__ import annotations

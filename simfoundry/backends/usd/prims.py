@@ -6,6 +6,7 @@ layers takes five times as long. A vector, a quaternion (w first) or a row of a 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -124,7 +125,7 @@ def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
         attribute(prim, "xformOp:orient", "quatd", quat(q))
         operations.append("xformOp:orient")
     if scale is not None:
-        attribute(prim, "xformOp:scale", "double3", vec3(scale))
+        attribute(prim, "xformOp:scale", "double3", tuple([rounded(v) for v in scale]))
         operations.append("xformOp:scale")
     if operations:
         attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
@@ -141,8 +142,12 @@ def settled(value: float) -> float:
 
 
 def vec3(values: Iterable[float]) -> tuple[float, ...]:
-    """Three numbers to twelve significant digits."""
-    return tuple([rounded(v) for v in values])
+    """Three numbers for single precision; what that cannot hold is infinite, as a reader will see it."""
+    return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
+
+
+_MOST = 3.4028235e38
+"""The greatest number of single precision."""
 
 
 def quat(q: Iterable[float]) -> tuple[float, ...]:
