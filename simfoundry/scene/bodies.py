@@ -239,6 +239,6 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
 def _check_inertia(name: str, inertia: Array) -> None:
     """Moments of a real body are positive, and none exceeds the sum of the other two."""
     moments = sorted(principal_inertia(inertia)[0].tolist())
-    if not (0 < moments[0] and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
+    if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
         raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")
