@@ -17,7 +17,18 @@ from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import Box, Capsule, Collider, Cylinder, Geometry, Link, Mesh, Sphere, Visual
+from simfoundry.scene.model import (
+    Box,
+    Capsule,
+    Collider,
+    Cylinder,
+    Geometry,
+    Link,
+    Mesh,
+    Sphere,
+    Visual,
+    principal_inertia,
+)
 from simfoundry.spec.asset import Inertial, Part
 from simfoundry.spec.base import (
     Body,
@@ -150,7 +161,8 @@ class BodyBuilder:
         return solid, faces
 
     def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:
-        self.solids.append((name, self._material(part).density, solid.moved(X_LG.rotation, X_LG.p)))
+        moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
+        self.solids.append((name, self._material(part).density, moved))
 
     def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
         material = self._material(part)
@@ -237,8 +249,8 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
 
 def _check_inertia(name: str, inertia: Array) -> float:
     """The least moment; those of a real body are positive, and none exceeds the sum of the other two."""
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
+    moments = sorted(principal_inertia(inertia)[0].tolist())
+    if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
         raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")
     return float(moments[0])

@@ -30,6 +30,7 @@ from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
 from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
+from simfoundry.backends.xmltext import xml_text
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -79,8 +80,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     keyframe = ET.SubElement(root, "keyframe")
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
     ET.SubElement(keyframe, "key", {"name": "initial"} | state)
-    ET.indent(root)
-    files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
+    files = {"scene.xml": xml_text(root), "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
     losses = (
         *restitution_losses(scene),

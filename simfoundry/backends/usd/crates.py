@@ -1,4 +1,4 @@
-"""Layers of arrays as crates, USD's binary files: smaller than text, mapped into memory when read."""
+"""Layers of arrays as crates, USD's binary files: a third of the size of text, mapped into memory when read."""
 
 from __future__ import annotations
 
@@ -20,6 +20,16 @@ def new_crate(default_prim: str) -> Sdf.Layer:
     root.SetInfo("upAxis", "Z")
     layer.defaultPrim = default_prim
     return layer
+
+
+def author(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, uniform: bool = False) -> Sdf.AttributeSpec:
+    """Author an attribute of a prim of such a layer."""
+    from pxr import Sdf
+
+    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    made = Sdf.AttributeSpec(prim, name, Sdf.ValueTypeNames.Find(type_name), variability)
+    made.default = value
+    return made
 
 
 def crate_bytes(layer: Sdf.Layer) -> bytes:
