@@ -343,7 +343,10 @@ def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
         for link in item.links:
             yield from _surface_losses(item, link)
         if any(isinstance(collider.geometry, Mesh) for link in item.links for collider in link.colliders):
-            reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
+            reason = (
+                "Bullet's skin rounds the edges of convex meshes by 1 mm, sharp tips by more, "
+                "or thickens them where they are thinner"
+            )
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
     yield from stiffness_losses(scene, timestep, implicit_damping=False)

@@ -102,6 +102,7 @@ def compile_urdf(scene: Scene) -> Artifact:
     files = urdf_files(scene, dialect)
     poses = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
     lost: list[Loss] = []
+    converted: list[SceneObject] = []
     for robot in scene.robots:
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
         if found is None:
@@ -109,9 +110,13 @@ def compile_urdf(scene: Scene) -> Artifact:
             continue
         files |= found.files
         lost.extend(found.losses)
+        reason = "URDF has no motors, nor surfaces: nothing holds its joints until the simulator drives them"
+        lost.append(Loss(f"{robot.name}.actuators", Fidelity.DROPPED, reason))
+        if found.item is not None:
+            converted.append(found.item)
         poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
     files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
-    files["physics.json"] = physics_manifest(scene, capsule_parts)
+    files["physics.json"] = physics_manifest(scene, capsule_parts, converted)
     files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
 
@@ -285,7 +290,17 @@ def _rounded(value: float) -> float:
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
-    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree)
+    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree) | _loose(tree)
+
+
+def _loose(tree: Tree) -> dict[str, object]:
+    """Of a part that lies loose: its object, and the free joint from the link on which it lies (p, q_wxyz)."""
+    joint = tree.free_joint
+    if joint is None:
+        return {}
+    zero, motion = ([_rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
+    said = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
+    return {"free": said}
 
 
 def meaning(item: SceneObject) -> dict[str, object]:

@@ -20,12 +20,13 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
-from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
+from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses, solref
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
+from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
 from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
@@ -63,7 +64,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     add_contacts(root, scene)
     add_mimics(root, scene)
     ctrl = add_drives(root, scene, timestep)
-    _add_texts(root, scene)
+    add_texts(root, scene)
     lost: list[Loss] = []
     for robot in scene.robots:
         read = add_robot(root, robot, assets)
@@ -125,16 +126,4 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     seen = ET.SubElement(default, "default", {"class": "visual"})
     ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
     felt = ET.SubElement(default, "default", {"class": "collider"})
-    ET.SubElement(felt, "geom", group="3", condim="3", rgba="0.9 0.5 0.2 0.5")
-
-
-def _add_texts(root: ET.Element, scene: Scene) -> None:
-    """What MuJoCo has no place for, as custom text: categories of objects and the stated relations."""
-    custom = ET.SubElement(root, "custom")
-    for item in scene.objects:
-        if item.category:
-            ET.SubElement(custom, "text", name=f"{item.name}.category", data=item.category)
-        if item.labels:
-            ET.SubElement(custom, "text", name=f"{item.name}.labels", data=" ".join(item.labels))
-    if scene.relations:
-        ET.SubElement(custom, "text", name="relations", data="; ".join(str(r) for r in scene.relations))
+    ET.SubElement(felt, "geom", group="3", condim="3", solref=numbers(solref(0.0)), rgba="0.9 0.5 0.2 0.5")

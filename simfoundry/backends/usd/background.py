@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from simfoundry.backends.usd.crates import crate_bytes, new_crate
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.materials import visual_material
 from simfoundry.backends.usd.prims import attribute, define, place, relate
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from pxr import Sdf
 
 SPLAT = "assets/background.usdc"
-"""The path of the splat's layer in the artifact: a crate, because as text it would be ten times as large."""
+"""The path of the splat's layer in the artifact."""
 
 _REACH = 3.0
 """How many standard deviations of a Gaussian count as its extent."""
@@ -41,11 +40,7 @@ def splat_layer(splat: Splat) -> bytes:
     """A layer whose default prim is the field of Gaussians, its colours as spherical harmonics by order."""
     from pxr import Sdf, Vt
 
-    layer = Sdf.Layer.CreateAnonymous(".usdc")
-    root = layer.pseudoRoot
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("upAxis", "Z")
-    layer.defaultPrim = "splat"
+    layer = new_crate("splat")
     with Sdf.ChangeBlock():
         prim = Sdf.PrimSpec(layer, "splat", Sdf.SpecifierDef, "ParticleField3DGaussianSplat")
         reach = _REACH * splat.scales.max(axis=1, keepdims=True)
@@ -59,7 +54,4 @@ def splat_layer(splat: Splat) -> bytes:
         attribute(prim, "radiance:sphericalHarmonicsDegree", "int", splat.degree, uniform=True)
         colors = np.ascontiguousarray(splat.harmonics.reshape(-1, 3))
         attribute(prim, "radiance:sphericalHarmonicsCoefficients", "float3[]", Vt.Vec3fArray.FromNumpy(colors))
-    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
-        path = Path(folder) / "background.usdc"
-        layer.Export(str(path))
-        return path.read_bytes()
+    return crate_bytes(layer)

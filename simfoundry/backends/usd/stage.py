@@ -13,7 +13,7 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
-from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
+from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
@@ -91,18 +91,17 @@ def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
 
 
 def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
-    """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
-    meshes: dict[str, Mesh] = {}
+    """The layer of the meshes, that of a splat, and the textures of the visuals by path, sorted."""
     contents: dict[str, bytes] = {}
     links = [link for each in objects for item in (each, *each.variants) for link in item.links]
     visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())
-    for geometry in [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]:
-        if isinstance(geometry, Mesh):
-            meshes.setdefault(mesh_path(geometry), geometry)
+    shapes = [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]
+    meshes = [shape for shape in shapes if isinstance(shape, Mesh)]
+    if meshes:
+        contents[MESHES] = mesh_layer(meshes)
     for texture in map(texture_of, visuals):
         if texture is not None:
             contents[texture_path(texture)] = texture
     if around is not None and around.splat is not None:
         contents[SPLAT] = splat_layer(around.splat)
-    contents |= {path: mesh_layer(mesh) for path, mesh in meshes.items()}
     return dict(sorted(contents.items()))

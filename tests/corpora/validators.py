@@ -1,0 +1,156 @@
+"""Every build of ``specs/`` before the validators of others: ``python -m tests.corpora.validators``.
+
+- USD's own (``UsdValidation``, all that are registered) on each stage and on each object of OmniGibson.
+- NVIDIA's asset validator on the same files, but for the stages with robots once for each robot: its warnings are about
+  the robots' own meshes. It is found as ``omni_asset_validate`` on the path or by ``SIMFOUNDRY_OMNI``.
+- ``check_urdf`` on each URDF. The files for PyBullet may have its ``<capsule>``, which is of no other reader.
+- MuJoCo: no warning on loading and in one second of steps.
+
+Robots are those of ``SIMFOUNDRY_ROBOTS``; without it scenes are compiled without them. Prints a table with the
+errors of each file set; exit code 1 on an error, or where a validator is missing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from simfoundry.scene.lower import lower_file
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import find_target
+from tests.specs.documents import SCENES, SPECS, name_of
+from tests.targets.everything import LIGHTS, write_everything
+
+TARGETS = ("usd", "isaaclab", "omnigibson", "urdf", "pybullet", "mjcf", "mjx")
+DESK = SPECS / "captures" / "desk" / "desk.scene.yaml"
+OMNI = "SIMFOUNDRY_OMNI"
+INSTALL = {
+    "omni_asset_validate": "python -m venv omni && omni/bin/pip install omniverse-asset-validator usd-core, "
+    f"then {OMNI}=omni/bin/omni_asset_validate",
+    "check_urdf": "apt install liburdfdom-tools",
+}
+FATAL = ("ERROR", "FAILURE")
+BULLET_ONLY = ("unknown geometry type 'capsule'", "could not parse visual element", "could not parse collision element")
+"""What ``check_urdf`` says of a capsule: that it is none of URDF's shapes, and of the element that has it."""
+
+Validator = Callable[[Path], list[str]]
+
+
+def main() -> int:
+    """Print the table."""
+    tools = {"omni_asset_validate": os.environ.get(OMNI) or shutil.which("omni_asset_validate")}
+    tools["check_urdf"] = shutil.which("check_urdf")
+    for name in (name for name, place in tools.items() if place is None):
+        print(f"{name} is not here: {INSTALL[name]}")
+    omni, checker = tools["omni_asset_validate"], tools["check_urdf"]
+    validators: dict[str, tuple[Validator | None, str]] = {
+        "UsdValidation": (usd_errors, ".usda"),
+        "asset validator": (None if omni is None else lambda file: omni_errors(omni, file), ".usda"),
+        "check_urdf": (None if checker is None else lambda file: urdf_errors(checker, file), ".urdf"),
+        "MuJoCo": (mujoco_warnings, ".xml"),
+    }
+    print(f"{'scene':<18}" + "".join(f"{name + ' (files)':>24}" for name in validators))
+    failures: list[str] = []
+    seen: set[tuple[str, ...]] = set()
+    with tempfile.TemporaryDirectory() as folder:
+        for path in (write_everything(Path(folder), *LIGHTS, "background_mesh"), DESK, *SCENES):
+            with tempfile.TemporaryDirectory() as build:
+                robots = built(path, Path(build))
+                heavy = bool(robots) and robots in seen
+                seen.add(robots)
+                cells = []
+                for name, (validator, suffix) in validators.items():
+                    files = sorted(file for file in Path(build).rglob(f"*{suffix}") if is_ours(file, Path(build)))
+                    if name == "asset validator":
+                        files = [file for file in files if not (robots and file.name == "environment.usda")]
+                        files = [file for file in files if not (heavy and file.name == "scene.usda")]
+                    cells.append(_run(validator, files, Path(build), failures, f"{name_of(path)}: {name}"))
+            print(f"{name_of(path):<18}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
+    print("\n".join(failures) or "no error")
+    return 1 if failures or None in tools.values() else 0
+
+
+def _run(validator: Validator | None, files: Iterable[Path], build: Path, failures: list[str], what: str) -> str:
+    if validator is None:
+        return "not here"
+    found = [f"{what}: {file.relative_to(build)}: {error}" for file in files for error in validator(file)]
+    failures += found
+    return f"{len(found)} ({len(list(files))})"
+
+
+def built(path: Path, folder: Path) -> tuple[str, ...]:
+    """Compile a scene for all targets; returns the robots that were compiled with it, by the files of their models."""
+    scene = lower_file(path)
+    for name in TARGETS:
+        compile_target(scene, find_target(name)).write(folder / name)
+    return tuple(sorted({str(model.file) for robot in scene.robots for model in robot.models.values()}))
+
+
+def is_ours(file: Path, build: Path) -> bool:
+    """Whether a file was written, and not copied with the model of a robot; of MJCF the scene only."""
+    inside = file.relative_to(build).parts[1:]
+    return "robots" not in inside and (file.suffix != ".xml" or file.name == "scene.xml")
+
+
+def usd_errors(file: Path) -> list[str]:
+    """What all registered validators of USD say of a stage."""
+    from pxr import Usd, UsdValidation
+
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(file)))
+    return [str(error.GetErrorAsString()) for error in errors]
+
+
+def omni_errors(tool: str, file: Path) -> list[str]:
+    """Errors and failures that NVIDIA's asset validator finds; its warnings are not among them."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "report.json"
+        # A Python path that is ours would give it another USD than its own.
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        command = [tool, "--json-output", str(report), str(file)]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+        if not report.is_file():
+            return [f"it ends with {done.returncode}: {done.stderr[-300:]}"]
+        rules = json.loads(report.read_text(encoding="utf-8"))["rules"]
+    if not rules and "Errors: 0" not in done.stdout + done.stderr:
+        return [f"it could not read the file: {done.stderr[-300:]}"]
+    issues = [issue for rule in rules for issue in rule["issues"]]
+    return [f"{i['rule']['name']}: {i['message']}" for i in issues if i["severity"] in FATAL]
+
+
+def urdf_errors(tool: str, file: Path) -> list[str]:
+    """What ``check_urdf`` says against a URDF; of files for PyBullet not what it says of capsules."""
+    done = subprocess.run([tool, str(file)], capture_output=True, text=True, check=False)
+    said = [line.strip() for line in (done.stdout + done.stderr).splitlines()]
+    bad = [line for line in said if line.lower().startswith(("error", "warning"))]
+    if file.parent.name == "pybullet" and "<capsule" in file.read_text(encoding="utf-8"):
+        bad = [line for line in bad if not any(word in line.lower() for word in BULLET_ONLY)]
+    return bad + ([f"exit code {done.returncode}"] if done.returncode else [])
+
+
+def mujoco_warnings(file: Path) -> list[str]:
+    """What MuJoCo warns of when it loads a file and steps it for one second from its keyframe."""
+    import mujoco
+
+    said: list[str] = []
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        model = mujoco.MjModel.from_xml_path(str(file))
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        for _ in range(round(1 / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mju_user_warning(None)
+    counted = [f"{mujoco.mjtWarning(k).name} {w.number} times" for k, w in enumerate(data.warning) if w.number]
+    return said + counted
+
+
+if __name__ == "__main__":
+    sys.exit(main())
