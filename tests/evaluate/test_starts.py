@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -174,3 +175,10 @@ def test_what_an_object_is_dealt_does_not_depend_on_the_others() -> None:
     both, one = Reset(objects={"a": region, "b": region}), Reset(objects={"b": region})
     assert deal(both, 3, 0)["b"] == deal(one, 3, 0)["b"] != deal(both, 3, 0)["a"]
     assert deal(one, 3, 0)["b"] != deal(one, 3, 1)["b"] != deal(one, 4, 1)["b"]
+
+
+def test_the_page_about_rollouts_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (REPOSITORY / "docs" / "rollouts.md").read_text()
+    monkeypatch.chdir(REPOSITORY)
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    exec(compile(block, "docs/rollouts.md", "exec"), {})
