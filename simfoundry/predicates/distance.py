@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from simfoundry.predicates.boxfield import box_field
 from simfoundry.predicates.batch import Index, Poses, rotate
+from simfoundry.predicates.boxfield import box_field
 from simfoundry.predicates.exact import Candidates, Exact
 from simfoundry.predicates.shapes import Bodies, Form, Thing
 from simfoundry.predicates.view import View

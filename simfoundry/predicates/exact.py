@@ -15,7 +15,7 @@ from simfoundry.scene.model import Scene
 
 
 class Candidates(NamedTuple):
-    """Pairs of parts, (m,): the state, the index of a part in either link, and a distance [m] that they have at least."""
+    """Pairs of parts, (m,): the state, the index of a part in either link, and a least distance [m] of the two."""
 
     state: Index
     one: Index

@@ -16,8 +16,8 @@ _SIDE = "its middle is beyond the edge of the other, and the other's beyond its 
 _OVER = "the middle of one is over or under the outline of the other"
 MEANING = {
     "OnTop": (
-        f"`a` is at most {at.RESTING * 1000:g} mm from `b`; its middle is over the outline of `b`; its lowest point is more "
-        f"than {at.HIGHER * 1000:g} mm higher than that of `b`; {_SETTLED}. What lies in a bowl rests on it too",
+        f"`a` is at most {at.RESTING * 1000:g} mm from `b`; its middle is over the outline of `b`; its lowest point is "
+        f"more than {at.HIGHER * 1000:g} mm higher than that of `b`; {_SETTLED}. What lies in a bowl rests on it too",
         "m",
     ),
     "Inside": (
@@ -28,16 +28,16 @@ MEANING = {
     "Under": ("`Above(b, a)`", "m"),
     "Above": (f"the middle of `a` is higher than all of `b`; {_OVER}; held or not", "m"),
     "NextTo": (
-        "their gap along the ground is at most a sixth of the sum of their mean extents; they share a height; neither is "
-        "over the other",
+        "their gap along the ground is at most a sixth of the sum of their mean extents; they share a height; neither "
+        "is over the other",
         "m",
     ),
     "Touching": (f"their surfaces are at most {at.TOUCH * 1000:g} mm apart", "m"),
-    **{name: (_SIDE, "m") for name in ("LeftOf", "RightOf", "InFrontOf", "Behind")},
+    **dict.fromkeys(("LeftOf", "RightOf", "InFrontOf", "Behind"), (_SIDE, "m")),
     "At": (f"the frame of `a` is at most {at.AT * 100:g} cm from the point; without z, along the ground", "m"),
     "Open": (
-        f"the joint is more than {at.OPEN_SHARE:.0%} of its range from its closed end; of an object, every joint that has "
-        "limits. The closed end is zero, or the limit nearest to zero",
+        f"the joint is more than {at.OPEN_SHARE:.0%} of its range from its closed end; of an object, every joint that "
+        "has limits. The closed end is zero, or the limit nearest to zero",
         "m or rad",
     ),
     "Closed": ("the joint is nearer to its closed end than that; of an object, every joint", "m or rad"),
@@ -48,8 +48,8 @@ MEANING = {
         "m",
     ),
     "Grasped": (
-        f"both sides of one gripper are at most {at.TOUCH * 1000:g} mm from it, and moving either {at.PRESS * 1000:g} mm "
-        f"towards the other brings it nearer, or deeper in, by {at.PRESS * 500:g} mm",
+        f"both sides of one gripper are at most {at.TOUCH * 1000:g} mm from it, and moving either {at.PRESS * 1000:g} "
+        f"mm towards the other brings it nearer, or deeper in, by {at.PRESS * 500:g} mm",
         "m",
     ),
     "Released": (

@@ -9,10 +9,7 @@ bounds seldom decide. `apart` is the same with the things where rollouts mostly 
 from __future__ import annotations
 
 import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -24,6 +21,14 @@ from tests.predicates.random_states import CASES, Case, random_batch, scene
 
 ROOM = 0.5
 """How far apart [m] things are at most, along each axis, in the states of a rollout."""
+
+
+def _one_core() -> None:
+    """Start again with linear algebra on one core, which must be said before it is loaded."""
+    threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    if any(os.environ.get(name) != value for name, value in threads.items()):
+        command = [sys.executable, "-m", "tests.benchmarks.predicates", *sys.argv[1:]]
+        sys.exit(subprocess.run(command, env=os.environ | threads).returncode)
 
 
 def rate(judge: Judge, condition: str, batch: StateBatch) -> tuple[float, float]:
@@ -61,4 +66,5 @@ def main(n: int) -> None:
 
 
 if __name__ == "__main__":
+    _one_core()
     main(int(sys.argv[1]) if len(sys.argv) > 1 else 8192)

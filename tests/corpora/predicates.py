@@ -81,7 +81,10 @@ def moved(case: Case, batch: StateBatch, rng: np.random.Generator) -> tuple[Scen
     viewer = X if lowered.viewer is None else X @ lowered.viewer
     objects = tuple(replace(o, X_WO=X @ o.X_WO) for o in lowered.objects)
     robots = tuple(replace(r, X_WB=X @ r.X_WB) for r in lowered.robots)
-    there = {n: Poses(X.p + rotate(np.broadcast_to(X.rotation, x.R.shape), x.p), X.rotation @ x.R) for n, x in batch.poses.items()}  # fmt: skip
+    there = {
+        name: Poses(X.p + rotate(np.broadcast_to(X.rotation, x.R.shape), x.p), X.rotation @ x.R)
+        for name, x in batch.poses.items()
+    }
     call = parse_call(case.condition)
     if call.predicate == "At":
         p = X.apply(np.array([float(v) for v in call.args[1:]]))
@@ -117,9 +120,10 @@ def main(n: int) -> int:
             for key, value in vars(one).items():
                 setattr(total, key, getattr(total, key) + value)
         failed += not total.passed
-        row = (total.states, total.true, total.states - total.true, total.clear, total.differ, total.differ_clear, total.moved, total.moved_clear)  # fmt: skip
-        widths = (8, 7, 7, 7, 8, 7, 7, 7)
-        print(f"{name:11}" + "".join(f"{v:{w}}" for v, w in zip(row, widths, strict=True)) + ("" if total.passed else "  missed"), flush=True)  # fmt: skip
+        row = [total.states, total.true, total.states - total.true, total.clear]
+        row += [total.differ, total.differ_clear, total.moved, total.moved_clear]
+        text = "".join(f"{v:{w}}" for v, w in zip(row, (8, 7, 7, 7, 8, 7, 7, 7), strict=True))
+        print(f"{name:11}{text}{'' if total.passed else '  missed'}", flush=True)
     return int(failed > 0)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -30,10 +30,17 @@ def posed(x: float, y: float, z: float, roll: float = 0.0, pitch: float = 0.0, y
     return Pose.of([x, y, z], quat_from_rpy(roll, pitch, yaw))
 
 
-def changed(state: SceneState, joints: dict[str, float] | None = None, speeds: dict[str, float] | None = None, **poses: Pose) -> SceneState:  # fmt: skip
+def changed(
+    state: SceneState,
+    joints: dict[str, float] | None = None,
+    speeds: dict[str, float] | None = None,
+    *,
+    poses: Mapping[str, Pose] | None = None,
+    **more: Pose,
+) -> SceneState:
     """The state with other poses, joints or speeds."""
     return SceneState.of(
-        {**state.poses, **poses},
+        {**state.poses, **(poses or {}), **more},
         {**state.joints, **(joints or {})},
         state.motions,
         state.robots,
@@ -49,7 +56,7 @@ class Setting:
 
     def margin(self, condition: str, **change: Pose) -> float:
         """The margin after a change of poses."""
-        return self.judge(condition, changed(self.start, **change)).margin
+        return self.judge(condition, changed(self.start, poses=change)).margin
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -39,38 +38,46 @@ class Case:
     joints: tuple[tuple[str, float, float], ...] = ()
 
 
-CUP = Case("cup_in_bowl", "", "cup", "bowl", (-0.1, 0.1), (-0.1, 0.1), (0.0, 0.08))
-SIDE = Case("marker_in_cup", "", "marker", "cup", (-0.25, 0.25), (-0.25, 0.25), (0.0, 0.1))
+DRAWER = ("cabinet.drawer", 0.0, 0.04)
+LID = ("trash_can.lid", 0.0, 0.5)
 CABINET = (("cabinet.drawer", 0.0, 0.16), ("cabinet.bottom_drawer", 0.0, 0.05))
-HAND = Case("panda", "", "cube", "arm", (-0.015, 0.015), (-0.03, 0.03), (0.07, 0.125), 0.7)
 
 CASES = {
     "OnTop": (
         Case("cup_in_bowl", "OnTop(cup, bowl)", "cup", "bowl", (-0.05, 0.05), (-0.05, 0.05), (0.0, 0.02), 0.9),
-        Case("serve_fruits", "OnTop(apple, green_plate)", "apple", "green_plate", (-0.09, 0.09), (-0.09, 0.09), (0.0, 0.02)),
+        Case("serve_fruits", "OnTop(apple, green_plate)", "apple", "green_plate", (-0.09, 0.09),
+             (-0.09, 0.09), (0.0, 0.02)),
         Case("cup_in_bowl", "OnTop(cup, desk)", "cup", "desk", (-0.6, 0.6), (-0.7, 0.7), (0.016, 0.026), 1.0),
     ),
     "Inside": (
         Case("marker_in_cup", "Inside(marker, cup)", "marker", "cup", (-0.02, 0.02), (-0.02, 0.02), (0.02, 0.13), 0.0),
-        CUP.__class__("cup_in_bowl", "Inside(cup, bowl)", "cup", "bowl", (-0.06, 0.06), (-0.06, 0.06), (-0.02, 0.04)),
-        Case("throw_away_trash", "Inside(cup, trash_can)", "cup", "trash_can", (-0.08, 0.08), (-0.08, 0.08), (-0.08, 0.2)),
-        Case("store_marker", "Inside(marker, cabinet.drawer)", "marker", "cabinet", (-0.05, 0.25), (-0.12, 0.12), (0.08, 0.2), 0.5, CABINET),
+        Case("cup_in_bowl", "Inside(cup, bowl)", "cup", "bowl", (-0.06, 0.06), (-0.06, 0.06), (-0.02, 0.04)),
+        Case("throw_away_trash", "Inside(cup, trash_can)", "cup", "trash_can", (-0.08, 0.08), (-0.08, 0.08),
+             (-0.08, 0.2)),
+        Case("store_marker", "Inside(marker, cabinet.drawer)", "marker", "cabinet", (-0.05, 0.25),
+             (-0.12, 0.12), (0.08, 0.2), 0.5, CABINET),
     ),
     "Under": (Case("cup_in_bowl", "Under(bowl, cup)", "cup", "bowl", (-0.1, 0.1), (-0.1, 0.1), (0.0, 0.15)),),
     "Above": (Case("cup_in_bowl", "Above(cup, bowl)", "cup", "bowl", (-0.1, 0.1), (-0.1, 0.1), (0.0, 0.15)),),
     "NextTo": (Case("cup_in_bowl", "NextTo(cup, bowl)", "cup", "bowl", (-0.17, 0.17), (-0.17, 0.17), (-0.05, 0.05)),),
     "Touching": (
         Case("cup_in_bowl", "Touching(cup, bowl)", "cup", "bowl", (-0.12, 0.12), (-0.12, 0.12), (-0.05, 0.12)),
-        Case("store_marker", "Touching(marker, cabinet)", "marker", "cabinet", (-0.1, 0.3), (-0.17, 0.17), (-0.02, 0.25), 0.5, CABINET),
+        Case("store_marker", "Touching(marker, cabinet)", "marker", "cabinet", (-0.1, 0.3), (-0.17, 0.17),
+             (-0.02, 0.25), 0.5, CABINET),
         Case("panda", "Touching(arm, cube)", "cube", "arm", (-0.05, 0.05), (-0.08, 0.08), (0.02, 0.16)),
     ),
-    "LeftOf": (Case("marker_in_cup", "LeftOf(marker, cup)", "marker", "cup", (-0.25, 0.25), (-0.25, 0.25), (0.0, 0.1)),),
-    "RightOf": (Case("marker_in_cup", "RightOf(marker, cup)", "marker", "cup", (-0.25, 0.25), (-0.25, 0.25), (0.0, 0.1)),),
-    "InFrontOf": (Case("store_marker", "InFrontOf(marker, cabinet.drawer)", "marker", "cabinet", (-0.5, 0.5), (-0.3, 0.3), (0, 0), 0.5, CABINET),),
-    "Behind": (Case("store_marker", "Behind(marker, cabinet)", "marker", "cabinet", (-0.5, 0.5), (-0.3, 0.3), (0, 0), 0.5, CABINET),),
-    "At": (Case("marker_in_cup", "At(cup, 0.52, -0.12, 0.0)", "cup", "desk", (0.15, 0.19), (-0.14, -0.10), (0.01, 0.03)),),
-    "Open": (Case("store_marker", "Open(cabinet.drawer)", "marker", "cabinet", joints=(("cabinet.drawer", 0.0, 0.04),)),),
-    "Closed": (Case("throw_away_trash", "Closed(trash_can)", "cup", "trash_can", joints=(("trash_can.lid", 0.0, 0.5),)),),
+    "LeftOf": (Case("marker_in_cup", "LeftOf(marker, cup)", "marker", "cup", (-0.25, 0.25), (-0.25, 0.25),
+             (0.0, 0.1)),),
+    "RightOf": (Case("marker_in_cup", "RightOf(marker, cup)", "marker", "cup", (-0.25, 0.25), (-0.25, 0.25),
+             (0.0, 0.1)),),
+    "InFrontOf": (Case("store_marker", "InFrontOf(marker, cabinet.drawer)", "marker", "cabinet", (-0.5, 0.5),
+             (-0.3, 0.3), (0, 0), 0.5, CABINET),),
+    "Behind": (Case("store_marker", "Behind(marker, cabinet)", "marker", "cabinet", (-0.5, 0.5), (-0.3, 0.3),
+             (0, 0), 0.5, CABINET),),
+    "At": (Case("marker_in_cup", "At(cup, 0.52, -0.12, 0.0)", "cup", "desk", (0.15, 0.19), (-0.14, -0.10),
+             (0.01, 0.03)),),
+    "Open": (Case("store_marker", "Open(cabinet.drawer)", "marker", "cabinet", joints=(DRAWER,)),),
+    "Closed": (Case("throw_away_trash", "Closed(trash_can)", "cup", "trash_can", joints=(LID,)),),
     "Upright": (Case("marker_in_cup", "Upright(cup)", "cup", "desk", z=(0.1, 0.2), upright=0.5),),
     "Lifted": (Case("marker_in_cup", "Lifted(cup)", "cup", "marker", (-0.1, 0.1), (-0.1, 0.1), (-0.01, 0.08)),),
     "Grasped": (Case("panda", "Grasped(cube)", "cube", "arm", (-0.015, 0.015), (-0.012, 0.012), (0.085, 0.125), 0.8),),
@@ -109,10 +116,10 @@ def random_batch(case: Case, n: int, rng: np.random.Generator) -> StateBatch:
     """``n`` states of a case."""
     lowered = scene(case.scene)
     joints = {name: rng.uniform(low, high, n) for name, low, high in case.joints}
-    offset = np.stack([rng.uniform(*span, n) if span[0] < span[1] else np.full(n, span[0]) for span in (case.x, case.y, case.z)], axis=1)  # fmt: skip
+    offset = np.stack([rng.uniform(*span, n) for span in (case.x, case.y, case.z)], axis=1)
     turn = _turns(n, case.upright, rng)
     if case.b == "arm":
-        return _in_hand(lowered, case, offset, turn, rng)
+        return _in_hand(lowered, offset, turn, rng)
     b = lowered.object(case.b)
     if b.fixed:
         X_WB = Poses.constant(b.X_WO, n)
@@ -125,7 +132,7 @@ def random_batch(case: Case, n: int, rng: np.random.Generator) -> StateBatch:
     )
 
 
-def _in_hand(lowered: Scene, case: Case, offset: Array, turn: Array, rng: np.random.Generator) -> StateBatch:
+def _in_hand(lowered: Scene, offset: Array, turn: Array, rng: np.random.Generator) -> StateBatch:
     """The cube about the hand of an arm in random positions, its fingers about as wide as the cube."""
     from simfoundry.backends.robot_object import as_object
     from simfoundry.backends.robots import mujoco_model, read_robot
@@ -176,6 +183,3 @@ def states(batch: StateBatch) -> list[SceneState]:
         joints = {name: float(v[k]) for name, v in batch.joints.items()}
         out.append(SceneState.of({name: x[k] for name, x in poses.items()}, joints, None, robots))
     return out
-
-
-Measure = Callable[[StateBatch], Array]

@@ -16,7 +16,7 @@ Found = Callable[[str], Setting]
 
 
 def judged(one: Setting, condition: str, joints: dict[str, float] | None = None, **poses: Pose) -> bool:
-    verdict = one.judge(condition, changed(one.start, joints, **poses))
+    verdict = one.judge(condition, changed(one.start, joints, poses=poses))
     assert verdict.value is (verdict.margin > 0)
     assert verdict.why
     return verdict.value

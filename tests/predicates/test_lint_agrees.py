@@ -25,7 +25,10 @@ SHAPES = {
     "pen": "shape: {capsule: {radius: 0.008, height: 0.12}}",
 }
 NAMES = (*SHAPES, "desk")
-EYE = "cameras: {eye: {size: [64, 48], fx: 60, fy: 60, pose: {xyz: [-1, 0.7, 0.8], look_at: [0, 0, 0]}}}\nviewpoint: eye\n"
+EYE = """\
+cameras: {eye: {size: [64, 48], fx: 60, fy: 60, pose: {xyz: [-1, 0.7, 0.8], look_at: [0, 0, 0]}}}
+viewpoint: eye
+"""
 
 
 def random_scene(folder: Path, rng: np.random.Generator) -> Path:
@@ -34,7 +37,8 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
     for k, (name, shape) in enumerate(SHAPES.items()):
         x, y = rng.uniform(-0.12, 0.12, 2).round(3)
         if k and rng.random() < 0.25:
-            where = f"place: {{on: {rng.choice(['desk', 'bowl', 'box']) if name != 'box' else 'desk'}, at: [{x / 4:.3f}, {y / 4:.3f}]}}"
+            carrier = rng.choice(["desk", "bowl", "box"]) if name != "box" else "desk"
+            where = f"place: {{on: {carrier}, at: [{x / 4:.3f}, {y / 4:.3f}]}}"
         elif k and rng.random() < 0.15:
             where = f"place: {{inside: bowl, at: [{x / 20:.3f}, {y / 20:.3f}]}}"
         else:

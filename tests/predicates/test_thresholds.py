@@ -50,7 +50,11 @@ def test_what_moves_is_not_settled(boxes: Setting, condition: str) -> None:
 def test_what_moves_is_not_inside(setting: Callable[[str], Setting]) -> None:
     cups = setting("cup_in_bowl")
     x, y, z = cups.start.poses["bowl"].p
-    inside = lambda v: cups.judge("Inside(cup, bowl)", changed(cups.start, cup=posed(x, y, z + 0.008), speeds={"cup": v})).value  # noqa: E731  # fmt: skip
+
+    def inside(speed: float) -> bool:
+        state = changed(cups.start, cup=posed(x, y, z + 0.01), speeds={"cup": speed})
+        return cups.judge("Inside(cup, bowl)", state).value
+
     crosses(inside, at.SETTLED, STEP, True)
 
 
