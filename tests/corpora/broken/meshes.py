@@ -32,7 +32,8 @@ def written(mesh: trimesh.Trimesh, form: str) -> bytes:
     """The bytes of a mesh in a format."""
     if form == "obj":
         return obj(mesh.vertices, mesh.faces).encode()
-    data = mesh.export(file_type=form)
+    with np.errstate(all="ignore"):  # of numbers that are none
+        data = mesh.export(file_type=form)
     return data.encode() if isinstance(data, str) else bytes(data)
 
 
