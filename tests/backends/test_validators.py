@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -12,6 +13,9 @@ from simfoundry.backends import compile_scene
 from simfoundry.scene.lower import lower_file
 from tests.corpora.validators import INSTALL, mujoco_warnings, urdf_errors, usd_errors
 from tests.targets.everything import LIGHTS, write_everything
+
+if TYPE_CHECKING:
+    from pxr import Sdf
 
 LONGEST = 64
 """Values in an array above which NVIDIA's asset validator wants a crate."""
@@ -34,7 +38,7 @@ def test_text_layers_hold_no_long_arrays(build: Path) -> None:
     def visit(path: Sdf.Path) -> None:
         nonlocal longest
         if path.IsPropertyPath():
-            value = getattr(layer.GetAttributeAtPath(path), "default", None)
+            value: Any = getattr(layer.GetAttributeAtPath(path), "default", None)
             longest = max(longest, len(value) if type(value).__name__.endswith("Array") else 0)
 
     texts = list((build / "usd").rglob("*.usda"))
