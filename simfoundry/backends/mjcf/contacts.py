@@ -21,7 +21,7 @@ from simfoundry.scene.model import (
 from simfoundry.scene.touching import silent_pairs
 
 _CONTACT_TIME = 0.02
-"""Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table and
+"""Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table,
 not 4, but below 0.012 a can on its side rolls away."""
 
 CRITICAL_REBOUND = math.exp(-2)
