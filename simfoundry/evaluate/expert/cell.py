@@ -16,7 +16,7 @@ from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
-FAR = 0.02
+FAR = 0.03
 """How far apart things are when they are still looked at [m]."""
 
 
@@ -103,12 +103,14 @@ class Cell:
         data.geom_xmat[geoms] = (R @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
         mujoco.mj_collision(self._model, data)
         contact = data.contact
-        for k in np.flatnonzero(contact.dist[: data.ncon] < gap):
+        for k in np.flatnonzero(contact.dist[: data.ncon] < max(gap, 0.0)):
             pair = [int(g) for g in contact.geom[k]]
             owners = {str(self._owner[g]) for g in pair}
             if len(owners) < 2 or ignore in owners or owners == {robot, held}:
                 continue
-            if held in owners or any(g in self._hand_geoms[robot] for g in pair):
+            if held in owners and contact.dist[k] < 0.0:
+                return True
+            if held not in owners and any(g in self._hand_geoms[robot] for g in pair):
                 return True
         return False
 

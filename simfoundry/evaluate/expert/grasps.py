@@ -67,14 +67,20 @@ def _tilted(tilt: float, angle: float) -> Array:
     return np.array([math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), -math.cos(tilt)])
 
 
-def rotations(approach: Array) -> Iterator[Array]:
-    """Rotations of the hand whose z is ``approach``, with closing directions y all around."""
+def rotations(shape: Solid, approach: Array) -> Iterator[Array]:
+    """Rotations of the hand whose z is ``approach``, with closing directions y all around.
+
+    They start from the direction in which the shape is longest, seen along the approach: what is long is taken across.
+    """
     side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     side = np.cross(approach, side)
     side /= np.linalg.norm(side)
     other = np.cross(approach, side)
+    flat = shape.corners @ np.column_stack([side, other])
+    _, axes = np.linalg.eigh(np.cov(flat.T))
+    start = math.atan2(axes[1, 1], axes[0, 1])
     for k in range(YAWS):
-        angle = k * math.pi / YAWS
+        angle = start + k * math.pi / YAWS
         y = math.cos(angle) * side + math.sin(angle) * other
         yield np.column_stack([np.cross(y, approach), y, approach])
 
@@ -83,7 +89,7 @@ def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> 
     """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
     found: list[Grasp] = []
     for approach in approaches:
-        for R in rotations(approach):
+        for R in rotations(shape, approach):
             found += _along(shape, center, jaws, R)
     flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
     both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]

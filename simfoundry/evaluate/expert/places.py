@@ -35,7 +35,7 @@ ENOUGH = 60
 LONG = 1.8
 """A thing is long whose greatest extent is this many times its next: it may also stand on its end."""
 
-LEANS = (0.0, 0.35, 0.7)
+LEANS = (0.0, 0.3, 0.6)
 """How far a long thing may lean [rad] when it goes into a hollow."""
 
 
