@@ -21,7 +21,7 @@ ACROSS, ALONG = 17, 12
 SPACING, FINE = 0.006, 0.0025
 """Least distance between lines across the hand, and along its approach [m]."""
 
-MOST = 600
+MOST = 300
 """The best so many are enough to choose from."""
 
 FACING = 0.92
@@ -105,7 +105,9 @@ def _along(shape: Solid, center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]
     y = (low[1] + high[1]) / 2
     starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R.T
     lines = crossings(shape, starts, R[:, 1])
-    spans = [[_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))]
+    spans = [
+        [_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))
+    ]
     tilt = math.acos(min(1.0, max(-1.0, -float(R[2, 2]))))
     for i in range(len(across)):
         for j in range(len(along)):

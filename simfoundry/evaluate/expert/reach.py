@@ -116,9 +116,7 @@ def _straight(a: Array, b: Array, free: object) -> bool:
     return all(free(a + (b - a) * k / count) for k in range(1, count + 1))  # type: ignore[operator]
 
 
-def _search(
-    start: Array, goal: Array, free: object, low: Array, high: Array, rng: np.random.Generator
-) -> Path | None:
+def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
     """Rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
     trees = ([start], [goal])
     parents: tuple[list[int], list[int]] = ([-1], [-1])
