@@ -94,13 +94,13 @@ class Cell:
         bodies, geoms, frame = self._hands[robot]
         link = Pose.of(data.xpos[bodies[0]], data.xquat[bodies[0]])
         moved = X_WH @ (link @ frame).inverse()
-        R = moved.rotation
+        turn = moved.rotation
         for points in (data.xpos, data.xipos):
-            points[bodies] = points[bodies] @ R.T + moved.p
+            points[bodies] = points[bodies] @ turn.T + moved.p
         for turns in (data.xmat, data.ximat):
-            turns[bodies] = (R @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
-        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ R.T + moved.p
-        data.geom_xmat[geoms] = (R @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
+            turns[bodies] = (turn @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
+        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ turn.T + moved.p
+        data.geom_xmat[geoms] = (turn @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
         mujoco.mj_collision(self._model, data)
         contact = data.contact
         for k in np.flatnonzero(contact.dist[: data.ncon] < max(gap, 0.0)):
@@ -139,9 +139,9 @@ class Cell:
             a, b = (int(g) for g in contact.geom[k])
             first, second = self._owner[a], self._owner[b]
             if first == second:
-                if first in self._robots and first in mine and (min(a, b), max(a, b)) not in self._own:
-                    if contact.dist[k] < 0:
-                        return f"{first} itself"
+                known = (min(a, b), max(a, b)) in self._own
+                if first in self._robots and first in mine and not known and contact.dist[k] < 0:
+                    return f"{first} itself"
                 continue
             if first in mine and second not in passed:
                 return str(second)

@@ -35,7 +35,7 @@ RELEASE = 0.012
 """How far each finger opens to let go [m]."""
 
 SPARE = 0.012
-"""How far the hand stays from everything at a place that is chosen before the thing is grasped: it may slip a little."""
+"""How far the hand stays from everything at a place chosen before the thing is grasped [m]: it may slip a little."""
 
 TRIES, CHECKED = 60, 6
 """How many grasps for which there is room, and how many places for each, are tried with the arm."""
@@ -81,7 +81,7 @@ def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) ->
 
 
 def firmly(reach: Reach, width: float) -> float:
-    """The share to close by so as to hold what is ``width`` [m] wide: all the force there is would squash light things."""
+    """The share to close by so as to hold what is ``width`` [m] wide: all the force there is squashes light things."""
     return min(1.0, reach.jaws.at_width(width)[0] + SQUEEZE)
 
 
@@ -169,8 +169,8 @@ def _can_put(reach: Reach, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -
     return reach.arm.solve(_over(X_WH, ABOVE), posture) is not None
 
 
-def _over(X: Pose, height: float) -> Pose:
-    return Pose.of(X.p + np.array([0.0, 0.0, height]), X.q)
+def _over(pose: Pose, height: float) -> Pose:
+    return Pose.of(pose.p + np.array([0.0, 0.0, height]), pose.q)
 
 
 def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:

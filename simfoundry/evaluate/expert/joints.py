@@ -102,7 +102,9 @@ def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal:
     level /= max(float(np.linalg.norm(level)), 1e-9)
     slanted = [math.cos(t) * level - math.sin(t) * np.array([0.0, 0.0, 1.0]) for t in (0.0, 0.4, 0.8, 1.2)]
     tried = 0
-    for grasp in grasps(shape, handle, reach.jaws, [*slanted, *down()]):
+    outermost = float(along.max()) - OUTER
+    grip = solid(item, state, [joint.child], lambda corners: float((corners @ front).max()) > outermost)
+    for grasp in grasps(grip, handle, reach.jaws, [*slanted, *down()]):
         reach.cell.pose(robot, reach.arm.home, grasp.open)
         if reach.cell.hand_clash(robot, grasp.X_WH, gap=0.001):
             continue

@@ -83,7 +83,7 @@ def _places(scene: Scene, state: SceneState, name: str, target: str, inside: boo
         for spot, off in _spots(part, X_WC, inside)
     ]
     for cost, k, spot in sorted(tried, key=lambda t: t[0])[:LOOKED_AT]:
-        R, _, shape = turned[k]
+        X_turn, _, shape = turned[k]
         at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
         held = shape.moved(at)
         lift = _rest(held, whole, number)
@@ -94,7 +94,7 @@ def _places(scene: Scene, state: SceneState, name: str, target: str, inside: boo
             continue
         if any(float(heights(held, other).max()) > lift for other in others):
             continue
-        yield PlaceAt(Pose.of(at + [0.0, 0.0, lift], R.q), cost)
+        yield PlaceAt(Pose.of(at + lift * UP, X_turn.q), cost)
 
 
 def _walled(walls: Solid, foot: Array) -> bool:
