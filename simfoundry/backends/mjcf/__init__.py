@@ -68,7 +68,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     add_texts(root, scene)
     lost: list[Loss] = []
     for robot in scene.robots:
-        read = add_robot(root, robot, assets)
+        read = add_robot(root, robot, assets, timestep)
         if read is None:
             reason = "it has no model in MJCF or URDF, and USD is not converted"
             lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
