@@ -1,7 +1,7 @@
 """Work in processes of their own, so that a crash, a hang or a flood of memory in a native library is an answer.
 
-A :class:`Worker` calls functions of modules by name. Its process starts with the first call, serves many, and is started
-anew after it has failed. What a function prints goes to a log, of which the last line is told where it fails.
+A :class:`Worker` calls functions of modules by name. Its process starts with the first call, serves many, and is
+started anew after it has failed. What a function prints goes to a log, of which the last line is told where it fails.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import IO, Any
 
 from simfoundry.errors import SimfoundryError
@@ -54,7 +55,7 @@ class Worker:
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._log: IO[bytes] | None = None
 
-    def call(self, function: str, *arguments: Any, hear: Callable[[str], None] = lambda said: None) -> Any:
+    def call(self, function: str, *arguments: Any, hear: Callable[[str], object] = lambda said: None) -> Any:
         """What ``module:function`` gives for ``arguments``; ``hear`` gets what it says with :func:`say`.
 
         Raises :class:`FailedError` where it raises anything, crashes, or exceeds the limits.
@@ -114,9 +115,9 @@ class Worker:
         raise FailedError(how, last)
 
     def _start(self) -> None:
-        path = os.pathsep.join(dict.fromkeys(os.path.abspath(p) for p in sys.path))  # "" is the current folder
+        path = os.pathsep.join(dict.fromkeys(str(Path(p).absolute()) for p in sys.path))  # "" is the current folder
         limits = [str(os.getpid()), str(self.limits.memory)]
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115: it lives as long as the process
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
         self._answers = queue.SimpleQueue()
         self._owner = os.getpid()
         started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError] = queue.SimpleQueue()

@@ -16,7 +16,7 @@ BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 """What programs leave in a folder by the way; nobody misses it."""
 
 STALE_S = 3600.0
-"""Where the system does not tell whether the run that made a folder is alive: no run takes this long to fill one [s]."""
+"""No run takes this long to fill a folder [s]; it counts where the system does not tell whether that lives."""
 
 
 def write_atomically(path: Path, data: bytes) -> None:

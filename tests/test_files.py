@@ -109,7 +109,7 @@ def test_a_killed_process_leaves_nothing_to_the_next(tmp_path: Path) -> None:
     assert python(program, tmp_path / "out").code == -signal.SIGKILL
     assert len(list(tmp_path.glob(".out.new.*"))) == 1 and content(tmp_path / "out") == {"a": "old"}
     with staged(tmp_path / "out") as staging:
-        assert [p for p in tmp_path.glob(".out.new.*")] == [staging]
+        assert list(tmp_path.glob(".out.new.*")) == [staging]
         (staging / "a").write_text("new")
     assert content(tmp_path) == {"out/a": "new"}
 

@@ -178,7 +178,8 @@ def test_every_dependency_is_fixed_and_mujoco_is_not_the_faulty_one() -> None:
 
 def test_every_imported_library_is_a_dependency() -> None:
     named = {"cv2": "opencv-python-headless", "PIL": "pillow", "pxr": "usd-core", "yaml": "pyyaml", "zmq": "pyzmq"}
-    entries = [*PYPROJECT["project"]["dependencies"], *PYPROJECT["project"]["optional-dependencies"]["policies"]]
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    entries = [*PYPROJECT["project"]["dependencies"], *extras["policies"], *extras["gymnasium"]]
     needed = {re.split(r"[<>=!; ]", entry)[0].lower() for entry in entries}
     beside_engines = {"templates", "readers"}
     code = [path for path in (ROOT / "simfoundry").rglob("*.py") if not beside_engines & set(path.parts)]

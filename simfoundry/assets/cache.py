@@ -26,7 +26,7 @@ UNREAD_S = 24 * 3600.0
 
 @dataclass(frozen=True)
 class Cache:
-    """Bytes by key below ``folder``, at most ``most`` bytes in all; entries are written in one step and never change."""
+    """Bytes by key below ``folder``, at most ``most`` in all; entries are written in one step and never change."""
 
     folder: Path
     most: int = MAX_BYTES

@@ -33,7 +33,7 @@ def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
 
     try:
         corners = points[np.sort(ConvexHull(points).vertices)]
-    except QhullError:
+    except (QhullError, ValueError):  # the second where there are no points at all
         raise flat() from None
     if len(corners) > limit:
         corners = corners[_spread(corners, limit)]

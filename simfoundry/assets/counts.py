@@ -1,4 +1,4 @@
-"""How many triangles and points a mesh file says it has, from its head or its lines, before anything is made of them."""
+"""How many triangles and points a mesh file says it has, by its head or its lines, before it is read."""
 
 from __future__ import annotations
 

@@ -73,6 +73,9 @@ def mesh(vertices: Array, faces: NDArray[np.int32]) -> Solid:
 
 def combine(parts: list[tuple[float, Solid]]) -> tuple[float, Array, Array]:
     """Mass, centre of mass and inertia about it of parts, each with its density [kg/m^3]."""
+    if len(parts) == 1:  # its centre is its own, to the last digit
+        density, solid = parts[0]
+        return density * solid.volume, solid.com, density * solid.inertia
     mass = sum(d * s.volume for d, s in parts)
     com = sum((d * s.volume * s.com for d, s in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))

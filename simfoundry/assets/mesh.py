@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,9 @@ from simfoundry.assets.counts import check_counts
 from simfoundry.assets.faults import MAX_FACES, MeshError, implausible_size
 
 Array = NDArray[np.float64]
+
+MAX_PIXELS = 8192**2
+"""More pixels of a texture take a GiB and a minute, and no simulator shows them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +61,9 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
 
     check_counts(path)
     try:
-        scene = trimesh.load_scene(path, process=False)
-        meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+        with np.errstate(all="ignore"):  # of numbers that are none, which are found below
+            scene = trimesh.load_scene(path, process=False)
+            meshes = [m for m in scene.dump(concatenate=False) if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except Exception as error:  # trimesh lets every parser's own exceptions through
         reason = " ".join(str(error).split())[:120]
         raise MeshError("SF301", f"{path.name} cannot be read as a mesh: {reason}", "export it again") from None
@@ -68,19 +73,20 @@ def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> t
         raise MeshError("SF301", f"{path.name} has more than {MAX_FACES} triangles", "decimate it first")
     if any(m.faces.min() < 0 or m.faces.max() >= len(m.vertices) for m in meshes):
         raise MeshError("SF301", f"{path.name} has triangles whose corners do not exist", "export it again")
-    parts = tuple(_part(m, scale, path.suffix.lower() in (".glb", ".gltf")) for m in meshes)
+    parts = tuple(_part(path, m, scale) for m in meshes)
     _check_numbers(path.name, np.concatenate([p.vertices for p in parts]))
     return parts
 
 
-def _part(mesh: Any, scale: float | tuple[float, float, float], y_up: bool) -> MeshPart:
+def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> MeshPart:
+    y_up = path.suffix.lower() in (".glb", ".gltf")
     used, faces = np.unique(mesh.faces, return_inverse=True)  # stray points are no part of the surface
     if np.prod(np.broadcast_to(scale, 3)) < 0:
         faces = np.ascontiguousarray(faces.reshape(-1, 3)[:, ::-1])
     vertices = np.array(mesh.vertices, dtype=np.float64)[used] * np.asarray(scale)
     if y_up:
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
-    uv, texture, rgba = _appearance(mesh)
+    uv, texture, rgba = _appearance(path.name, mesh)
     if rgba is not None and y_up:  # glTF writes its colours linear, everything else means sRGB
         rgba = (_srgb(rgba[0]), _srgb(rgba[1]), _srgb(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
@@ -92,7 +98,7 @@ def _srgb(linear: float) -> float:
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
-def _appearance(mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
+def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, float, float, float] | None]:
     """Texture coordinates, PNG and colour of a trimesh mesh; a texture is multiplied by the colour."""
     visual = mesh.visual
     if visual.kind == "texture":
@@ -101,7 +107,7 @@ def _appearance(mesh: Any) -> tuple[Array | None, bytes | None, tuple[float, flo
         factor = getattr(material, "baseColorFactor", None)
         if image is not None and uv is not None:
             tint = None if factor is None else _rgba(np.asarray(factor))
-            return np.array(uv, dtype=np.float64)[:, :2], _png(image), tint
+            return np.array(uv, dtype=np.float64)[:, :2], _png(name, image), tint
         color = getattr(material, "diffuse", None) if factor is None else factor
         return None, None, None if color is None else _rgba(np.asarray(color))
     if visual.kind in ("vertex", "face"):
@@ -116,7 +122,12 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
     return values[0], values[1], values[2], values[3]
 
 
-def _png(image: Any) -> bytes:
+def _png(name: str, image: Any) -> bytes:
+    width, height = image.size
+    if width * height > MAX_PIXELS:
+        most = math.isqrt(MAX_PIXELS)
+        message = f"{name} has a texture of {width} x {height} pixels; at most {most} x {most} are read"
+        raise MeshError("SF301", message, "make the texture smaller")
     stream = io.BytesIO()
     image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB").save(stream, format="PNG")
     return stream.getvalue()

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+
 from simfoundry.files import staged
+from simfoundry.scene.frames import Array
 
 
 class Fidelity(StrEnum):
@@ -45,7 +48,7 @@ class Artifact:
     def manifest(self) -> bytes:
         """``manifest.json``: the target, its entry and the SHA-256 of every file."""
         hashes = {path: hashlib.sha256(data).hexdigest() for path, data in sorted(self.files.items())}
-        return _json({"target": self.target, "entry": self.entry, "files": hashes})
+        return json_text({"target": self.target, "entry": self.entry, "files": hashes})
 
     def write(self, folder: Path) -> None:
         """Write everything below ``folder``, replacing what was there in one step: a killed write leaves the old."""
@@ -56,8 +59,19 @@ class Artifact:
                 target.write_bytes(data)
 
 
-def _json(data: object) -> bytes:
-    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
+def json_text(data: Mapping[str, object]) -> bytes:
+    """A JSON file with a line for each key, and for each key of the mappings below it."""
+    return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
+
+
+def _entry(key: str, value: object) -> str:
+    if isinstance(value, Mapping) and value:
+        inside = ",\n".join([f"    {_line(name)}: {_line(item)}" for name, item in value.items()])
+        return f"{_line(key)}: {{\n{inside}\n  }}"
+    return f"{_line(key)}: {_line(value)}"
+
+
+_line = json.JSONEncoder(ensure_ascii=False).encode
 
 
 def number(value: float) -> str:
@@ -65,12 +79,9 @@ def number(value: float) -> str:
 
     What is smaller than any quantity of ours is zero: readers refuse the denormal numbers that rounding leaves.
     """
-    text = format(float(value) if abs(value) > 1e-100 else 0.0, ".12g")
-    return "0" if text == "-0" else text
+    return f"{value:.12g}" if abs(value) > 1e-100 else "0"
 
 
-def numbers(values: object) -> str:
-    """Space-separated :func:`number` of each value of an iterable or array, flattened."""
-    import numpy as np
-
-    return " ".join(number(v) for v in np.asarray(values, dtype=np.float64).ravel())
+def numbers(values: Array | Iterable[float]) -> str:
+    """Space-separated :func:`number` of each value, those of an array row by row."""
+    return " ".join([number(v) for v in (values.ravel().tolist() if isinstance(values, np.ndarray) else values)])

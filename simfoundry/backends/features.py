@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.scene.meshfile import has_texture
@@ -182,7 +183,7 @@ def feature_of(loss: Loss, scene: Scene) -> str:
     if any(part.path == loss.path for part in scene.left_out):
         return {"robots": "robots", "cameras": "mounted_cameras"}.get(owner, "")
     word = below[-1] if below else ""
-    item = next((o for o in scene.objects if o.name == owner), None)
+    item = scene.by_name.get(owner)
     if item is not None and word:
         joint = next((j for j in item.joints if j.name == below[0]), None)
         if joint is not None:
@@ -204,20 +205,36 @@ def fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
     A loss whose path names no single user is meant of them all.
     """
     found: dict[str, dict[str, Fidelity]] = {}
-    users = {name: list(feature.users(scene)) for name, feature in FEATURES.items()}
+    users = {name: _Users.of(feature.users(scene)) for name, feature in FEATURES.items()}
     for loss in losses:
         name = feature_of(loss, scene)
-        for user in _meant(loss, users.get(name, [])):
-            worst = found.setdefault(name, {})
+        worst = found.setdefault(name, {})
+        for user in users[name].meant(loss) if name in users else ():
             if worst.get(user) is not Fidelity.DROPPED:
                 worst[user] = loss.fidelity
-    return {name: dict(_count(using, found.get(name, {}))) for name, using in users.items() if using}
+    return {name: dict(_count(using.all, found.get(name, {}))) for name, using in users.items() if using.all}
 
 
-def _meant(loss: Loss, users: list[str]) -> list[str]:
-    near = [u for u in users if loss.path == u or loss.path.startswith(f"{u}.") or u.startswith(f"{loss.path}.")]
-    owner = loss.path.partition(".")[0]
-    return near or [u for u in users if u.partition(".")[0] == owner] or users
+class _Users(NamedTuple):
+    """The users of a feature, and by owner those of each."""
+
+    all: list[str]
+    of_owner: dict[str, list[str]]
+
+    @classmethod
+    def of(cls, users: Iterable[str]) -> _Users:
+        every = list(users)
+        of_owner: dict[str, list[str]] = {}
+        for user in every:
+            of_owner.setdefault(user.partition(".")[0], []).append(user)
+        return cls(every, of_owner)
+
+    def meant(self, loss: Loss) -> list[str]:
+        """Those that a loss is about: the nearest to its path, else all of its owner, else all."""
+        path = loss.path
+        near = self.of_owner.get(path.partition(".")[0], [])
+        nearest = [u for u in near if path == u or path.startswith(f"{u}.") or u.startswith(f"{path}.")]
+        return nearest or near or self.all
 
 
 def _count(users: list[str], worst: Mapping[str, Fidelity]) -> Iterator[tuple[str, int]]:

@@ -7,7 +7,6 @@ convex meshes that no setting removes; they are written smaller by that much, so
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
@@ -33,7 +32,7 @@ from simfoundry.backends.urdf import (
     urdf_files,
     whole,
 )
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
     Collider,
@@ -122,7 +121,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["background"] = BACKGROUND
     if between := _silent_between(scene, parts):
         world["no_contact"] = between
-    files["world.json"] = (json.dumps(world, indent=2) + "\n").encode()
+    files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
     return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep), *lost))
 
@@ -202,7 +201,7 @@ def _under_skin() -> Parts:
             if digest not in done:
                 done[digest] = inset_hull(geometry, SKIN) or geometry
             geometry = done[digest]
-        yield "", geometry, Pose.of()
+        yield "", geometry, IDENTITY
 
     return parts
 
@@ -325,7 +324,7 @@ def _number(value: float) -> float:
 
 
 def _numbers(values: Array) -> list[float]:
-    return [_number(v) for v in np.asarray(values).ravel()]
+    return [_number(v) for v in np.asarray(values).ravel().tolist()]
 
 
 def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
@@ -343,7 +342,10 @@ def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
         for link in item.links:
             yield from _surface_losses(item, link)
         if any(isinstance(collider.geometry, Mesh) for link in item.links for collider in link.colliders):
-            reason = "Bullet's skin rounds the edges of convex meshes by 1 mm, or thickens them where they are thinner"
+            reason = (
+                "Bullet's skin rounds the edges of convex meshes by 1 mm, sharp tips by more, "
+                "or thickens them where they are thinner"
+            )
             yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason)
         yield from joint_losses(item)
     yield from stiffness_losses(scene, timestep, implicit_damping=False)

@@ -9,19 +9,19 @@ Link, joint and collider names are the scene's own; the robot's name is the obje
 
 from __future__ import annotations
 
-import json
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers
 from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.backends.xmltext import DECLARATION, xml_text
+from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
     Background,
@@ -102,6 +102,7 @@ def compile_urdf(scene: Scene) -> Artifact:
     files = urdf_files(scene, dialect)
     poses = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
     lost: list[Loss] = []
+    converted: list[SceneObject] = []
     for robot in scene.robots:
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
         if found is None:
@@ -109,9 +110,13 @@ def compile_urdf(scene: Scene) -> Artifact:
             continue
         files |= found.files
         lost.extend(found.losses)
+        reason = "URDF has no motors, nor surfaces: nothing holds its joints until the simulator drives them"
+        lost.append(Loss(f"{robot.name}.actuators", Fidelity.DROPPED, reason))
+        if found.item is not None:
+            converted.append(found.item)
         poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
-    files["poses.json"] = (json.dumps(poses, indent=2) + "\n").encode()
-    files["physics.json"] = physics_manifest(scene, capsule_parts)
+    files["poses.json"] = json_text(poses)
+    files["physics.json"] = physics_manifest(scene, capsule_parts, converted)
     files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
 
@@ -134,8 +139,7 @@ def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
             _add_link(root, link, dialect, files)
         for joint in tree.joints:
             _add_joint(root, joint, dialect)
-        ET.indent(root)
-        files[f"{tree.name}.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+        files[f"{tree.name}.urdf"] = DECLARATION + xml_text(root)
     return files
 
 
@@ -152,22 +156,21 @@ def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[
         _add_origin(shown, background.X_WB @ visual.X_LG)
         _add_geometry(shown, visual.geometry, files)
         _add_material(shown, visual)
-    ET.indent(root)
-    files["_background.urdf"] = ET.tostring(root, xml_declaration=True, encoding="utf-8") + b"\n"
+    files["_background.urdf"] = DECLARATION + xml_text(root)
     return files
 
 
 def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
     """The geometry as it is, for dialects that know capsules."""
-    yield "", geometry, Pose.of()
+    yield "", geometry, IDENTITY
 
 
 def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
     """The geometry as it is, but a capsule, which URDF lacks, as a cylinder and two spheres: the same solid."""
     if not isinstance(geometry, Capsule):
-        yield "", geometry, Pose.of()
+        yield "", geometry, IDENTITY
         return
-    yield "_tube", Cylinder(geometry.radius, geometry.height), Pose.of()
+    yield "_tube", Cylinder(geometry.radius, geometry.height), IDENTITY
     yield "_top", Sphere(geometry.radius), Pose.of([0.0, 0.0, geometry.height / 2])
     yield "_bottom", Sphere(geometry.radius), Pose.of([0.0, 0.0, -geometry.height / 2])
 
@@ -274,8 +277,8 @@ def placement(tree: Tree) -> dict[str, object]:
     """What URDF does not hold: whether a part of an object is fixed, its pose in the world and its joint positions."""
     return {
         "fixed": tree.fixed,
-        "p": [_rounded(v) for v in tree.X_WT.p],
-        "q_wxyz": [_rounded(v) for v in tree.X_WT.q],
+        "p": [_rounded(v) for v in tree.X_WT.p.tolist()],
+        "q_wxyz": [_rounded(v) for v in tree.X_WT.q.tolist()],
         "joints": {j.name: _rounded(j.position) for j in tree.joints if j.has_axis},
     }
 
@@ -285,7 +288,17 @@ def _rounded(value: float) -> float:
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
-    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree)
+    return {"urdf": f"{tree.name}.urdf"} | meaning(tree.owner) | placement(tree) | _loose(tree)
+
+
+def _loose(tree: Tree) -> dict[str, object]:
+    """Of a part that lies loose: its object, and the free joint from the link on which it lies (p, q_wxyz)."""
+    joint = tree.free_joint
+    if joint is None:
+        return {}
+    zero, motion = ([_rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
+    said = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
+    return {"free": said}
 
 
 def meaning(item: SceneObject) -> dict[str, object]:

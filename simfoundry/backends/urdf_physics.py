@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
-from simfoundry.backends.artifact import number
+from simfoundry.backends.artifact import json_text, number
 from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import Geometry, JointType, Link, Scene
+from simfoundry.scene.model import Geometry, JointType, Link, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -21,13 +20,16 @@ class Split(Protocol):
         ...
 
 
-def physics_manifest(scene: Scene, split: Split) -> bytes:
-    """The file; collision shapes go by the names and in the order of the URDF."""
-    data = {
+def physics_manifest(scene: Scene, split: Split, robots: Iterable[SceneObject] = ()) -> bytes:
+    """The file; collision shapes go by the names and in the order of the URDF.
+
+    ``robots`` are those that were converted; of one with a URDF of its own there is nothing to add.
+    """
+    data: dict[str, object] = {
         "gravity": [_number(v) for v in scene.gravity],
-        "objects": {tree.name: _object(tree, split) for item in scene.objects for tree in trees(item)},
+        "objects": {tree.name: _object(tree, split) for item in (*scene.objects, *robots) for tree in trees(item)},
     }
-    return (json.dumps(data, indent=2) + "\n").encode()
+    return json_text(data)
 
 
 def _object(tree: Tree, split: Split) -> dict[str, object]:

@@ -90,11 +90,14 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
     """A bar on standard error for steps that take longer than a moment; nothing where it is not a terminal."""
+    if quiet or not sys.stderr.isatty():  # without rich, which takes long to import
+        yield lambda stage, share: None
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet or not sys.stderr.isatty()) as bar:
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda stage, share: bar.update(task, description=stage, completed=share)

@@ -49,8 +49,8 @@ class Controller:
     """Carries actions out: as targets of the arms' joints, and how far the grippers close.
 
     Positions are targets as they are, cut off at the joints' limits. Velocities [rad/s or m/s] are added up from the
-    targets before, as the servos of an arm hold against its weight; a target stays within :data:`FARTHEST` of its joint,
-    so that nothing winds up while the arm is blocked.
+    targets before, because servos hang a little below their targets: added to where the joints are, the arm would sink.
+    A target stays within :data:`FARTHEST` of its joint, so that nothing winds up while the arm is blocked.
     """
 
     def __init__(self, robots: Mapping[str, WorldRobot], space: ActionSpace, control_hz: float) -> None:

@@ -1,25 +1,20 @@
-"""Whether a task is done: conditions judged on states, steps that stay done, and a goal that has to hold for a while."""
+"""Whether a task is done: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 from simfoundry.evaluate.task import Task
+from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 
-if TYPE_CHECKING:
-    from simfoundry.predicates import Judge
-
 HOLD = 3
-"""So many control steps in a row (0.2 s at 15 Hz) a goal must be true: what falls through a bowl's rim has not ended."""
+"""So many control steps in a row (0.2 s at 15 Hz) a goal must be true: what only passes through has not arrived."""
 
 
 def judge_of(scene: Scene) -> Judge:
     """The judge of a scene."""
-    from simfoundry.predicates import Judge
-
     return Judge(scene)
 
 
@@ -39,15 +34,27 @@ class Progress:
 
     def see(self, step: int, state: SceneState) -> bool:
         """Judge the state after control step ``step``, counted from 1; whether the task is done with it."""
-        for name, subtask in self._task.subtasks.items():
-            if self.done[name] is None:
-                holds = bool(self._judge(subtask.goal, state).value)
-                if holds and name not in self._waiting:
-                    self.done[name] = step
-                elif not holds:
+        return self.see_all(step, [state]) is not None
+
+    def see_all(self, step: int, states: Sequence[SceneState]) -> int | None:
+        """Judge states one after another, the first of them after ``step``; which of them ends the task, if one does.
+
+        All are judged at once, which costs hardly more than one; what comes after the end is not seen.
+        """
+        batch = StateBatch.of(self._task.scene, states)
+        open_ = [name for name, done in self.done.items() if done is None]
+        holds = {name: self._judge.batch(self._task.subtasks[name].goal, batch)[0] for name in open_}
+        goal = self._judge.batch(self._task.goal, batch)[0]
+        for k in range(len(states)):
+            for name in open_:
+                if not holds[name][k]:
                     self._waiting.discard(name)
-        self._held = self._held + 1 if self._judge(self._task.goal, state).value else 0
-        return self._held >= HOLD
+                elif name not in self._waiting and self.done[name] is None:
+                    self.done[name] = step + k
+            self._held = self._held + 1 if goal[k] else 0
+            if self._held >= HOLD:
+                return k
+        return None
 
     @property
     def subtasks(self) -> Mapping[str, int | None]:

@@ -17,7 +17,7 @@ from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import SettleOptions, settle
 
 SETTLING = SettleOptions(max_drift_m=0.01)
-"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, what carries it stays the same."""
+"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, its support stays the same."""
 
 OVERLAP = 1e-3
 """How far [m] an object may overlap with what it stands on or in before it is settled."""
@@ -34,11 +34,16 @@ STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers."""
+    """Why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers.
+
+    ``other`` is the object that it met and that is put somewhere too, empty where there is none: only then can it help
+    to give the two other cells, since each cell must be taken in some start.
+    """
 
     object: str
     kind: str
     why: str
+    other: str = ""
 
 
 Spots = Mapping[str, tuple[float, float, float]]
@@ -87,8 +92,8 @@ def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal 
     if worst is None:
         return None
     depth, name, other = worst
-    blamed = name if name in spots else _moving_carrier(task, name, spots) or name
-    return Refusal(blamed, f"it met `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm")
+    blamed, met = (n if n in spots else _moving_carrier(task, n, spots) or "" for n in (name, other))
+    return Refusal(blamed, f"it met `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm", met)
 
 
 def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal:

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,15 +18,13 @@ from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import Image, ImageSize, Observation, Policy, PolicyError
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.predicates import Judge
 from simfoundry.scene.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.expressions import parse_call, texts
 from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
-
-if TYPE_CHECKING:
-    from simfoundry.predicates import Judge
 
 FALLEN = 0.3
 """What is this far [m] below everything that the task began with has fallen off it."""
@@ -56,7 +53,7 @@ class Timings:
 
 @dataclass(frozen=True)
 class Video:
-    """Pictures to keep of a rollout: of ``cameras``, after every ``every`` control steps, the start and the end too."""
+    """Pictures to keep of a rollout: of ``cameras``, after the first of every ``every`` control steps."""
 
     cameras: Mapping[str, ImageSize]
     every: int = 1
@@ -67,9 +64,9 @@ class Rollout:
     """What came of a rollout.
 
     ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
-    it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were carried
-    out, shape (steps, numbers of an action); ``digest`` names the whole trajectory, to the last bit. ``chunks`` is how
-    often the policy was asked; ``final`` the state at the end; ``frames`` are by camera.
+    it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
+    carried out, shape (steps, numbers of an action); ``digest`` names the whole trajectory, to the last bit. ``chunks``
+    is how often the policy was asked; ``final`` the state at the end; ``frames`` are by camera.
     """
 
     task: str
@@ -95,9 +92,9 @@ def rollout(
 ) -> Rollout:
     """Let a policy act from a start in a world of the task's scene.
 
-    The actions of an answer are carried out one after another, and then the policy is asked again; pictures are rendered
-    for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A failing policy ends a
-    rollout and is recorded; raises :class:`SimfoundryError` where robots or cameras are missing.
+    The actions of an answer are carried out one after another, and then the policy is asked again; pictures are
+    rendered for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A failing policy
+    ends a rollout and is recorded; raises :class:`SimfoundryError` where robots or cameras are missing.
     """
     need_robots(task)
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
@@ -155,12 +152,38 @@ class _Run:
             with self.clock("policy"):
                 self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
             while len(self.actions) < self.task.horizon:
-                for action in self._ask()[: self.task.horizon - len(self.actions)]:
-                    if (ended := self._act(action)) is not None:
-                        return ended
+                ended = self._carry_out(self._ask()[: self.task.horizon - len(self.actions)])
+                if ended is not None:
+                    return ended
         except PolicyError as error:
             return End.POLICY, str(error)
         return End.HORIZON, f"not done after {self.task.horizon} control steps"
+
+    def _carry_out(self, actions: Array) -> tuple[End, str] | None:
+        """Carry out the actions of one answer, then judge what they did; why one was the last, if one was.
+
+        The policy does not see what comes of its actions before the last of them, so that the states can be judged
+        together; what was done after the goal had held is taken back from the record.
+        """
+        first, states, ended = len(self.actions), list[SceneState](), None
+        marks = []
+        for action in actions:
+            ended = self._act(action)
+            if ended is not None and ended[0] is End.DIVERGED:
+                break
+            states.append(self.state)
+            marks.append((self.hash.copy(), {name: len(frames) for name, frames in self.frames.items()}))
+            if ended is not None:
+                break
+        with self.clock("judge"):
+            last = self.progress.see_all(first + 1, states) if states else None
+        if last is None:
+            return ended
+        self.actions = self.actions[: first + last + 1]
+        self.state = states[last]
+        self.hash, frames = marks[last]
+        self.frames = {name: pictures[: frames[name]] for name, pictures in self.frames.items()}
+        return End.SUCCESS, ""
 
     def _ask(self) -> Array:
         with self.clock("render"):
@@ -188,11 +211,7 @@ class _Run:
                 return End.DIVERGED, trouble
             self.state = self.world.state()
         self._note()
-        with self.clock("judge"):
-            done = self.progress.see(step + 1, self.state)
-        self._film(last=done)
-        if done:
-            return End.SUCCESS, ""
+        self._film()
         for name in self.judged:
             below = self.floor - float(self.state.poses[name].p[2])
             if below > 0:
@@ -203,12 +222,12 @@ class _Run:
         """Add the state to the digest of the trajectory, to the last bit."""
         state = self.state
         numbers = [np.concatenate([pose.p, pose.q]) for pose in (*state.poses.values(), *state.motions.values())]
-        robots = [list(robot.positions().values()) + [robot.gripper()] for robot in self.robots.values()]
+        robots = [[*robot.positions().values(), robot.gripper()] for robot in self.robots.values()]
         parts = [*numbers, np.array(list(state.joints.values())), *map(np.array, robots), *self.actions[-1:]]
         self.hash.update(np.concatenate(parts).tobytes())
 
-    def _film(self, last: bool) -> None:
-        if self.video is not None and (last or (len(self.actions) - 1) % self.video.every == 0):
+    def _film(self) -> None:
+        if self.video is not None and (len(self.actions) - 1) % self.video.every == 0:
             with self.clock("render"):
                 for name, picture in pictures(self.world, self.video.cameras).items():
                     self.frames[name].append(picture)

@@ -13,24 +13,26 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.grid import Cell, bounds, deal, draws, sample
 from simfoundry.evaluate.judging import judge_of
-from simfoundry.evaluate.place import Refusal, clash, left_cell, placed, restless, settled
-from simfoundry.evaluate.start_cache import key_of_starts, read_block, state_to_json, write_block
+from simfoundry.evaluate.place import Refusal, Spots, clash, left_cell, placed, restless, settled
+from simfoundry.evaluate.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
 from simfoundry.evaluate.task import Task
+from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
-if TYPE_CHECKING:
-    from simfoundry.predicates import Judge
-
 TRIES, TRIES_ELSEWHERE = 20, 5
 """How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""
+
+HOPELESS = 6
+"""So many tries that fail for another reason than two objects' cells being too close are enough."""
 
 Progress = Callable[[int, int], None]
 """Hears how many starts are there, and how many there will be."""
@@ -92,19 +94,26 @@ class _Block:
     starts: list[Start] = field(default_factory=list)
 
     @classmethod
-    def of(
-        cls, task: Task, seed: int, block: int, known: tuple[dict[str, list[Cell]], list[SceneState]] | None
-    ) -> _Block:
+    def of(cls, task: Task, seed: int, block: int, known: Known | None) -> _Block:
         first = block * task.reset.grid[0] * task.reset.grid[1]
         if known is None:
             return cls(first, deal(task.reset, seed, block))
         made = cls(first, known[0])
-        made.starts = [Start(first + k, seed, made.at(k), state) for k, state in enumerate(known[1])]
+        made.starts = [made.start(k, seed, state) for k, state in enumerate(known[1])]
         return made
 
     def at(self, k: int) -> Mapping[str, Cell]:
         """The cells of the k-th start of the deal."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
+
+    @property
+    def size(self) -> int:
+        """How many starts the deal is for."""
+        return max((len(cells) for cells in self.cells.values()), default=0)
+
+    def start(self, k: int, seed: int, state: SceneState) -> Start:
+        """The k-th start of the deal."""
+        return Start(self.first + k, seed, self.at(k), state)
 
     def exchange(self, name: str, k: int, other: int) -> None:
         """Let an object change its cells of two starts."""
@@ -130,40 +139,36 @@ class _Setting:
     def next(self, block: _Block) -> Start:
         """The next start of a deal; its cells may be exchanged with those of later ones."""
         k = len(block.starts)
-        index = block.first + k
-        rngs = {name: draws(name, self.seed, index) for name in self.task.reset.objects}
-
-        def attempts(tries: int) -> SceneState | list[Refusal]:
-            refusals = []
-            for _ in range(tries):
-                spots = {
-                    n: sample(self.task.reset.objects[n], self.task.reset.grid, cell, rngs[n])
-                    for n, cell in block.at(k).items()
-                }
-                result = self._attempt(spots, block.at(k))
-                if isinstance(result, SceneState):
-                    return result
-                refusals.append(result)
-                if not spots:  # nothing would change
-                    break
-            return refusals
-
-        result = attempts(TRIES)
+        rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
+        result = self._attempts(block.at(k), rngs, TRIES)
         if isinstance(result, SceneState):
-            return Start(index, self.seed, block.at(k), result)
-        first, blamed = result, _most_blamed(result)
-        cells = dict(block.at(k))
-        for later in range(k + 1, len(block.cells.get(blamed, ()))):
-            block.exchange(blamed, k, later)
-            result = attempts(TRIES_ELSEWHERE)
-            if isinstance(result, SceneState):
-                return Start(index, self.seed, block.at(k), result)
-            block.exchange(blamed, k, later)
-        raise StartError(_complaint(self.task, index, blamed, cells, first))
+            return block.start(k, self.seed, result)
+        cells, refused = block.at(k), _commonest(result)
+        for later in range(k + 1, block.size if refused.other else 0):
+            block.exchange(refused.object, k, later)
+            again = self._attempts(block.at(k), rngs, TRIES_ELSEWHERE)
+            if isinstance(again, SceneState):
+                return block.start(k, self.seed, again)
+            block.exchange(refused.object, k, later)
+        raise StartError(_complaint(self.task, block.first + k, refused, cells, result))
 
-    def _attempt(
-        self, spots: Mapping[str, tuple[float, float, float]], cells: Mapping[str, Cell]
-    ) -> SceneState | Refusal:
+    def _attempts(
+        self, cells: Mapping[str, Cell], rngs: Mapping[str, np.random.Generator], tries: int
+    ) -> SceneState | list[Refusal]:
+        """A state with the objects somewhere in their cells, or why there was none in so many tries."""
+        regions, grid = self.task.reset.objects, self.task.reset.grid
+        refusals: list[Refusal] = []
+        while len(refusals) < tries and sum(not r.other for r in refusals) < HOPELESS:
+            spots = {name: sample(regions[name], grid, cell, rngs[name]) for name, cell in cells.items()}
+            result = self._attempt(spots, cells)
+            if isinstance(result, SceneState):
+                return result
+            refusals.append(result)
+            if not spots:  # nothing would change
+                break
+        return refusals
+
+    def _attempt(self, spots: Spots, cells: Mapping[str, Cell]) -> SceneState | Refusal:
         world, judge = self._opened()
         state = placed(self.task, spots)
         if (refusal := clash(self.task, world, spots, state)) is not None:
@@ -187,12 +192,15 @@ class _Setting:
         return self._world, self._judge
 
 
-def _most_blamed(refusals: list[Refusal]) -> str:
-    return Counter(refusal.object for refusal in refusals).most_common(1)[0][0]
+def _commonest(refusals: list[Refusal]) -> Refusal:
+    """The first refusal of the kind that there are most of."""
+    kind = Counter((r.object, r.kind) for r in refusals).most_common(1)[0][0]
+    return next(r for r in refusals if (r.object, r.kind) == kind)
 
 
-def _complaint(task: Task, index: int, blamed: str, cells: Mapping[str, Cell], refusals: list[Refusal]) -> str:
+def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, Cell], refusals: list[Refusal]) -> str:
     """Which object, which cell, and why, with the numbers of the commonest reasons."""
+    blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)
     reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
@@ -200,8 +208,9 @@ def _complaint(task: Task, index: int, blamed: str, cells: Mapping[str, Cell], r
     if blamed not in cells:
         return f"task `{task.name}`{step}: start {index} cannot be taken: {reasons}"
     (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
+    elsewhere = ", nor in one of those left" if refused.other else ""
     where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
     return (
-        f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}), nor in "
-        f"one that is left, in {len(refusals)} tries: {reasons}; move its region under `reset`, or make it smaller"
+        f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}) in "
+        f"{len(refusals)} tries{elsewhere}: {reasons}; move its region under `reset`, or make it smaller"
     )

@@ -60,7 +60,8 @@ class Task:
     def alone(self, name: str) -> Task:
         """One step as a task: it starts as the step's ``start`` says and ends with the step's goal.
 
-        What that start puts somewhere stays there; the rest starts in its cells. Raises :class:`SimfoundryError` for a step that is not there.
+        What that start puts somewhere stays there; the rest starts in its cells. Raises :class:`SimfoundryError` for a
+        step that is not there.
         """
         step = self._subtask(name)
         own = MappingProxyType({name: step})

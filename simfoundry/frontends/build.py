@@ -120,17 +120,21 @@ def _material(part: PartDraft, link: LinkDraft, materials: dict[str, Any]) -> st
 
 
 def part_names(link: LinkDraft) -> Iterator[str]:
-    """A name for each part; none starts like another, because pieces of meshes are numbered after it."""
-    taken: list[str] = []
+    """A name for each part; none starts like that of a mesh of the same use, whose pieces are numbered after it."""
+    taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
         numbered = (n for k in range(2, 100_000) for n in (f"{plain}{k}", f"part{k}_{plain}"))
-        candidates = chain([plain], numbered)
-        name = next(
-            n for n in candidates if not any(f"{n}_".startswith(f"{t}_") or f"{t}_".startswith(f"{n}_") for t in taken)
-        )
-        taken.append(name)
+        name = next(n for n in chain([plain], numbered) if not any(_clash((n, part), other) for other in taken))
+        taken.append((name, part))
         yield name
+
+
+def _clash(one: tuple[str, PartDraft], other: tuple[str, PartDraft]) -> bool:
+    """Whether two parts, or pieces of them, would be called alike; what is seen and what touches are called apart."""
+    (short, mesh), (long, part) = sorted((one, other), key=lambda named: len(named[0]))
+    alike = mesh.use == part.use or "both" in (mesh.use, part.use)
+    return short == long or (alike and isinstance(mesh.geometry, MeshDraft) and long.startswith(f"{short}_"))
 
 
 def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
@@ -189,6 +193,8 @@ def _placed(body: BodyDraft) -> dict[str, Any]:
     pose = pose_data(body.X_WO)
     if pose:
         out["pose"] = pose
+    if body.labels:
+        out["labels"] = body.labels
     if body.note:
         out["origin"] = {"note": body.note}
     return out
@@ -199,6 +205,8 @@ def inline_data(body: BodyDraft) -> dict[str, Any] | None:
     if body.joints or len(body.links) != 1:
         return None
     (link,) = body.links.values()
+    if body.exact and (link.name, *(part.name for part in link.parts)) != ("base", "shape"):
+        return None
     if len(link.parts) != 1 or link.parts[0].use != "both":
         return None
     part = link.parts[0]
@@ -257,9 +265,9 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
             assets[called] = asset_spec(body, called, shelf, built)
             inline = object_data(body, f"{folder}/{called}.asset.yaml")
             joints = dict(zip((j.name for j in body.joints), assets[called].joints, strict=True))
-            state = {joints[j.name]: float(j.position) for j in body.joints if j.position and j.mimic is None}
-            if state:
-                inline["joints"] = state
+            state = {joints[j.name]: _state(j) for j in body.joints if j.mimic is None}
+            if any(state.values()):
+                inline["joints"] = {joint: value for joint, value in state.items() if value}
         objects[called] = inline
     built.names |= names.renamed
     data: dict[str, Any] = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": objects}
@@ -268,6 +276,10 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     robots = Names("robot")
     data["robots"] = {robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB)} for r in draft.robots}
     data["cameras"] = _cameras(draft, bodies, assets)
+    data["no_contact"] = _no_contact(draft, bodies, assets)
+    data["relations"] = tuple(draft.relations)
+    if draft.background is not None:
+        data["background"] = {"mesh": f"{folder}/{shelf.place(draft.background)}"}
     lights = Names("light")
     data["lights"] = {
         lights.name(light.name): {
@@ -282,6 +294,36 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     built.documents |= {f"{folder}/{called}.asset.yaml": text_of(asset) for called, asset in assets.items()}
     built.files = {f"{folder}/{path.removeprefix('./')}": data for path, data in shelf.files.items()}
     return built
+
+
+def _state(joint: JointDraft) -> Any:
+    """Where a joint stands, as a scene says it; nothing where it is at zero."""
+    return pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
+
+
+def _no_contact(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> tuple[tuple[str, str], ...]:
+    """Pairs that pass through each other: whole things where all their links do."""
+    links: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for (a, one), (b, other) in draft.no_contact:
+        links.setdefault((a, b), []).append((one, other))
+    by_name = {body.name: body for body in draft.bodies}
+    out = []
+    for (a, b), pairs in links.items():
+        if len(set(pairs)) == len(by_name[a].links) * len(by_name[b].links):
+            out.append((bodies[a], bodies[b]))
+        else:
+            ends = [[_link_path(by_name[n], link, bodies, assets) for n, link in ((a, x), (b, y))] for x, y in pairs]
+            out += [(one, other) for one, other in ends]
+    return tuple(out)
+
+
+def _link_path(body: BodyDraft, link: str, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> str:
+    """A link as a scene names it: ``object.link``, or the object alone where that has no document of its own."""
+    called = bodies[body.name]
+    if called not in assets:
+        return called
+    order = [body.root, *(n for n in body.links if n != body.root)]
+    return f"{called}.{list(assets[called].links)[order.index(link)]}"
 
 
 def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from simfoundry.spec.task import TaskSpec
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
 VALID = (
-    "valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz, .json (a scene of OmniGibson); with a scene, "
-    ".yaml and .bddl (tasks)"
+    "valid: .urdf, .xml (MJCF or URDF), .usd, .usda, .usdc, .usdz, .json (a scene of OmniGibson, poses.json); with a "
+    "scene, .yaml and .bddl (tasks)"
 )
 
 ATTEMPTS = 3
@@ -100,7 +100,7 @@ def _reader(path: Path) -> Callable[[Path, Options], Draft]:
             return _read_mjcf
         raise ImportRefusedError(path, f"its root is `<{tag}>`", hint="URDF has `<robot>`, MJCF `<mujoco>`")
     if suffix == ".json":
-        return _read_omnigibson
+        return _read_json
     if suffix in USD:
         return _read_usd
     raise ImportRefusedError(path, "its kind is not known", hint=VALID)
@@ -118,10 +118,12 @@ def _read_usd(path: Path, _options: Options) -> Draft:
     return read_usd(path)
 
 
-def _read_omnigibson(path: Path, options: Options) -> Draft:
-    from simfoundry.frontends.omnigibson import read_omnigibson
+def _read_json(path: Path, options: Options) -> Draft:
+    from simfoundry.frontends.omnigibson import read_json, read_omnigibson
+    from simfoundry.frontends.urdf_folder import is_poses, read_poses
 
-    return read_omnigibson(path, options.packages)
+    data = read_json(path)
+    return read_poses(path, data, options.packages) if is_poses(data) else read_omnigibson(path, options.packages)
 
 
 def _read_mjcf(path: Path, options: Options) -> Draft:

@@ -16,6 +16,8 @@ from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, SphereSh
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
+Place = tuple[str, str]
+"""A body and a link of it, by name."""
 
 
 class NoteKind(StrEnum):
@@ -135,6 +137,8 @@ class JointDraft:
     mimic: MimicDraft | None = None
     drive: DriveDraft | None = None
     position: float = 0.0
+    motion: Pose = IDENTITY
+    """The state of a ball or free joint: the pose of the child's frame in where it is at zero."""
 
 
 @dataclass(eq=False)
@@ -149,8 +153,11 @@ class BodyDraft:
     X_WO: Pose = IDENTITY
     category: str | None = None
     no_contact: list[tuple[str, str]] = field(default_factory=list)
+    labels: tuple[str, ...] = ()
     note: str = ""
     """Where it comes from, for people and for tasks that call it so."""
+    exact: bool = False
+    """Whether its names are those of a scene, so that they are to come through as they are."""
 
     def carrier(self, link: str) -> JointDraft | None:
         """The joint whose child a link is."""
@@ -204,6 +211,11 @@ class Draft:
     lights: list[LightDraft] = field(default_factory=list)
     robots: list[RobotDraft] = field(default_factory=list)
     gravity: tuple[float, float, float] | None = None
+    relations: list[str] = field(default_factory=list)
+    background: MeshDraft | None = None
+    """What is seen around everything, in the frame of the world."""
+    no_contact: list[tuple[Place, Place]] = field(default_factory=list)
+    """Links of different bodies that pass through each other."""
     notes: list[Note] = field(default_factory=list)
     description: str = ""
 

@@ -12,7 +12,9 @@ from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.found import NotFoundError, Search, refused
 from simfoundry.frontends.masses import ball, make_sound
+from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf_geoms import Geoms
+from simfoundry.frontends.mjcf_own import BACKGROUND, restore, said
 from simfoundry.frontends.mjcf_rest import (
     add_actuators,
     add_cameras,
@@ -98,7 +100,10 @@ class _Mjcf:
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
         mujoco.mj_kinematics(model, self.data)
-        self.geoms = Geoms(mujoco, model, self.draft)
+        self.own = said(mujoco, model)
+        self.geoms = Geoms(mujoco, model, self.draft, own=self.own is not None)
+        self.free: dict[str, str] = {}
+        """By body, the name of its free joint."""
         self.owner: dict[int, tuple[BodyDraft, str, Pose]] = {}
         """By body id: what it belongs to, its link, and the pose of the link's frame in the body's."""
         self.joint_owner: dict[int, tuple[BodyDraft, JointDraft]] = {}
@@ -123,28 +128,39 @@ class _Mjcf:
             raise ImportRefusedError(self.path, "it has no body and no geom")
         add_equalities(self.draft, self.mujoco, model, self.joint_owner)
         add_actuators(self.draft, self.mujoco, model, self.data, self.joint_owner)
-        add_contacts(self.draft, self.mujoco, model, self.owner)
+        add_contacts(self.draft, self.mujoco, model, self.owner, self.own is not None)
         add_cameras(self.draft, self.mujoco, model, self.owner)
         add_lights(self.draft, self.mujoco, model)
-        count_left_out(self.draft, self.mujoco, model, self.roots)
+        if self.own is None:
+            count_left_out(self.draft, self.mujoco, model, self.roots)
+        else:
+            bodies = range(1, model.nbody)
+            restore(self.draft, self.own, {self.name("body", b): self.body_pose(b) for b in bodies}, self.free)
         make_sound(self.draft, str(self.path))
         return self.draft
 
     def world(self) -> None:
-        """The geoms of the world body, each a fixed thing of its own."""
+        """The geoms of the world body, each a fixed thing of its own; what is seen around our scenes as one mesh."""
         model = self.model
+        around = []
         for geom in range(model.ngeom):
             if model.geom_bodyid[geom] != 0:
+                continue
+            name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom)
+            if self.own is not None and name is not None and name.startswith(BACKGROUND):
+                around.append(self.geoms.baked(geom))
                 continue
             part = self.geoms.part(geom)
             if part is None:
                 continue
-            name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom) or f"{part.name}"
+            name = name or part.name
             X_WG, part.X_LG = part.X_LG, Pose.of()
             link = LinkDraft("base", [part])
             taken = {body.name for body in self.draft.bodies}
             unique = name if name not in taken else f"{name}_{geom}"
             self.draft.bodies.append(BodyDraft(unique, "base", {"base": link}, fixed=True, X_WO=X_WG))
+        if around:
+            self.draft.background = mesh_of_parts(around, "background")
 
     def root(self, body: int) -> None:
         """A child of the world: free, fixed, or carried by a base that stands still."""
@@ -157,6 +173,8 @@ class _Mjcf:
         if not joints or free:
             draft = BodyDraft(unique, name, {}, fixed=not free, X_WO=self.body_pose(body))
             self.draft.bodies.append(draft)
+            if free:
+                self.free[name] = self.name("joint", joints[0])
             draft.links[name] = self.new_link(body, name, Pose.of())
             self.owner[body] = (draft, name, Pose.of())
             if int(model.body_mocapid[body]) >= 0:
@@ -213,6 +231,8 @@ class _Mjcf:
         limited = bool(model.jnt_limited[joint])
         if kind == int(kinds.mjJNT_BALL):
             made.type = "ball"
+            turn, zero = (Pose.of(q=q[address : address + 4]) for q in (self.data.qpos, model.qpos0))
+            made.motion = zero.inverse() @ turn
             if limited:
                 self.draft.dropped(f"limit of ball joint `{name}`", "the language has no word for it")
             return made

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
+from simfoundry.backends.mjcf.contacts import rebound
 from simfoundry.frontends.drafts import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
@@ -30,8 +32,8 @@ UNSET = (0.5, 0.5, 0.5, 1.0)
 class Geoms:
     """Turns geoms into parts; a mesh that many geoms use is written once."""
 
-    def __init__(self, mujoco: Any, model: Any, draft: Draft) -> None:
-        self.mujoco, self.model, self.draft = mujoco, model, draft
+    def __init__(self, mujoco: Any, model: Any, draft: Draft, own: bool = False) -> None:
+        self.mujoco, self.model, self.draft, self.own = mujoco, model, draft, own
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
         self.textured_shapes = 0
 
@@ -95,6 +97,8 @@ class Geoms:
                 part.torsional = float(model.geom_friction[geom, 1])
             if dimensions >= 6:
                 part.rolling = float(model.geom_friction[geom, 2])
+            if self.own and float(model.geom_solref[geom, 1]) < 1:
+                part.restitution = rebound(float(model.geom_solref[geom, 1]))
         material = int(model.geom_matid[geom])
         textured = material >= 0 and self.texture(material) >= 0
         if textured and not isinstance(part.geometry, MeshDraft):
@@ -132,8 +136,20 @@ class Geoms:
 
     def mesh_draft(self, mesh: int, texture: int, X_FM: Pose) -> MeshDraft:
         """A mesh with its texture; ``X_FM`` takes MuJoCo's frame of it into that of its file."""
+        name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_MESH, mesh) or f"mesh_{mesh}"
+        return mesh_of_parts([self.mesh_part(mesh, texture, X_FM)], plain_name(name, "mesh"))
+
+    def baked(self, geom: int) -> MeshPart:
+        """The mesh of a geom in the frame of its body, with its colour and texture."""
+        model, mesh = self.model, int(self.model.geom_dataid[geom])
+        material = int(model.geom_matid[geom])
+        texture = self.texture(material) if material >= 0 else -1
+        part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))
+        return replace(part, rgba=self.rgba(geom))
+
+    def mesh_part(self, mesh: int, texture: int, X_FM: Pose) -> MeshPart:
+        """A mesh in a frame in which MuJoCo's frame of it has the pose ``X_FM``."""
         model = self.model
-        name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_MESH, mesh) or f"mesh_{mesh}"
         start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         vertices = X_FM.apply(np.array(model.mesh_vert[start : start + count], dtype=np.float64))
         first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
@@ -145,8 +161,7 @@ class Geoms:
             uv = np.array(model.mesh_texcoord[at + chosen], dtype=np.float64) * (1, -1) + (0, 1)
             vertices, corners = vertices[corners.reshape(-1)], np.arange(3 * faces).reshape(-1, 3)
             png = self.png(texture)
-        part = MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
-        return mesh_of_parts([part], plain_name(name, "mesh"))
+        return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
 
     def png(self, texture: int) -> bytes:
         """A texture as a PNG."""

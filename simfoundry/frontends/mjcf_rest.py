@@ -94,12 +94,15 @@ def add_actuators(draft: Draft, mujoco: Any, model: Any, data: Any, joints: Join
         draft.changed(what, "a drive holds the joint with the same stiffness")
 
 
-def add_contacts(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
-    """Pairs of links that never touch, by `<exclude>` and by masks; what goes beyond that is noted."""
+def add_contacts(draft: Draft, mujoco: Any, model: Any, owners: Owners, own: bool = False) -> None:
+    """Pairs of links that never touch, by `<exclude>` and by masks; what goes beyond that is noted.
+
+    The pairs of a file of our ``own`` follow from the surfaces of their geoms.
+    """
     for k in range(model.nexclude):
         signature = int(model.exclude_signature[k])
         _exclude(draft, owners, signature >> 16, signature & 0xFFFF, f"exclusion {_named(mujoco, model, 'exclude', k)}")
-    if model.npair:
+    if model.npair and not own:
         draft.dropped("contact pairs with parameters of their own", "the language has no word for it", f"{model.npair}")
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     masks = {(int(model.geom_contype[g]), int(model.geom_conaffinity[g])) for g in touching}
@@ -140,10 +143,14 @@ def _linked(model: Any, one: int, two: int) -> bool:
 
 
 def _exclude(draft: Draft, owners: Owners, one: int, two: int, what: str) -> None:
-    if one not in owners or two not in owners or owners[one][0] is not owners[two][0]:
-        draft.dropped(what, "contact is left out between links of one thing, whole or not at all")
+    if one not in owners or two not in owners:
+        draft.dropped(what, "contact is left out between links of things, not with the world")
         return
     body = owners[one][0]
+    if body is not owners[two][0]:
+        a, b = ((owners[k][0].name, owners[k][1]) for k in (one, two))
+        draft.no_contact.append((a, b))
+        return
     pair = (owners[one][1], owners[two][1])
     joined = any({j.parent, j.child} == set(pair) for j in body.joints)
     if not joined and pair not in body.no_contact and pair[::-1] not in body.no_contact:

@@ -112,10 +112,13 @@ def _eye(camera: CameraSpec, things: Mapping[str, Thing]) -> Frame | None:
 
 def _viewer(spec: SceneSpec, things: Mapping[str, Thing]) -> Frame:
     """A frame with x away from whom left and right are seen by, and y to its left; both are level."""
-    if spec.viewpoint in spec.robots:
-        x, y, _ = frame_of(spec.robots[spec.viewpoint].pose).axis(0)
-    elif spec.viewpoint in spec.cameras:
-        X_WC = _eye(spec.cameras[spec.viewpoint], things)
+    camera = spec.cameras.get(spec.viewpoint or "")
+    mount = "" if camera is None else (camera.mount or "").partition(".")[0]
+    robot = spec.robots.get(mount or spec.viewpoint or "")  # what a robot carries is seen as the robot sees it
+    if robot is not None:
+        x, y, _ = frame_of(robot.pose).axis(0)
+    elif camera is not None and not mount:
+        X_WC = _eye(camera, things)
         if X_WC is None:
             return WORLD
         forward, down = X_WC.axis(2), X_WC.axis(1)

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from simfoundry.lint.convex import CLOSE
 from simfoundry.lint.frames import Vec
 from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
@@ -33,6 +34,9 @@ ELSEWHERE = 0.10
 OPEN_SHARE, CLOSED_SHARE = 0.10, 0.05
 """A joint is not closed beyond the one share of its way, and is closed within the other; between lies what is open to
 argument (OmniGibson asks for 5 or 10 % of the way, by its version)."""
+
+UPRIGHT_COSINE = 1 - 1e-9
+"""What leans by less than the angle of this stands straight."""
 
 TILTED_DEG, UPRIGHT_DEG = 15.0, 5.0
 """A thing leaning by more than the one is not upright, by less than the other it is [deg]."""
@@ -115,6 +119,24 @@ def _raised(a: _Side, b: _Side) -> float | None:
     return landing(a.thing.pieces_of(a.link), b.thing.pieces_of(b.link))
 
 
+def _over(a: _Side, b: _Side) -> bool:
+    """Whether the middle of ``a`` is certainly within the outline of an upright ``b``, seen from above."""
+    X_WA, X_WB = a.thing.limb_frame(a.link), b.thing.limb_frame(b.link)
+    if not (a.thing.sure and b.thing.sure) or abs(X_WB.axis(2)[2]) < UPRIGHT_COSINE:
+        return False
+    p = [0.0, 0.0, 0.0]
+    for n in (X_WA.axis(k) for k in range(3)):
+        half = sum(extent(a.thing.part(a.link), n)) / 2
+        p = [v + half * w for v, w in zip(p, n, strict=True)]
+    (x1, x2, _), (y1, y2, _) = X_WB.axis(0), X_WB.axis(1)
+    s = math.sqrt(0.5)
+    for x, y in ((x1, x2), (y1, y2), (s * (x1 + y1), s * (x2 + y2)), (s * (x1 - y1), s * (x2 - y2))):
+        low, high = extent(b.thing.part(b.link), (x, y, 0.0))
+        if not low + CLOSE < p[0] * x + p[1] * y < high - CLOSE:
+            return False
+    return True
+
+
 def _is_certain(*sides: _Side) -> bool:
     return all(s.thing.sure and s.thing.exact and s.thing.solid for s in sides)
 
@@ -130,7 +152,8 @@ def _on_top(call: Call, drawn: Sketch) -> Verdict:
         return OPEN
     high_up = a.low[2] >= b.high[2] - BESIDE
     if _is_put(a, b):
-        return Verdict(True, f"`{a.name}` is put on `{b.name}`") if high_up and not a.thing.inside else OPEN
+        certain = high_up and not a.thing.inside and _over(a, b)
+        return Verdict(True, f"`{a.name}` is put on `{b.name}`") if certain else OPEN
     gap = _gap(a, b)
     if gap > BESIDE:
         return Verdict(False, f"`{a.name}` is {length(gap)} beside `{b.name}`")
@@ -143,15 +166,14 @@ def _on_top(call: Call, drawn: Sketch) -> Verdict:
         return Verdict(False, f"`{a.name}` is beside `{b.name}`") if a.low[2] < b.high[2] - FAR_OFF else OPEN
     if raised < -FAR_OFF:
         return Verdict(False, f"`{a.name}` is {length(-raised)} above `{b.name}`")
-    return Verdict(True, f"`{a.name}` stands on `{b.name}`") if abs(raised) <= RESTING and high_up else OPEN
+    stands = abs(raised) <= RESTING - CLOSE and high_up and _over(a, b)
+    return Verdict(True, f"`{a.name}` stands on `{b.name}`") if stands else OPEN
 
 
 def _inside(call: Call, drawn: Sketch) -> Verdict:
     a, b = _sides(call, drawn)
     if a.thing is b.thing:
         return OPEN
-    if _is_put(a, b) and a.thing.inside:
-        return Verdict(True, f"`{a.name}` is put inside `{b.name}`")
     X_WB = b.thing.limb_frame(b.link)
     deep = math.inf
     for k in range(3):
@@ -163,7 +185,12 @@ def _inside(call: Call, drawn: Sketch) -> Verdict:
         deep = min(deep, at - low, high - at)
     if deep < -LEVEL:
         return Verdict(False, f"the middle of `{a.name}` is {length(-deep)} outside of `{b.name}`")
-    if not _is_certain(a, b) or deep < LEVEL:
+    if deep < LEVEL:
+        return OPEN
+    fits = (a.thing.exact and b.thing.exact) or a.high[2] - a.low[2] < b.high[2] - b.low[2]
+    if _is_put(a, b) and a.thing.inside and fits:
+        return Verdict(True, f"`{a.name}` is put inside `{b.name}`")
+    if not _is_certain(a, b):
         return OPEN
     raised = _raised(a, b)
     within = raised is not None and abs(raised) <= LEVEL
@@ -205,8 +232,7 @@ def _above(call: Call, drawn: Sketch) -> Verdict:
     if higher < -LEVEL:
         word = "below" if call.predicate == "Above" else "above"
         return Verdict(False, f"the middle of `{a.name}` is {length(-higher)} {word} that of `{b.name}`")
-    over = all(lower.low[k] <= upper.middle[k] <= lower.high[k] for k in range(2))
-    clear = over and upper.low[2] >= lower.high[2] - RESTING
+    clear = upper.middle[2] > lower.high[2] + CLOSE and _over(upper, lower)
     return Verdict(True, f"`{upper.name}` is over `{lower.name}`") if clear else OPEN
 
 

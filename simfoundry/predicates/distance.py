@@ -7,13 +7,17 @@ from functools import cached_property
 import numpy as np
 
 from simfoundry.predicates.batch import Index, Poses, rotate
-from simfoundry.predicates.exact import Exact
+from simfoundry.predicates.boxfield import box_field
+from simfoundry.predicates.exact import Candidates, Exact
 from simfoundry.predicates.shapes import Bodies, Form, Thing
 from simfoundry.predicates.view import View
 from simfoundry.scene.frames import Array
 
 FAR = 0.05
 """Distances beyond this [m] are bounds: no farther than the truth."""
+
+FEW = 16
+"""Of so many states the distance is always measured."""
 
 
 class Distances:
@@ -26,60 +30,114 @@ class Distances:
     def _exact(self) -> Exact:
         return Exact(self._bodies)
 
-    def between(self, view: View, a: Thing, b: Thing, far: float = FAR, own: bool = False) -> Array:
-        """Signed distance [m] between two things, (n,), negative where they overlap.
+    def between(self, view: View, a: Thing, b: Thing, threshold: float | None = None) -> Array:
+        """Signed distance [m] between two things, (n,), negative where they overlap; inf where one touches nothing.
 
-        Exact below ``far`` [m]; else no less than ``far`` and no more than the truth. inf where one touches nothing.
+        Exact below :data:`FAR`; beyond, no less than that and no more than the truth. Of more than :data:`FEW` states
+        with a ``threshold`` [m] only the side of it is exact: below it, the distance is no more than what is returned;
+        above it, no less.
         """
+        limit = threshold if threshold is not None and view.n > FEW else None
         out = np.full(view.n, np.inf)
         for i, one in view.forms(a):
             for j, other in view.forms(b):
                 if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
                     continue
                 X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
-                lower = ball_bound(X_WA, one, X_WB, other)
-                close = np.flatnonzero(lower < np.minimum(out, far))
-                out = np.minimum(out, np.maximum(lower, far))
+                lower = middles_apart(X_WA, one, X_WB, other)
+                some = np.flatnonzero(lower < np.minimum(out, FAR))
+                if len(some):
+                    lower[some] = np.maximum(lower[some], ball_bound(X_WA.at(some), one, X_WB.at(some), other))
+                cut = FAR if limit is None else float(np.nextafter(limit, np.inf))
+                close = np.flatnonzero((lower < np.minimum(out, cut)) & (out > (-np.inf if limit is None else limit)))
+                out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
                 if len(close):
-                    out[close] = self._near(
-                        (a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close), out[close]
-                    )
+                    pair = _Pair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+                    found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
+                    out[close] = np.minimum(out[close], found)
         return out
 
-    def _near(
-        self, a: tuple[str, int], b: tuple[str, int], one: Form, other: Form, X_WA: Poses, X_WB: Poses, limit: Array
-    ) -> Array:
-        bounds = part_bounds(X_WA, one, X_WB, other)
-        lowest = bounds.min(axis=(1, 2))
-        out = np.array(limit)
-        index: Index = np.flatnonzero(lowest < limit)
-        if len(index):
-            X_WA, X_WB = X_WA.at(index), X_WB.at(index)
-            out[index] = self._exact.distance(a, b, X_WA, X_WB, bounds[index], limit[index])
-        return out
+    def _measured(self, pair: _Pair, most: Array) -> Array:
+        """The distances [m] of two links, where they are below ``most`` [m]."""
+        return self._exact.distance(pair.a, pair.b, pair.X_WA, pair.X_WB, candidates(pair, most), most)
+
+    def _decided(self, pair: _Pair, threshold: float) -> Array:
+        """On which side of a threshold the distances of two links are: bounds that are on the same side."""
+        found, open_ = box_bounds(pair, threshold)
+        if len(open_):
+            some = pair.at(open_)
+            most = np.full(len(open_), np.nextafter(threshold, np.inf))
+            near = candidates(some, most)
+            found[open_] = self._exact.distance(some.a, some.b, some.X_WA, some.X_WB, near, most, threshold)
+        return found
+
+
+class _Pair:
+    """Two links, by name and index, in n states."""
+
+    def __init__(
+        self, a: tuple[str, int], b: tuple[str, int], one: Form, other: Form, X_WA: Poses, X_WB: Poses
+    ) -> None:
+        self.a, self.b, self.one, self.other, self.X_WA, self.X_WB = a, b, one, other, X_WA, X_WB
+
+    def at(self, index: Index) -> _Pair:
+        """Some of the states."""
+        return _Pair(self.a, self.b, self.one, self.other, self.X_WA.at(index), self.X_WB.at(index))
+
+
+def box_bounds(pair: _Pair, threshold: float) -> tuple[Array, Index]:
+    """Bounds of distances [m], (n,), and the states in which they do not tell on which side of the threshold it is.
+
+    Where a link is one box, the corners of the other's hull tell nearly always.
+    """
+    one, other, X_WA, X_WB = pair.one, pair.other, pair.X_WA, pair.X_WB
+    if box_field(other) is None:
+        one, other, X_WA, X_WB = other, one, X_WB, X_WA
+    field, n = box_field(other), len(X_WA.p)
+    if field is None:
+        return np.full(n, -np.inf), np.arange(n)
+    X_BA = X_WB.inverse() @ X_WA
+    p, turned = X_BA.p.astype(np.float32), X_BA.R.transpose(0, 2, 1).astype(np.float32)
+    lower, upper = field.bounds(one.points.astype(np.float32) @ turned + p[:, None], one.radius.astype(np.float32))
+    found = np.where(upper <= threshold, upper, lower).astype(np.float64)
+    return found, np.flatnonzero((lower <= threshold) & (upper > threshold))
+
+
+def middles_apart(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
+    """A distance [m] that two links have at least, (n,): of the balls around them."""
+    (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
+    off = X_WA.p + X_WA.R @ ball_a - X_WB.p - X_WB.R @ ball_b
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", off, off)) - size_a - size_b)
 
 
 def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
     """A distance [m] that two links have at least, (n,): of the ball around each from the box around the other."""
-    X_AB = X_WA.inverse() @ X_WB
     (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
-    b_in_a = X_AB.p + X_AB.R @ ball_b
-    a_in_b = rotate(X_AB.R.transpose(0, 2, 1), ball_a - X_AB.p)
+    middle_a, middle_b = X_WA.p + X_WA.R @ ball_a, X_WB.p + X_WB.R @ ball_b
+    b_in_a = rotate(X_WA.R.transpose(0, 2, 1), middle_b - X_WA.p)
+    a_in_b = rotate(X_WB.R.transpose(0, 2, 1), middle_a - X_WB.p)
     first = _beyond(b_in_a, a.low[:3], a.high[:3]) - size_b
     second = _beyond(a_in_b, b.low[:3], b.high[:3]) - size_a
     return np.asarray(np.maximum(first, second))
 
 
-def part_bounds(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
-    """As :func:`ball_bound`, of each part of a from each part of b: (n, parts of a, parts of b)."""
-    X_AB = X_WA.inverse() @ X_WB
-    low_a, high_a, ball_a, size_a = a.pieces
-    low_b, high_b, ball_b, size_b = b.pieces
+def candidates(pair: _Pair, most: Array) -> Candidates:
+    """The parts of two links that may be nearer to each other than ``most`` [m], (n,), by state, the nearest first."""
+    X_AB = pair.X_WA.inverse() @ pair.X_WB
+    low_a, high_a, ball_a, size_a = pair.one.pieces
+    low_b, high_b, ball_b, size_b = pair.other.pieces
     b_in_a = X_AB.p[:, None] + ball_b @ X_AB.R.transpose(0, 2, 1)
+    reach = most[:, None, None] + (size_a[:, None] + size_b)
+    square = (
+        (b_in_a**2).sum(axis=2)[:, None] + (ball_a**2).sum(axis=1)[:, None] - 2 * (ball_a @ b_in_a.transpose(0, 2, 1))
+    )
+    state, i, j = np.nonzero(square < reach**2 * (reach > 0))
     a_in_b = (ball_a - X_AB.p[:, None]) @ X_AB.R
-    first = _beyond(b_in_a[:, None], low_a[:, None], high_a[:, None]) - size_b
-    second = _beyond(a_in_b[:, :, None], low_b, high_b) - size_a[:, None]
-    return np.asarray(np.maximum(first, second))
+    first = _beyond(b_in_a[state, j], low_a[i], high_a[i]) - size_b[j]
+    bound = np.maximum(first, _beyond(a_in_b[state, i], low_b[j], high_b[j]) - size_a[i])
+    kept = np.flatnonzero(bound < most[state])
+    kept = kept[np.lexsort((bound[kept], state[kept]))]
+    return Candidates(state[kept], i[kept], j[kept], bound[kept])
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:

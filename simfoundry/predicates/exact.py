@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,14 @@ from simfoundry.predicates.shapes import Bodies
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 
-NO_GEOMS = np.zeros(0, np.int64)
+
+class Candidates(NamedTuple):
+    """Pairs of parts, (m,): the state, the index of a part in either link, and a least distance [m] of the two."""
+
+    state: Index
+    one: Index
+    other: Index
+    bound: Array
 
 
 class Exact:
@@ -42,30 +50,34 @@ class Exact:
         b: tuple[str, int],
         X_WA: Poses,
         X_WB: Poses,
-        bounds: Array,
-        limit: Array,
+        near: Candidates,
+        most: Array,
+        enough: float = -np.inf,
     ) -> Array:
-        """Signed distance [m] between two links, (n,), negative where they overlap; at most ``limit`` [m], (n,).
+        """Signed distance [m] between two links, (n,), negative where they overlap; at most ``most`` [m], (n,).
 
-        ``bounds`` are distances [m] that the parts of the two have at least, shape (n, parts of a, parts of b).
+        ``near`` are the parts that may be nearer than that. Parts at no more than ``enough`` [m] end the search.
         """
         geoms_a, geoms_b = self._geoms[a], self._geoms[b]
-        out = np.array(limit, dtype=np.float64)
-        for i in range(len(out)):
-            near = np.argwhere(bounds[i] < out[i])
-            if not len(near):
+        at_a, at_b = self._poses(geoms_a, X_WA), self._poses(geoms_b, X_WB)
+        first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link follow one another
+        rows_a, rows_b = slice(first, first + len(geoms_a)), slice(second, second + len(geoms_b))
+        xpos, xmat = self._data.geom_xpos, self._data.geom_xmat
+        measure, model, data = self._distance, self._model, self._data
+        out = most.tolist()
+        last = -1
+        for state, i, j, bound in zip(*(column.tolist() for column in near), strict=True):
+            best = out[state]
+            if bound >= best or best <= enough:
                 continue
-            near = near[np.argsort(bounds[i][near[:, 0], near[:, 1]], kind="stable")]
-            self._put(geoms_a[np.unique(near[:, 0])], X_WA.p[i], X_WA.R[i])
-            self._put(geoms_b[np.unique(near[:, 1])], X_WB.p[i], X_WB.R[i])
-            best = float(out[i])
-            for j, k in near:
-                if bounds[i, j, k] >= best:
-                    break
-                best = min(best, self._distance(self._model, self._data, geoms_a[j], geoms_b[k], max(best, 1e-3), None))
-            out[i] = best
-        return out
+            if state != last:
+                xpos[rows_a], xmat[rows_a], xpos[rows_b], xmat[rows_b] = (x[state] for x in (*at_a, *at_b))
+                last = state
+            out[state] = min(best, measure(model, data, first + i, second + j, max(best, 1e-3), None))
+        return np.array(out)
 
-    def _put(self, geoms: Index, p: Array, turn: Array) -> None:
-        self._data.geom_xpos[geoms] = p + self._X_LG.p[geoms] @ turn.T
-        self._data.geom_xmat[geoms] = (turn @ self._X_LG.R[geoms]).reshape(-1, 9)
+    def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
+        """Where the geoms of a link are: (n, geoms, 3) and (n, geoms, 9)."""
+        p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
+        turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
+        return p, turn.reshape(len(p), -1, 9)

@@ -10,7 +10,7 @@ from simfoundry.backends.robots import mujoco_model
 from simfoundry.predicates.batch import Poses, StateBatch
 from simfoundry.predicates.distance import Distances
 from simfoundry.predicates.shapes import Bodies, Body, Thing
-from simfoundry.predicates.thresholds import PRESS
+from simfoundry.predicates.thresholds import PRESS, TOUCH
 from simfoundry.predicates.view import View
 from simfoundry.scene.frames import Array
 from simfoundry.scene.robot import Gripper
@@ -81,8 +81,8 @@ def _carrier(body: Body, gripper: Gripper) -> int:
 
 
 def touching(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:
-    """The larger of the distances of the two sides from a thing [m], (n,)."""
-    return np.maximum(*(distances.between(view, side, thing) for side in hand.sides))
+    """The larger of the distances of the two sides from a thing [m], (n,), on its side of :data:`TOUCH`."""
+    return np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
 
 
 def pressing(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:

@@ -62,7 +62,7 @@ def on_top(context: Context, view: View, call: Call) -> Terms:
     words = f"the lowest point of `{a.name}` is {{}} {{}} that of `{b.name}`"
     terms.must(higher, higher - at.HIGHER, lambda v, ok: "" if ok else words.format(length(abs(v)), _height(v)))
     _settled(terms, a)
-    gap = partial(_distance, context, a, b)
+    gap = partial(_distance, context, a, b, at.RESTING)
     terms.must_also(gap, lambda v: at.RESTING - v, lambda v, ok: _apart(a, b, v))
     _not_held(context, terms, a)
     return terms
@@ -108,31 +108,43 @@ def _above(view: View, a: Thing, b: Thing) -> Terms:
     higher = (low + high) / 2 - view.heights(b)[1]
     words = f"the middle of `{a.name}` is {{}} {{}} the top of `{b.name}`"
     terms.must(higher, higher, lambda v, ok: words.format(length(abs(v)), _height(v)))
-    boxes = view.boxes(a), view.boxes(b)
-    beside = np.maximum(over(boxes[0].middle, boxes[1]), over(boxes[1].middle, boxes[0]))
-    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
+    terms.must_also(partial(_over_either, a, b), lambda v: v, lambda v, ok: _over(a, b, v))
     return terms
+
+
+def _over_either(a: Thing, b: Thing, view: View) -> Array:
+    boxes = view.boxes(a), view.boxes(b)
+    return np.asarray(np.maximum(over(boxes[0].middle, boxes[1]), over(boxes[1].middle, boxes[0])))
 
 
 def next_to(context: Context, view: View, call: Call) -> Terms:
     """NextTo(a, b): side by side, near for their size: heights overlap, neither is over the other."""
     a, b = _two(context, call)
     terms = Terms(view)
-    boxes = view.boxes(a), view.boxes(b)
     (low_a, high_a), (low_b, high_b) = view.heights(a), view.heights(b)
     level = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
     terms.must(level, level, lambda v, ok: "" if ok else f"one is {length(-v)} higher than the other")
-    beside = -np.maximum(over(boxes[0].middle, boxes[1]), over(boxes[1].middle, boxes[0]))
-    terms.must(beside, beside, lambda v, ok: "" if ok else f"one is over the other, by {length(-v)}")
-    near = at.NEAR_SHARE * (boxes[0].size + boxes[1].size)
 
     def words(v: float, ok: bool) -> str:
         nearer = "nearer to" if ok else "farther from"
         return f"`{a.name}` is {length(abs(v))} {nearer} `{b.name}` than side by side allows"
 
-    spare = near - ground_gap(view, a, b)
-    terms.must(spare, spare, words)
+    terms.must_also(partial(_spare, a, b), lambda v: v, words)
+    terms.must_also(
+        partial(_over_either, a, b), lambda v: -v, lambda v, ok: "" if ok else f"one is over the other, by {length(v)}"
+    )
     return terms
+
+
+def _spare(a: Thing, b: Thing, view: View) -> Array:
+    """How much farther apart two things could be and still be side by side [m], (n,)."""
+    boxes = view.boxes(a), view.boxes(b)
+    near = at.NEAR_SHARE * (boxes[0].size + boxes[1].size)
+    apart = np.hypot(*(boxes[0].middle - boxes[1].middle)[:, :2].T) - boxes[0].reach - boxes[1].reach
+    close = np.flatnonzero(apart < near)
+    if len(close):
+        apart[close] = ground_gap(view.at(close), a, b)
+    return np.asarray(near - apart)
 
 
 def ground_gap(view: View, a: Thing, b: Thing) -> Array:
@@ -158,7 +170,7 @@ def touching_(context: Context, view: View, call: Call) -> Terms:
     """Touching(a, b): the surfaces of the two meet; either may be a robot."""
     a, b = _two(context, call)
     terms = Terms(view)
-    gap = context.distances.between(view, a, b)
+    gap = context.distances.between(view, a, b, at.TOUCH)
     terms.must(gap, at.TOUCH - gap, lambda v, ok: _apart(a, b, v))
     return terms
 
@@ -250,7 +262,7 @@ def lifted(context: Context, view: View, call: Call) -> Terms:
     def gap(some: View) -> Array:
         found = np.full(some.n, np.inf)
         for other in others:
-            found = np.minimum(found, context.distances.between(some, a, other))
+            found = np.minimum(found, context.distances.between(some, a, other, at.TOUCH))
         return found
 
     terms.must_also(
@@ -298,7 +310,7 @@ def released(context: Context, view: View, call: Call) -> Terms:
     _settled(terms, a)
     for name in context.bodies.robots:
         robot = context.bodies.thing(name)
-        gap = partial(_distance, context, a, robot)
+        gap = partial(_distance, context, a, robot, at.TOUCH)
         terms.must_also(gap, lambda v: v - at.TOUCH, lambda v, ok, robot=robot: _apart(a, robot, v))  # type: ignore[misc]
     return terms
 
@@ -334,8 +346,8 @@ def _has_shape(context: Context, name: str) -> bool:
     return any(context.bodies[name].forms)
 
 
-def _distance(context: Context, a: Thing, b: Thing, view: View) -> Array:
-    return context.distances.between(view, a, b)
+def _distance(context: Context, a: Thing, b: Thing, threshold: float, view: View) -> Array:
+    return context.distances.between(view, a, b, threshold)
 
 
 def _settled(terms: Terms, a: Thing) -> None:

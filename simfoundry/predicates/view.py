@@ -31,6 +31,11 @@ class Boxes(NamedTuple):
         return np.asarray(self.centre[0])
 
     @property
+    def reach(self) -> Array:
+        """The distance of the corners of the first box from its middle [m], (n,)."""
+        return np.asarray(np.linalg.norm(self.half[0], axis=1))
+
+    @property
     def size(self) -> Array:
         """The mean of the extents of the first box [m], (n,)."""
         return np.asarray(2 * self.half[0].mean(axis=1))

@@ -152,10 +152,12 @@ def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> 
     turned = np.moveaxis(outside, axis, 2)[:, :, ::sign]
     wall = turned <= 0.75 * cell  # thick enough for no ray to slip through
     floored = np.logical_or.accumulate(wall, axis=2)
+    standing = wall.copy()  # without what is thickened upward: a cavity ends at its rim
+    standing[:, :, :-1] &= wall[:, :, 1:]
     around = np.zeros(wall.shape, np.uint8)
     for dx, dy in WAYS:
         for way in ((dx, dy), (-dx, -dy)):
-            around += _met(wall, *way)
+            around += _met(standing, *way)
     found = (turned > 0) & floored & (around >= WALLED)
     return np.moveaxis(found[:, :, ::sign], 2, axis)
 

@@ -17,7 +17,18 @@ from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import Box, Capsule, Collider, Cylinder, Geometry, Link, Mesh, Sphere, Visual
+from simfoundry.scene.model import (
+    Box,
+    Capsule,
+    Collider,
+    Cylinder,
+    Geometry,
+    Link,
+    Mesh,
+    Sphere,
+    Visual,
+    principal_inertia,
+)
 from simfoundry.spec.asset import Inertial, Part
 from simfoundry.spec.base import (
     Body,
@@ -34,6 +45,9 @@ from simfoundry.spec.base import (
 GREY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of a piece that gives none, where that is allowed: its body is fixed, or its mass is given."""
+
+LEAST_MASS = LEAST_MOMENT = 1e-15
+"""What moves and has less mass [kg] or less inertia [kg m^2], MuJoCo refuses."""
 
 ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
 
@@ -62,8 +76,9 @@ class BodyBuilder:
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
-            for k, piece in enumerate(touching):
-                self._collide(name if len(touching) == 1 else f"{name}_{k}", piece, X_LG, part)
+            names = [name] if touching[0] is geometry else _piece_names(name, len(touching), part)
+            for label, piece in zip(names, touching, strict=True):
+                self._collide(label, piece, X_LG, part)
         self._weigh(name, solid, X_LG, part)
 
     def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
@@ -83,8 +98,7 @@ class BodyBuilder:
         elif mass.mesh(vertices, faces).volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         parts = convex_parts(vertices, faces, self.body.collision, self.cache, path.name)
-        for k, (corners, sides) in enumerate(parts):
-            label = f"{name}_hull" if len(parts) == 1 else f"{name}_hull_{k}"
+        for label, (corners, sides) in zip(_piece_names(name, len(parts), part), parts, strict=True):
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
@@ -103,7 +117,7 @@ class BodyBuilder:
         total = quantity_value(self.body.mass)
         if self.weighed:
             assert total is not None and inertial is not None and inertial.inertia is not None
-            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia))
+            return self._finished(total, np.array(inertial.com), _tensor(inertial.inertia), fixed)
         own = quantity_value(self.body.density)
         densities = [own if own is not None else density for _, density, _ in self.solids]
         if total is not None or fixed:  # of a given mass only the shares matter; what is fixed does not move
@@ -120,11 +134,14 @@ class BodyBuilder:
             inertia = inertia * (total / computed)
         if inertial is not None:
             com = np.array(inertial.com)
-        return self._finished(total if total is not None else computed, com, inertia)
+        return self._finished(total if total is not None else computed, com, inertia, fixed)
 
-    def _finished(self, mass_kg: float, com: Array, inertia: Array) -> Link:
+    def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
-        _check_inertia(self.name, inertia)
+        least = _check_inertia(self.name, inertia)
+        if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
+            shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
+            raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
         return Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
 
     def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
@@ -144,7 +161,8 @@ class BodyBuilder:
         return solid, faces
 
     def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:
-        self.solids.append((name, self._material(part).density, solid.moved(X_LG.rotation, X_LG.p)))
+        moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
+        self.solids.append((name, self._material(part).density, moved))
 
     def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
         material = self._material(part)
@@ -168,6 +186,11 @@ class BodyBuilder:
 def _use(part: Part | None) -> str:
     """What a part is for; whatever is no part is for both."""
     return "both" if part is None else part.use
+
+
+def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
+    """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
+    return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
 
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
@@ -224,9 +247,10 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _check_inertia(name: str, inertia: Array) -> None:
-    """Moments of a real body are positive, and none exceeds the sum of the other two."""
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 0 or moments[2] > (moments[0] + moments[1]) * (1 + 1e-6):
+def _check_inertia(name: str, inertia: Array) -> float:
+    """The least moment; those of a real body are positive, and none exceeds the sum of the other two."""
+    moments = sorted(principal_inertia(inertia)[0].tolist())
+    if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
         raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")
+    return float(moments[0])

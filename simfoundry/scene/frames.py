@@ -35,14 +35,12 @@ class Pose:
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
         """Build a pose from any position and any non-zero quaternion (normalised, with ``w >= 0``)."""
-        quat = np.array(list(q), dtype=np.float64)
-        norm = float(np.linalg.norm(quat))
+        w, x, y, z = (float(v) for v in q)  # four numbers: plain Python is faster than arrays
+        norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
-            raise ValueError(f"a rotation needs a non-zero quaternion, got {quat.tolist()}")
-        quat = quat / norm
-        if quat[0] < 0:
-            quat = -quat
-        return cls(frozen_array(list(p), (3,)), frozen_array(quat, (4,)))
+            raise ValueError(f"a rotation needs a non-zero quaternion, got {[w, x, y, z]}")
+        norm = -norm if w < 0 else norm
+        return cls(frozen_array(list(p), (3,)), frozen_array((w / norm, x / norm, y / norm, z / norm)))
 
     @classmethod
     def from_matrix(cls, matrix: Array) -> Pose:
@@ -67,7 +65,7 @@ class Pose:
     @property
     def is_identity(self) -> bool:
         """Whether this is exactly the identity."""
-        return not self.p.any() and bool(self.q[0] == 1.0)
+        return self is IDENTITY or (not any(self.p.tolist()) and bool(self.q[0] == 1.0))
 
     def inverse(self) -> Pose:
         """``X_BA`` of this ``X_AB``."""
@@ -76,6 +74,8 @@ class Pose:
 
     def __matmul__(self, other: Pose) -> Pose:
         """Compose: ``X_AC = X_AB @ X_BC``."""
+        if other.is_identity:
+            return self
         return Pose.of(self.p + self.rotation @ other.p, quat_multiply(self.q, other.q))
 
     def apply(self, points: Array) -> Array:
@@ -93,8 +93,8 @@ IDENTITY = Pose.of()
 
 def quat_multiply(a: Array, b: Array) -> Array:
     """Hamilton product of two wxyz quaternions."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
+    aw, ax, ay, az = map(float, a)
+    bw, bx, by, bz = map(float, b)
     return np.array(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -107,7 +107,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 def matrix_from_quat(q: Array) -> Array:
     """Rotation matrix of a unit wxyz quaternion, shape (3, 3)."""
-    w, x, y, z = q
+    w, x, y, z = map(float, q)  # the arithmetic of numpy's own scalars is slow
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -152,11 +152,11 @@ def quat_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 def rpy_from_quat(q: Array) -> Array:
     """Fixed-axis roll-pitch-yaw [rad] of a unit wxyz quaternion (URDF order), shape (3,)."""
-    r = matrix_from_quat(q)
-    pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
-    if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # gimbal lock: roll and yaw share one axis, give all of it to yaw
-        return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])
-    return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+    r = matrix_from_quat(q).tolist()
+    pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
+    if math.hypot(r[0][0], r[1][0]) < 1e-9:  # gimbal lock: roll and yaw share one axis, give all of it to yaw
+        return np.array([0.0, pitch, math.atan2(-r[0][1], r[1][1])])
+    return np.array([math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])])
 
 
 def look_at(eye: Array, target: Array, up: Array | None = None) -> Pose:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import IDENTITY, Pose
 from simfoundry.scene.model import Joint, JointType, SceneObject
 
 
@@ -21,7 +21,7 @@ def joint_transform(joint: Joint, position: float | Pose) -> Pose:
         case JointType.REVOLUTE | JointType.CONTINUOUS:
             half = position / 2
             return Pose.of(q=np.concatenate([[math.cos(half)], math.sin(half) * joint.axis]))
-    return Pose.of()
+    return IDENTITY
 
 
 def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = None) -> dict[str, Pose]:
@@ -29,7 +29,7 @@ def link_poses(item: SceneObject, joints: Mapping[str, float | Pose] | None = No
 
     ``joints`` overrides positions [rad or m], and motions of ball and free joints, by joint name.
     """
-    poses = {item.root.name: Pose.of()}
+    poses = {item.root.name: IDENTITY}
     by_child = {joint.child: joint for joint in item.joints}
     for link in item.links[1:]:
         joint = by_child[link.name]

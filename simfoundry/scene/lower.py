@@ -219,10 +219,10 @@ class _Lowering:
         builder = BodyBuilder("base", item, spec.materials, self.cache)
         with _At(self, self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
-                builder.add_shape("shape", item.shape, Pose.of(), None, show=item.visual is None)
+                builder.add_shape("shape", item.shape, IDENTITY, None, show=item.visual is None)
             else:
                 file, show = self.loaded.file(item.asset or ""), item.visual is None
-                builder.add_mesh("mesh", file, item.scale, Pose.of(), None, show=show)
+                builder.add_mesh("mesh", file, item.scale, IDENTITY, None, show=show)
         if item.visual is not None:
             with _At(self, self.loaded, (*place, "visual")):
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)

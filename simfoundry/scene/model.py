@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +64,7 @@ class Mesh:
     uv: Array | None = None
     texture: bytes | None = None
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Sixteen hex digits that name this mesh by its content."""
         h = hashlib.sha256()
@@ -338,11 +339,15 @@ class Scene:
     source: Source | None = None
     viewer: Pose | None = None
 
+    @cached_property
+    def by_name(self) -> dict[str, SceneObject]:
+        """The objects by name."""
+        return {item.name: item for item in self.objects}
+
     def object(self, name: str) -> SceneObject:
         """The object called ``name``; a KeyError lists the names there are."""
-        for item in self.objects:
-            if item.name == name:
-                return item
+        if name in self.by_name:
+            return self.by_name[name]
         raise KeyError(f"no object {name!r}; there are: {', '.join(o.name for o in self.objects)}")
 
     def robot(self, name: str) -> Robot:
@@ -374,9 +379,9 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     Returns moments [kg m^2], shape (3,), and the wxyz quaternion of R, shape (4,). An inertia that is diagonal already
     keeps its axes, so that symmetric bodies are not turned by rounding.
     """
-    off_diagonal = max(abs(inertia[0, 1]), abs(inertia[0, 2]), abs(inertia[1, 2]))
-    if off_diagonal <= 1e-12 * float(np.trace(inertia)):
-        return np.diag(inertia).copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
+    if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
+        return np.array([xx, yy, zz]), np.array([1.0, 0.0, 0.0, 0.0])
     moments, axes = np.linalg.eigh(inertia)
     for k in range(3):  # the sign of an eigenvector is arbitrary: its largest entry is made positive
         if axes[np.argmax(np.abs(axes[:, k])), k] < 0:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, create_model
 
+from simfoundry.spec.aliases import ours
 from simfoundry.spec.base import Model
 
 
@@ -84,12 +85,12 @@ class Call:
 
 
 def parse_call(text: str) -> Call:
-    """A predicate as people write it; raises :class:`ExpressionError`."""
+    """A predicate as people write it, by our name or another's; raises :class:`ExpressionError`."""
     match = _CALL.match(text)
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
     name, inside = match.groups()
-    arguments = tuple(a.strip() for a in inside.split(",")) if inside.strip() else ()
+    name, arguments = ours(name, tuple(a.strip() for a in inside.split(",")) if inside.strip() else ())
     if name not in PREDICATES:
         raise ExpressionError(f"`{name}` is not a predicate", name, tuple(PREDICATES))
     predicate = PREDICATES[name]

@@ -12,6 +12,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
+from simfoundry.spec.aliases import ALIASES
 from simfoundry.spec.expressions import PREDICATES
 from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.overlays import OVERLAY, loose
@@ -33,7 +34,7 @@ UNIONS = {
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 """In braces, plain YAML splits ``goal: OnTop(cup, desk)`` at its comma: the rest of the text arrives as a key."""
 
-PREDICATE = rf"^\s*({'|'.join(PREDICATES)})\s*\([^()]*\)?\s*$|^[^()]*\)$"
+PREDICATE = rf"^\s*({'|'.join((*PREDICATES, *ALIASES))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 """A predicate, or what plain YAML makes of one in brackets: its start or its end."""
 
 LISTED = "Listed"

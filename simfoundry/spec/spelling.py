@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, Literal
 
+from simfoundry.spec.aliases import ours
 from simfoundry.spec.text import UNPRINTABLE, YamlError, parse
 
 DIGITS = 6
@@ -67,12 +68,12 @@ def exact(value: float) -> str:
 
 
 def call(text: str) -> str:
-    """A predicate with its arguments as they are spelled, ``OnTop(cup, desk)``; any other text as it is."""
+    """A predicate as it is spelled, by our name, ``OnTop(cup, desk)``; any other text as it is."""
     match = _CALL.match(text)
-    if match is None:
+    if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
         return text
-    arguments = match[2].split(",")
-    return f"{match[1]}({', '.join(a.strip() for a in arguments)})" if all(map(_ARGUMENT.match, arguments)) else text
+    name, arguments = ours(match[1], tuple(a.strip() for a in match[2].split(",")))
+    return f"{name}({', '.join(arguments)})"
 
 
 def scalar(value: Any, where: Where) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 from simfoundry.spec.base import Model
@@ -41,29 +42,49 @@ def to_yaml(spec: Model, comment: str = "") -> str:
 
 def to_data(spec: Model) -> dict[str, Any]:
     """Plain data of a document, in canonical order, without what equals its default."""
-    fields = type(spec).model_fields
     out: dict[str, Any] = {}
-    for name in field_order(type(spec)):
+    for name, needed, default in _fields(type(spec)):
         value = getattr(spec, name)
-        needed = name == "simfoundry" or fields[name].is_required()
-        if not needed and value == fields[name].default:
+        if not needed and value == default:
             continue
         data = _data(value)
-        # Rounded: what is written like the default would be read as the default, and then not be written again.
-        if needed or _rounded(data) != _rounded(_data(fields[name].default)):
+        # What is written like the default would be read as the default, and then not be written again.
+        if needed or not _written_alike(data, _data(default)):
             out[name] = data
     return out
 
 
+@cache
+def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
+    """Name of each field in canonical order, whether it is always written, and its default."""
+    fields = model.model_fields
+    needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
+    return tuple((name, name in needed, fields[name].default) for name in field_order(model))
+
+
 def _data(value: Any) -> Any:
+    if value is None or isinstance(value, str | float | int):
+        return value
     match value:
         case Model():
             return to_data(value)
         case dict():
             return {key: _data(item) for key, item in value.items()}
         case tuple():
-            return tuple(_data(item) for item in value)
+            return tuple([_data(item) for item in value])
     return value
+
+
+def _written_alike(a: Any, b: Any) -> bool:
+    """Whether two data have the same text: numbers are written with six decimals."""
+    match a, b:
+        case (float(), float() | int()) | (int(), float()):
+            return rounded(a) == rounded(b)
+        case tuple(), tuple():
+            return len(a) == len(b) and all(map(_written_alike, a, b))
+        case dict(), dict():
+            return a.keys() == b.keys() and all(_written_alike(value, b[key]) for key, value in a.items())
+    return bool(a == b)
 
 
 def _rounded(data: Any) -> Any:

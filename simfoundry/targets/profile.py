@@ -20,6 +20,17 @@ class Gap(Model):
         description="`notimpl`: ours to do; `notyet`: the simulator could; `never`: it cannot."
     )
     reason: Words = Field(description="Why, and by how much.")
+    size: Positive | None = Field(
+        None, description="The greatest error in SI units, where something of it arrives; `simfoundry verify` holds it."
+    )
+
+
+class Band(Model):
+    """A behaviour of `simfoundry verify` with another outcome than the known answer."""
+
+    low: float = Field(description="The least that it may measure, in the unit of the behaviour.")
+    high: float = Field(description="The most.")
+    reason: Words = Field(description="Why it does not do better.")
 
 
 class Tolerance(Model):
@@ -68,4 +79,7 @@ class TargetSpec(Model):
     )
     combines: Combines = Field(Combines(), description="How it combines the surfaces of a contact.")
     gaps: dict[Name, Gap] = Field({}, description="Features that it does not keep, with the reason.")
+    behaviours: dict[Name, Band] = Field(
+        {}, description="What it is known to do otherwise than the laws of physics, by behaviour."
+    )
     tolerances: dict[Name, Tolerance] = Field({}, description="What may differ when its world is read back, and why.")

@@ -94,5 +94,7 @@ def _reasons(columns: list[Column]) -> Iterator[str]:
             yield f"What `{column.target.backend}` does not keep, and:" if own else f"As `{column.target.backend}`."
             yield ""
         yield from (f"- {MARKS[cell.fidelity]} {FEATURES[name].words}: {cell.reason}" for name, cell in own.items())
+        bands = column.target.profile.behaviours if column.target.profile is not None else {}
+        yield from (f"- ≈ measured `{n}`: {b.low:g} to {b.high:g}: {b.reason}" for n, b in bands.items())
         if column.target.profile is not None and column.target.profile.tested.note:
             yield from ("", f"Tested: {column.target.profile.tested.note}.")

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Cylinder, Scene, Sphere
+from simfoundry.scene.model import Cylinder, Drive, Scene, Sphere
 from simfoundry.verify import rigs
 from simfoundry.verify.facts import Moment
 from simfoundry.verify.process import Run
@@ -170,6 +170,37 @@ def damped_friction() -> Measurement:
     return (last.joints["slider.joint"] - before.joints["slider.joint"]) / (last.time - before.time)
 
 
+_SPRING = Drive(stiffness=200.0, damping=20.0, target=0.05)
+
+
+def drive_holds() -> Measurement:
+    """Where a motor of 200 N/m with its target at 50 mm holds a slider of 9.81 N [mm]: the weight adds 49 mm."""
+    moments = yield Trial(rigs.scene_of("motor", rigs.slider(travel=0.5, drive=_SPRING)), Run(2.5, 2.5))
+    return moments[-1].joints["slider.joint"] * 1000
+
+
+def follower_keeps() -> Measurement:
+    """How many times as far as its leader a joint has gone that follows it twice as far, while the leader falls."""
+    moments = yield Trial(rigs.scene_of("gear", rigs.geared(2.0)), Run(0.5, 0.1))
+    last = moments[-1].joints
+    if abs(last["gear.leader"]) < 0.01:
+        raise ValueError(f"gear.leader does not fall: it is at {last['gear.leader']:.3g} m")
+    return last["gear.follower"] / last["gear.leader"]
+
+
+def passes_through() -> Measurement:
+    """How much farther a box falls that passes through a shelf than one that does not, of a fall of 0.3 s."""
+    shelf = rigs.solid("shelf", rigs.box(1, 1, 0.05), rigs.posed(0, 0, 0.475), fixed=True)
+    boxes = [
+        rigs.solid(n, rigs.box(0.06, 0.06, 0.06), rigs.posed(x, 0, 0.531)) for n, x in (("held", -0.3), ("ghost", 0.3))
+    ]
+    scene = replace(rigs.scene_of("pass", shelf, *boxes), no_contact=(("ghost", "shelf"),))
+    moments = yield Trial(scene, Run(0.3, 0.3))
+    first, last = moments[0], moments[-1]
+    fallen = {n: first.pose(n).p[2] - last.pose(n).p[2] for n in ("held", "ghost")}
+    return float((fallen["ghost"] - fallen["held"]) / (rigs.GRAVITY * last.time**2 / 2))
+
+
 _RESTING = {"crate": 0.03, "can": 0.05, "slab": 0.01, "wedge": 0.0}
 """Heights of the frames of what :func:`settled` drops, at rest on the floor [m]."""
 
@@ -215,38 +246,13 @@ BEHAVIOURS: tuple[Behaviour, ...] = (
               "5 %: one step of 1 s, and soft friction", friction_slips),
     Behaviour("damped_friction", "damped, slipping joint falls at", "m/s", (_WEIGHT - 3.0) / 4.0,
               0.02 * (_WEIGHT - 3.0) / 4.0, "2 %, as of the decay", damped_friction),
+    Behaviour("drive", "motor holds at", "mm", 1000 * (0.05 + _WEIGHT / 200.0), 1.0, "1 mm", drive_holds),
+    Behaviour("mimic", "follower goes, of its leader", "", 2.0, 0.02, "1 %: gears are stiff springs in some engines",
+              follower_keeps),
+    Behaviour("no_contact", "box passes through, of its fall", "", 1.0, 0.02, "the other one settles by 1 mm or two",
+              passes_through),
     Behaviour("settled_mm", "settled position off by", "mm", 0.0, 1.0, "so any two engines are within 2 mm",
               settled_position),
     Behaviour("settled_deg", "settled rotation off by", "deg", 0.0, 0.5, "so any two engines are within 1 degree",
               settled_rotation),
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Known:
-    """What an engine is known to do instead: the value lies from ``low`` to ``high``, because of ``reason``."""
-
-    low: float
-    high: float
-    reason: str
-
-
-_AVERAGE = math.degrees(math.atan((MU_BOX + MU_RAMP) / 2))
-_HARMONIC = math.degrees(math.atan(2 * MU_BOX * MU_RAMP / (MU_BOX + MU_RAMP)))
-_LARGER = math.degrees(math.atan(MU_RAMP))
-_FREE_MM = 500 * rigs.GRAVITY
-
-KNOWN: dict[tuple[str, str], Known] = {
-    ("pybullet", "restitution"): Known(0.45, 0.75, "Bullet acts on an impact at whole steps"),
-    ("newton-usd", "restitution"): Known(0.0, 0.15, "Newton's MuJoCo solver takes no restitution from USD"),
-    ("newton-usd", "slip_angle"): Known(_LARGER - 1, _LARGER + 1, "takes the larger friction of a pair"),
-    ("sapien", "restitution"): Known(0.62, 0.68, "takes the average restitution of a pair"),
-    ("sapien", "slip_angle"): Known(_AVERAGE - 1, _AVERAGE + 1, "takes the average friction of a pair"),
-    ("sapien", "damped_friction"): Known(2.40, 2.50, "no Coulomb friction in a joint that is damped"),
-    ("drake", "restitution"): Known(0.0, 0.05, "Drake has no restitution"),
-    ("drake", "slip_angle"): Known(_HARMONIC - 1, _HARMONIC + 1, "takes the harmonic mean friction of a pair"),
-    ("drake", "friction_holds"): Known(0.99 * _FREE_MM, 1.01 * _FREE_MM, "Drake has no Coulomb friction of joints"),
-    ("drake", "friction_slips"): Known(9.71, 9.91, "Drake has no Coulomb friction of joints"),
-    ("drake", "damped_friction"): Known(2.40, 2.50, "Drake has no Coulomb friction of joints"),
-}
-"""What each engine cannot do, by engine and behaviour, with its size. An engine that does better than this passes."""

@@ -14,10 +14,14 @@ from typing import Any
 import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss
-from simfoundry.scene.model import Scene
-from simfoundry.verify.engines import Engine, Gap
+from simfoundry.backends.inset import inset_hull
+from simfoundry.backends.pybullet import SKIN
+from simfoundry.scene.model import Mesh, Scene
+from simfoundry.targets.profile import Gap
+from simfoundry.verify.engines import Engine
 from simfoundry.verify.expected import expected_facts, static_links
-from simfoundry.verify.facts import ColliderFacts, Facts, JointFacts, LinkFacts, Numbers, pose_of
+from simfoundry.verify.facts import ColliderFacts, Facts, JointFacts, LinkFacts, Numbers, mesh_bounds, pose_of
+from simfoundry.verify.robots import RobotFacts, expected_robots, without_robots
 
 TOLERANCE = 1e-5
 
@@ -30,12 +34,17 @@ FLOORS = {
     "bounds": 0.1,
     "friction": 0.1,
     "restitution": 0.1,
+    "torsional_friction": 1e-3,
+    "rolling_friction": 1e-3,
     "axis": 1.0,
     "limits": 1.0,
     "damping": 1e-3,
     "joint friction": 1e-3,
     "armature": 1e-4,
     "joint position": 1.0,
+    "law": 1.0,
+    "drive": 1.0,
+    "effort": 1.0,
     "gravity": 1.0,
 }
 """Where relative turns into absolute: kg, m, kg m^2, m, rad, and what joints and surfaces have."""
@@ -43,8 +52,33 @@ FLOORS = {
 SKIN_M = 2.5e-3
 """How far an approximated collision shape may stand from the scene's [m]: Bullet's skin, at both ends and a corner."""
 
+_WHOLE = ("link", "joint", "robot", "held", "collider")
+"""What an approximation of the whole thing still has."""
+
 _WELDED = ("mass", "com", "inertia")
 """What an engine need not keep of a link that can never move."""
+
+
+_SURFACE = {
+    "bounds": "bounds",
+    "friction": "friction",
+    "restitution": "restitution",
+    "torsional_friction": "spinning",
+    "rolling_friction": "rolling",
+}
+"""What is compared of a collider, as losses call it."""
+
+_JOINT = {
+    "axis": ("axis", "axis"),
+    "limits": ("limits", "limits"),
+    "damping": ("damping", "damping"),
+    "friction": ("joint friction", "friction"),
+    "armature": ("armature", "armature"),
+    "law": ("law", "mimic"),
+    "drive": ("drive", "drive"),
+    "effort": ("effort", "drive"),
+}
+"""What is compared of a joint: how it is called in the table, and what losses call it."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +109,19 @@ class Comparison:
 
 def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) -> Comparison:
     """Hold what an engine says against the scene; ``losses`` are those of the target that it read."""
-    lost = [loss for loss in losses if loss.fidelity in (Fidelity.APPROXIMATED, Fidelity.DROPPED)]
-    checker = _Checker(expected_facts(scene, engine.target), facts, static_links(scene))
+    names = {robot.name for robot in scene.robots}
+    # That a robot was converted excuses nothing of what is compared of it.
+    lost = [loss for loss in losses if loss.fidelity is Fidelity.DROPPED or loss.path not in names]
+    ours, robots = without_robots(facts, names)
+    checker = _Checker(expected_facts(scene, engine.target), ours, static_links(scene))
     checker.run()
+    for name, robot in expected_robots(scene, engine.target).items():
+        checker.robot(name, robot, robots.get(name))
     mismatches, covered = [], []
     used: set[str] = set()
     for difference, keys in checker.found:
-        loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected)), None)
-        gap = next((g for g in engine.gaps if g.quantity == difference.quantity), None)
+        loss = next((lo for lo in lost if _covers(lo, keys, difference, checker.expected, scene)), None)
+        gap = engine.gap(difference.quantity)
         used |= {lo.path for lo in lost if lo.path in keys}
         reason = loss.reason if loss is not None else _gap_reason(gap, difference)
         if reason:
@@ -97,7 +136,7 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
     """A gap is a quantity that the engine has none of, or that is off by no more than a stated size."""
     if gap is None:
         return ""
-    if gap.size > 0 and difference.got is not None:
+    if gap.size is not None and difference.got is not None:
         off = float(np.abs(np.asarray(difference.expected) - np.asarray(difference.got)).max())
         return f"{gap.reason} (up to {gap.size:g})" if off <= gap.size else ""
     return gap.reason if not difference.got else ""
@@ -124,6 +163,28 @@ class _Checker:
         self._numbers("world", "gravity", self.expected.gravity, self.got.gravity, frozenset({"gravity"}))
         if self.got.pairs is not None:
             self._pairs(self.expected.pairs or {}, self.got.pairs)
+        if self.got.silent is not None:
+            self._silent(set(self.expected.silent or ()), set(self.got.silent))
+
+    def robot(self, name: str, expected: RobotFacts | None, got: RobotFacts | None) -> None:
+        """A robot, of which no more is known than that it is there where ``expected`` is None."""
+        keys = frozenset({name})
+        self.compared += 1
+        if got is None:
+            self._add(name, "robot", name, None, math.inf, keys)
+            return
+        if expected is None:
+            return
+        if expected.pose is not None and got.pose is not None:
+            self._pose(name, expected.pose, got.pose)
+        self._numbers(name, "mass", expected.mass, got.mass, keys)
+        self._names("joint", *({f"{name}.{n}": j for n, j in facts.joints.items()} for facts in (expected, got)))
+        for joint, there in expected.joints.items():
+            if (here := got.joints.get(joint)) is not None:
+                self._numbers(f"{name}.{joint}", "limits", there.limits, here.limits, keys)
+                self._numbers(f"{name}.{joint}", "joint position", there.position, here.position, keys)
+        if expected.actuators is not None and got.actuators is not None:
+            self._words(name, "actuators", " ".join(expected.actuators), " ".join(got.actuators), keys)
 
     def _names(self, kind: str, expected: Mapping[str, object], got: Mapping[str, object]) -> None:
         self.compared += len(expected)
@@ -139,6 +200,7 @@ class _Checker:
             if held is None and name in self.static:
                 continue
             self._numbers(name, quantity, wanted, held, _keys(name, quantity), required=True)
+        self._words(name, "held", expected.held, got.held, _keys(name, "joint"))
         if got.colliders is not None:
             self._colliders(name, expected.colliders or (), got.colliders)
 
@@ -162,9 +224,9 @@ class _Checker:
                 self._add(name, "collider", there.name, None, math.inf, _keys(link, "collider", str(there.name)))
                 continue
             self._kind(name, link, there, here)
-            for quantity in ("bounds", "friction", "restitution"):
+            for quantity, field_name in _SURFACE.items():
                 keys = _keys(link, quantity, str(there.name))
-                self._numbers(name, quantity, getattr(there, quantity), getattr(here, quantity), keys)
+                self._numbers(name, quantity, getattr(there, field_name), getattr(here, field_name), keys)
 
     def _kind(self, name: str, link: str, expected: ColliderFacts, got: ColliderFacts) -> None:
         if got.kind is None:
@@ -180,10 +242,33 @@ class _Checker:
             if expected.type != ("revolute" if got.type == "continuous" else got.type):
                 self._add(name, "type", expected.type, got.type, math.inf, _joint_keys(name, "type"))
                 return
-        for quantity in ("axis", "limits", "damping", "friction", "armature", "position"):
-            label = f"joint {quantity}" if quantity in ("friction", "position") else quantity
-            wanted, held = getattr(expected, quantity), getattr(got, quantity)
-            self._numbers(name, label, wanted, held, _joint_keys(name, quantity))
+        for field_name, (label, lost_as) in _JOINT.items():
+            wanted, held = getattr(expected, field_name), getattr(got, field_name)
+            self._numbers(name, label, wanted, held, _joint_keys(name, lost_as))
+        self._words(name, "follows", expected.follows, got.follows, _joint_keys(name, "mimic"))
+        keys = _joint_keys(name, "position")
+        if isinstance(expected.position, tuple) and isinstance(got.position, tuple):
+            angle = pose_of((0, 0, 0, *expected.position)).angle_to(pose_of((0, 0, 0, *got.position)))
+            self._count(name, "joint position", expected.position, got.position, angle, keys)
+        else:
+            self._numbers(name, "joint position", expected.position, got.position, keys)
+
+    def _silent(self, expected: set[str], got: set[str]) -> None:
+        """Pairs of links that pass through each other; of those that could meet at all."""
+        colliding = {name for name, link in self.expected.links.items() if link.colliders}
+        for pair in sorted(expected | got):
+            ends = set(pair.split("|"))
+            if ends <= colliding and not ends <= self.static:
+                keys = frozenset({"no_contact", *(f"{end.partition('.')[0]}.no_contact" for end in ends)})
+                there, here = ("pass" if pair in each else "touch" for each in (expected, got))
+                self._words(pair.replace("|", " and "), "contact", there, here, keys)
+
+    def _words(self, name: str, quantity: str, expected: str | None, got: str | None, keys: frozenset[str]) -> None:
+        """Compare words; what an engine does not tell is passed over."""
+        if got is None or expected is None:
+            self.untold |= keys
+            return
+        self._count(name, quantity, expected, got, 0.0 if expected == got else math.inf, keys)
 
     def _pairs(self, expected: Mapping[str, float], got: Mapping[str, float]) -> None:
         """Pairs that the engine leaves to its own rule have no entry; those with equal frictions need none."""
@@ -231,7 +316,8 @@ class _Checker:
 
 def _joint_keys(name: str, quantity: str) -> frozenset[str]:
     """The paths that name a quantity of a joint: not those of its object, whose friction is that of its surfaces."""
-    return frozenset({name.partition(".")[0], name, f"{name}.{quantity}"})
+    found = {name.partition(".")[0], name, f"{name}.{quantity}"}
+    return frozenset(found | {f"{name}.drive.stiffness", f"{name}.drive.damping"} if quantity == "drive" else found)
 
 
 def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
@@ -240,24 +326,43 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
     keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
     if part:
         keys |= {f"{name}.{part}", f"{name}.{part}.{quantity}", f"{item}.colliders", f"{name}.colliders"}
-        if quantity in ("friction", "restitution"):
+        if quantity != "bounds" and quantity in _SURFACE:
             keys -= {f"{item}.colliders", f"{name}.colliders"}
     return frozenset(keys)
 
 
-def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: Facts) -> bool:
+def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: Facts, scene: Scene) -> bool:
     """Whether a loss speaks of a difference; one that approximates covers no more than it says."""
     path = loss.path
     if loss.fidelity is Fidelity.DROPPED:
         return path in keys or path == difference.quantity
+    if difference.quantity in _WHOLE:
+        return False
     if path not in keys:
         return False
     if difference.quantity == "bounds":
         off = np.abs(np.asarray(difference.expected) - np.asarray(difference.got))
-        return bool(off.max() <= SKIN_M)
+        return bool(off.max() <= SKIN_M or off.max() <= _tip(scene, difference.name) + SKIN_M)
     if difference.quantity in ("friction", "restitution"):
         return _one_for_all(difference, expected)
     return True
+
+
+def _tip(scene: Scene, name: str) -> float:
+    """How far the tips of a convex mesh lie from where they would be with all its faces moved in by Bullet's skin [m].
+
+    The sharper they are, the farther.
+    """
+    link, _, collider = name.rpartition(".")
+    for item in scene.objects:
+        for each in item.links:
+            for part in each.colliders:
+                if (item.qualified(each.name), part.name) == (link, collider) and isinstance(part.geometry, Mesh):
+                    smaller = inset_hull(part.geometry, SKIN)
+                    if smaller is not None:
+                        bounds = [mesh_bounds(m.vertices, part.X_LG) for m in (part.geometry, smaller)]
+                        return float(np.abs(np.subtract(bounds[0], bounds[1])).max())
+    return 0.0
 
 
 def _one_for_all(difference: Difference, expected: Facts) -> bool:

@@ -11,22 +11,16 @@ from functools import cache
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.targets.find import find_target, profile_names
+from simfoundry.targets.profile import Band, Gap, TargetSpec
 from simfoundry.verify.process import ask_probe
 
 VARIABLE = "SIMFOUNDRY_ENGINES"
 """Names interpreters, separated by commas: ``PATH`` is searched for every engine, ``ENGINE=PATH`` for that one."""
 
 
-@dataclass(frozen=True)
-class Gap:
-    """A quantity that an engine does not keep although its build says it, and why.
-
-    It then has none of it, or, where there is a ``size``, one that is off by no more than that.
-    """
-
-    quantity: str
-    reason: str
-    size: float = 0.0
+_FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
+"""The features of profiles whose names are not those of the quantities that are compared."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +28,8 @@ class Engine:
     """One engine reading one target.
 
     ``modules`` are what it needs, as ``module:distribution``, the engine itself first; ``family`` is what
-    ``--python FAMILY=PATH`` may say for all engines of one package; ``by_loader`` are quantities that the target's
-    format drops and its loader for this engine brings back.
+    ``--python FAMILY=PATH`` may say for all engines of one package. What it is known not to keep, and what its loader
+    brings back of what the target's format drops, is in the profile of its family.
     """
 
     name: str
@@ -45,13 +39,39 @@ class Engine:
     install: str
     note: str
     steps: bool = True
-    gaps: tuple[Gap, ...] = ()
-    by_loader: tuple[str, ...] = ()
 
     @property
     def module(self) -> str:
         """The module that is the engine."""
         return self.modules[0].partition(":")[0]
+
+    def gap(self, quantity: str) -> Gap | None:
+        """What the profile says of a quantity that the engine does not keep although its build says it.
+
+        The engine then has none of it, or, where there is a ``size``, one that is off by no more than that.
+        """
+        profile = _profile(self.family)
+        return profile.gaps.get(_FEATURES.get(quantity, quantity)) if profile is not None else None
+
+    @property
+    def by_loader(self) -> frozenset[str]:
+        """The features that the target's format drops and the loader for this engine brings back."""
+        profile = _profile(self.family)
+        if profile is None:
+            return frozenset()
+        combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
+        return frozenset(profile.restores.keys() | combined)
+
+    def band(self, behaviour: str) -> Band | None:
+        """What it is known to do instead of the right answer."""
+        profile = _profile(self.family)
+        return profile.behaviours.get(behaviour) if profile is not None else None
+
+
+@cache
+def _profile(family: str) -> TargetSpec | None:
+    """The profile of a simulator; None of what is none, as OpenUSD itself."""
+    return find_target(family).profile if family in profile_names() else None
 
 
 _NEWTON = ("newton:newton", "warp:warp-lang", "mujoco_warp:mujoco-warp", "mujoco:mujoco")
@@ -74,7 +94,6 @@ ENGINES: tuple[Engine, ...] = (
         _NEWTON,
         "pip install 'newton[importers,sim]'",
         "SolverMuJoCo on the CPU",
-        gaps=(Gap("restitution", "MJCF has no restitution, and Newton reads none from the contact's solref"),),
     ),
     Engine(
         "sapien",
@@ -83,11 +102,6 @@ ENGINES: tuple[Engine, ...] = (
         ("sapien:sapien",),
         "pip install sapien",
         "PhysX on the CPU",
-        gaps=(
-            Gap("joint friction", "PhysX has a drive for damping or for Coulomb friction: damping wins"),
-            Gap("bounds", "PhysX simplifies hulls of many vertices", size=1e-3),
-        ),
-        by_loader=("gravity", "friction", "restitution", "armature"),
     ),
     Engine(
         "drake",
@@ -96,8 +110,6 @@ ENGINES: tuple[Engine, ...] = (
         ("pydrake:drake",),
         "pip install drake",
         "discrete, with the default contact solver",
-        gaps=(Gap("joint friction", "Drake has no Coulomb friction of joints"),),
-        by_loader=("gravity", "friction", "armature"),
     ),
     Engine(
         "usd", "usd", "usd", ("pxr:usd-core",), "pip install usd-core", "the stage itself, no simulator", steps=False

@@ -26,19 +26,26 @@ from simfoundry.scene.model import (
     Sphere,
     pair_friction,
 )
+from simfoundry.scene.touching import silent_pairs
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
     LinkFacts,
     mesh_bounds,
     numbers,
+    pair_name,
     pose_numbers,
     shape_bounds,
 )
 
 SPLIT_CAPSULES = ("urdf",)
 """Targets that write a capsule as a cylinder and two spheres, the same solid."""
+
+_NO_JOINT = (JointType.FIXED, JointType.FREE)
+"""A free joint holds nothing: it shows in what its link is held by, and where that is."""
 
 
 def expected_facts(scene: Scene, target: str) -> Facts:
@@ -48,9 +55,10 @@ def expected_facts(scene: Scene, target: str) -> Facts:
     for item in scene.objects:
         X_OL = link_poses(item)
         for link in item.links:
-            links[item.qualified(link.name)] = _link(item.X_WO @ X_OL[link.name], link, target)
-        joints |= {f"{item.name}.{j.name}": _joint(j) for j in item.joints if j.type is not JointType.FIXED}
-    return Facts(links, joints, numbers(scene.gravity), dict(_pairs(scene)))
+            X_WL = item.X_WO @ X_OL[link.name]
+            links[item.qualified(link.name)] = _link(X_WL, link, _held_by(item, link), target)
+        joints |= {f"{item.name}.{j.name}": _joint(item, j) for j in item.joints if j.type not in _NO_JOINT}
+    return Facts(links, joints, numbers(scene.gravity), dict(_pairs(scene)), tuple(_silent(scene)))
 
 
 def static_links(scene: Scene) -> set[str]:
@@ -72,16 +80,26 @@ def _held(item: SceneObject) -> set[str]:
     return held
 
 
-def _link(X_WL: Pose, link: Link, target: str) -> LinkFacts:
+def _held_by(item: SceneObject, link: Link) -> str:
+    joint = next((j for j in item.joints if j.child == link.name), None)
+    if joint is None:
+        return WORLD if item.fixed else FREE
+    return FREE if joint.type is JointType.FREE else item.qualified(joint.parent)
+
+
+def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkFacts:
     colliders = tuple(part for collider in link.colliders for part in _collider(collider, target))
-    return LinkFacts(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), colliders)
+    return LinkFacts(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
 
 
 def _collider(collider: Collider, target: str) -> Iterator[ColliderFacts]:
     whole = [("", collider.geometry, Pose.of())]
     for suffix, geometry, X_GP in capsule_parts(collider.geometry) if target in SPLIT_CAPSULES else whole:
         kind, bounds = _shape(geometry, collider.X_LG @ X_GP)
-        yield ColliderFacts(collider.name + suffix, kind, bounds, collider.friction, collider.restitution)
+        yield ColliderFacts(
+            collider.name + suffix, kind, bounds, collider.friction, collider.restitution,
+            collider.torsional_friction, collider.rolling_friction,
+        )  # fmt: skip
 
 
 def _shape(geometry: Geometry, X_LG: Pose) -> tuple[str, tuple[float, ...]]:
@@ -98,21 +116,37 @@ def _shape(geometry: Geometry, X_LG: Pose) -> tuple[str, tuple[float, ...]]:
             return "mesh", mesh_bounds(vertices, X_LG)
 
 
-def _joint(joint: Joint) -> JointFacts:
+def _joint(item: SceneObject, joint: Joint) -> JointFacts:
     limited = joint.limits is not None and joint.type is not JointType.CONTINUOUS
+    mimic, drive = joint.mimic, joint.drive
     return JointFacts(
         type="revolute" if joint.type is JointType.CONTINUOUS else joint.type.value,
-        axis=numbers(joint.axis / np.linalg.norm(joint.axis)),
+        axis=numbers(joint.axis / np.linalg.norm(joint.axis)) if joint.has_axis else None,
         limits=numbers(joint.limits) if limited else (),
         damping=joint.damping,
         friction=joint.friction,
         armature=joint.armature,
-        position=joint.position,
+        position=joint.position if joint.has_axis else numbers(joint.motion.q),
+        follows=f"{item.name}.{mimic.joint}" if mimic is not None else "",
+        law=(mimic.multiplier, mimic.offset) if mimic is not None else (),
+        drive=(drive.stiffness, drive.damping, drive.target) if drive is not None else (),
+        effort=() if drive is None or drive.force_limit is None else (drive.force_limit,),
     )
+
+
+def _silent(scene: Scene) -> Iterator[str]:
+    """Pairs of links that could meet and pass through each other: those that the spec names, and neighbours."""
+    static = static_links(scene)
+    felt = {o.qualified(k.name) for o in scene.objects for k in o.links if k.colliders}
+    pairs = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
+    for a, b in (*pairs, *scene.no_contact):
+        if felt >= {a, b} and not static >= {a, b}:
+            yield pair_name(a, b)
 
 
 def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
     """Pairs of colliders of different objects that can meet and whose frictions differ, with their friction."""
+    unheard = {frozenset(pair) for pair in scene.no_contact}
     by_friction: dict[float, list[tuple[str, str, bool]]] = {}
     for item in scene.objects:
         held = _held(item)
@@ -123,5 +157,6 @@ def _pairs(scene: Scene) -> Iterator[tuple[str, float]]:
     for (mu_a, ours), (mu_b, theirs) in combinations(by_friction.items(), 2):
         mu = pair_friction(mu_a, mu_b)
         for (a, owner_a, held_a), (b, owner_b, held_b) in product(ours, theirs):
-            if owner_a != owner_b and not (held_a and held_b) and not math.isnan(mu):
-                yield "|".join(sorted((a, b))), mu
+            silent = unheard and frozenset((a.rpartition(".")[0], b.rpartition(".")[0])) in unheard
+            if owner_a != owner_b and not (held_a and held_b) and not silent and not math.isnan(mu):
+                yield pair_name(a, b), mu

@@ -25,7 +25,7 @@ class ColliderFacts:
     ``name`` is the collider's in its link, None where the engine forgets it; then shapes are told apart by their order.
     ``kind`` is ``box``, ``sphere``, ``cylinder``, ``capsule`` or ``mesh``; ``bounds`` the low and the high corner of
     the box about it along the axes of the link [m]; ``friction`` and ``restitution`` those of the surface, before any
-    rule for a pair.
+    rule for a pair; ``spinning`` and ``rolling`` its resistance against those [m].
     """
 
     name: str | None = None
@@ -33,16 +33,26 @@ class ColliderFacts:
     bounds: Numbers | None = None
     friction: float | None = None
     restitution: float | None = None
+    spinning: float | None = None
+    rolling: float | None = None
+
+
+FREE, WORLD = "free", "world"
+"""What holds the root of an object."""
 
 
 @dataclass(frozen=True)
 class LinkFacts:
-    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row by row."""
+    """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row by row.
+
+    ``held`` is the link that its joint hangs it on, or :data:`FREE`, or :data:`WORLD`.
+    """
 
     pose: Numbers | None = None
     mass: float | None = None
     com: Numbers | None = None
     inertia: Numbers | None = None
+    held: str | None = None
     colliders: tuple[ColliderFacts, ...] | None = None
 
 
@@ -50,7 +60,10 @@ class LinkFacts:
 class JointFacts:
     """A joint that moves; ``axis`` in the child link's frame; ``limits`` is empty where the engine says there are none.
 
-    A revolute joint without limits may read back as continuous, and the other way round.
+    A revolute joint without limits may read back as continuous, and the other way round. ``position`` is an angle or
+    a length, or the quaternion of a ball joint. ``follows`` is the joint that it follows, empty for none, by the
+    ``law`` of multiplier and offset. ``drive`` is stiffness, damping and target of its motor, and ``effort`` the
+    greatest force of that; both are empty for none.
     """
 
     type: str | None = None
@@ -59,20 +72,28 @@ class JointFacts:
     damping: float | None = None
     friction: float | None = None
     armature: float | None = None
-    position: float | None = None
+    position: float | Numbers | None = None
+    follows: str | None = None
+    law: Numbers | None = None
+    drive: Numbers | None = None
+    effort: Numbers | None = None
 
 
 @dataclass(frozen=True)
 class Facts:
     """All that an engine says about a world; ``pairs`` are the frictions that it holds for pairs of colliders.
 
-    A pair is ``link.collider`` and ``link.collider`` in alphabetical order, with a bar between.
+    A pair is ``link.collider`` and ``link.collider`` in alphabetical order, with a bar between; ``silent`` are pairs of
+    links that pass through each other, written the same way. ``actuators`` are the motors by name. Robots are told
+    like objects: their links as ``robot.link``, the frame of their base as ``robot``.
     """
 
     links: Mapping[str, LinkFacts] = field(default_factory=dict)
     joints: Mapping[str, JointFacts] = field(default_factory=dict)
     gravity: Numbers | None = None
     pairs: Mapping[str, float] | None = None
+    silent: tuple[str, ...] | None = None
+    actuators: tuple[str, ...] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """A plain mapping."""
@@ -83,8 +104,10 @@ class Facts:
         """What :meth:`to_json` wrote."""
         links = {name: _link(entry) for name, entry in data["links"].items()}
         joints = {name: JointFacts(**_tuples(entry)) for name, entry in data["joints"].items()}
-        gravity = data.get("gravity")
-        return cls(links, joints, None if gravity is None else tuple(gravity), data.get("pairs"))
+        gravity, silent, actuators = (
+            None if data.get(key) is None else tuple(data[key]) for key in ("gravity", "silent", "actuators")
+        )
+        return cls(links, joints, gravity, data.get("pairs"), silent, actuators)
 
 
 @dataclass(frozen=True)
@@ -122,6 +145,11 @@ def pose_numbers(pose: Pose) -> Numbers:
 def pose_of(values: Sequence[float]) -> Pose:
     """The pose that seven numbers stand for."""
     return Pose.of(values[:3], values[3:])
+
+
+def pair_name(a: str, b: str) -> str:
+    """Two names in alphabetical order with a bar between."""
+    return "|".join(sorted((a, b)))
 
 
 def shape_bounds(kind: str, size: Sequence[float] | Array, X_LG: Pose) -> Numbers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,10 +13,12 @@ from simfoundry.scene.model import (
     Box,
     Collider,
     Cylinder,
+    Drive,
     Joint,
     JointType,
     Link,
     Mesh,
+    Mimic,
     Primitive,
     Scene,
     SceneObject,
@@ -136,11 +139,24 @@ def pendulum_constants() -> tuple[float, float]:
     return about_com + mass * length**2, mass * GRAVITY * length
 
 
-def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 5.0) -> SceneObject:
-    """One kilogram on a vertical rail, free to fall by ``travel`` [m] from its upper end; positive is down."""
+def slider(damping: float = 0.0, friction: float = 0.0, travel: float = 6.0, drive: Drive | None = None) -> SceneObject:
+    """One kilogram that slides vertically, free to fall by ``travel`` [m] from its upper end; positive is down."""
     bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
-    return jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
+    item = jointed("slider", JointType.PRISMATIC, [0, 0, -1], bob, posed(0.1, 0.2, 10.0, yaw=0.4), (-0.2, travel),
                    damping=damping, friction=friction)  # fmt: skip
+    return replace(item, joints=(replace(item.joints[0], drive=drive),))
+
+
+def geared(multiplier: float) -> SceneObject:
+    """Two weights that slide down side by side, of which the ``follower`` goes ``multiplier`` times as far."""
+    bob = (1.0, np.array([0.0, 0.0, -0.1]), np.diag(moments(box(0.05, 0.05, 0.05), 1.0)))
+    one = jointed("gear", JointType.PRISMATIC, [0, 0, -1], bob, posed(0, 0, 10.0, yaw=0.4), (-0.2, 3.0), damping=5.0)
+    (mount, moving), (joint,) = one.links, one.joints
+    side = Pose.of([0.2, 0.0, 0.0])
+    leader = replace(joint, name="leader")
+    law = Mimic("leader", multiplier)
+    follower = replace(joint, name="follower", child="other", X_PC=side, limits=(-0.4, 6.0), mimic=law, damping=0.0)
+    return replace(one, links=(mount, moving, replace(moving, name="other")), joints=(leader, follower))
 
 
 def _link(

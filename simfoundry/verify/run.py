@@ -13,9 +13,9 @@ from typing import Any
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Loss
 from simfoundry.scene.model import Scene
-from simfoundry.verify.behaviours import KNOWN, Behaviour, Measurement, Trial
+from simfoundry.verify.behaviours import Behaviour, Measurement, Trial
 from simfoundry.verify.compare import Comparison, compare
-from simfoundry.verify.engines import Found
+from simfoundry.verify.engines import Found, engine_called
 from simfoundry.verify.process import TIMEOUT_S, Answer, Job, ask
 
 Report = Callable[[str, int], None]
@@ -189,7 +189,7 @@ def judged(behaviour: Behaviour, engine: str, outcome: float | str) -> Measured:
         return Measured(behaviour.name, engine, None, Verdict.FAILED, "", outcome)
     if abs(outcome - behaviour.expected) <= behaviour.tolerance:
         return Measured(behaviour.name, engine, outcome, Verdict.OK, "", "")
-    known = KNOWN.get((engine, behaviour.name))
+    known = engine_called(engine).band(behaviour.name)
     if known is not None and known.low <= outcome <= known.high:
         return Measured(behaviour.name, engine, outcome, Verdict.KNOWN, known.reason, "")
     return Measured(behaviour.name, engine, outcome, Verdict.MISMATCH, "", "")

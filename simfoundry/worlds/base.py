@@ -88,8 +88,8 @@ class World(Protocol):
     def reset(self, state: SceneState | None = None) -> None:
         """Go to ``state``, at rest; without one, to the state that the scene describes.
 
-        What ``state`` does not mention is as the scene describes it; its speeds are not taken up. Robots hold where they
-        are put. A KeyError names what is not in the scene.
+        What ``state`` does not mention is as the scene describes it; its speeds are not taken up. Robots hold where
+        they are put. A KeyError names what is not in the scene.
         """
         ...
 

@@ -78,12 +78,14 @@ def compile_all(
         with lock:
             return next(todo, None)
 
+    def heard(job: Job) -> Callable[[str], object]:
+        return lambda said: report(f"{job.scene.name}: {said}", len(outcomes))
+
     def serve(worker: Worker) -> None:
         while (k := next_one()) is not None:
-            outcomes[k] = _contained(
-                worker, function, jobs[k], lambda said, k=k: report(f"{jobs[k].scene.name}: {said}", len(outcomes))
-            )
-            report(jobs[k].scene.name, len(outcomes))
+            job = jobs[k]
+            outcomes[k] = _contained(worker, function, job, heard(job))
+            report(job.scene.name, len(outcomes))
 
     pool = [Worker(limits or _limits(workers)) for _ in range(min(workers, len(jobs)))]
     threads = [threading.Thread(target=serve, args=(worker,), daemon=True) for worker in pool]
@@ -106,7 +108,7 @@ def _limits(workers: int) -> Limits:
     return Limits(SILENT_S, LEAST_MEMORY)
 
 
-def _contained(worker: Worker, function: str, job: Job, hear: Callable[[str], None]) -> Outcome:
+def _contained(worker: Worker, function: str, job: Job, hear: Callable[[str], object]) -> Outcome:
     try:
         outcome: Outcome = worker.call(function, job, hear=hear)
     except FailedError as error:

@@ -6,34 +6,44 @@ import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import mujoco
 
-    from simfoundry.scene.frames import Array
+Index = NDArray[np.int64]
+Floats = NDArray[np.float32]
 
 FEW = 500
 """A mesh of so few triangles is left as it is."""
 
+FINE = 1e-3
+"""Corners within a cube of this size [m] become one: 0.4 pixels at half a metre in a picture 320 pixels wide."""
 
-def coarsened(model: mujoco.MjModel, grid: float) -> mujoco.MjModel:
-    """A copy of a model for a renderer, whose meshes lose what lies within a cube of ``grid`` [m].
+FLAT_LEVELS, FLAT = 3, 0.985
+"""Up to twice, four and eight times that size where a surface is so flat: the least cosine (10 deg) between its normals
+and their mean. The outline moves by 0.2 mm at most, and shading not at all, because normals are kept."""
 
-    All corners of a mesh in one cube become one of them; triangles that vanish by it, or appear twice, are left out. The
-    copy is of no use for physics: it says nothing of what the meshes collide as.
+
+def coarsened(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy of a model for a renderer, whose meshes lose what a small picture does not show.
+
+    Triangles that vanish when corners become one, or appear twice, are left out. The copy is of no use for physics: it
+    says nothing of what the meshes collide as.
     """
     drawn = copy.copy(model)
     for mesh in range(drawn.nmesh):
         if drawn.mesh_facenum[mesh] > FEW:
-            _coarsen(drawn, mesh, grid)
+            _coarsen(drawn, mesh)
     return drawn
 
 
-def _coarsen(model: mujoco.MjModel, mesh: int, grid: float) -> None:
+def _coarsen(model: mujoco.MjModel, mesh: int) -> None:
     begin, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     corner = int(model.mesh_vertadr[mesh])
     corners = model.mesh_vert[corner : corner + int(model.mesh_vertnum[mesh])]
-    faces = _clusters(corners, grid)[model.mesh_face[begin : begin + count]]
+    faces = model.mesh_face[begin : begin + count].astype(np.int64)
+    faces = _clusters(corners, faces)[faces]
     kept = _distinct(faces)
     model.mesh_face[begin : begin + len(kept)] = faces[kept]
     for rows in (model.mesh_facenormal, model.mesh_facetexcoord):  # the same corners of the same triangles
@@ -41,19 +51,41 @@ def _coarsen(model: mujoco.MjModel, mesh: int, grid: float) -> None:
     model.mesh_facenum[mesh] = len(kept)
 
 
-def _clusters(corners: Array, grid: float) -> Array:
-    """For each corner [m], shape (n, 3), the index of the first in its cube, shape (n,)."""
-    low = corners.min(axis=0)
-    x, y, z = np.floor((corners - low) / grid).astype(np.int64).T
-    size = int(max(x.max(), y.max(), z.max())) + 1
-    _, first, cube = np.unique((x * size + y) * size + z, return_index=True, return_inverse=True)
+def _clusters(corners: Floats, faces: Index) -> Index:
+    """For each corner [m], shape (n, 3), the index of the one that it becomes, shape (n,)."""
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    normals = _unit(np.cross(b - a, c - a))
+    owner = _cubes(corners, FINE)
+    for level in range(1, FLAT_LEVELS + 1):
+        cubes = _cubes(corners, FINE * 2**level)
+        at = cubes[faces.ravel()]
+        every = np.repeat(normals, 3, axis=0)
+        mean = _unit(np.stack([np.bincount(at, every[:, k], cubes.max() + 1) for k in range(3)], axis=1))
+        least = np.ones(len(mean))
+        np.minimum.at(least, at, np.einsum("ij,ij->i", every, mean[at]))
+        flat = least[cubes] > FLAT
+        owner = np.where(flat, cubes + (level << 32), owner)
+    _, first, cube = np.unique(owner, return_index=True, return_inverse=True)
     return np.asarray(first[cube])
 
 
-def _distinct(faces: Array) -> Array:
+def _unit(vectors: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Vectors of length one, shape (n, 3); what has no length stays."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-20), dtype=np.float64)
+
+
+def _cubes(corners: Floats, size: float) -> Index:
+    """The number of the cube that each corner lies in, counted from 0 among those that hold any, shape (n,)."""
+    x, y, z = np.floor((corners - corners.min(axis=0)) / size).astype(np.int64).T
+    along = int(max(x.max(), y.max(), z.max())) + 1
+    return np.asarray(np.unique((x * along + y) * along + z, return_inverse=True)[1], dtype=np.int64)
+
+
+def _distinct(faces: Index) -> Index:
     """The indices of triangles that have three corners and are not the same as one before, ascending."""
-    a, b, c = np.sort(faces, axis=1).astype(np.int64).T
+    a, b, c = np.sort(faces, axis=1).T
     size = int(c.max()) + 1
     _, first = np.unique((a * size + b) * size + c, return_index=True)
     first.sort()
-    return np.asarray(first[(a[first] != b[first]) & (b[first] != c[first])])
+    return np.asarray(first[(a[first] != b[first]) & (b[first] != c[first])], dtype=np.int64)

@@ -28,6 +28,9 @@ from simfoundry.worlds.speed import reach
 if TYPE_CHECKING:
     import mujoco
 
+SMALL = 640
+"""Pictures of so many pixels along a side, or fewer, are drawn quickly: policies look at them by the thousand."""
+
 
 class MujocoWorld:
     """A :class:`~simfoundry.worlds.World` over MuJoCo; ``model`` and ``data`` are MuJoCo's own."""
@@ -156,9 +159,10 @@ class MujocoWorld:
     def render(self, camera: str, width: int, height: int) -> Image:
         """What a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
         view = camera_of(self, camera, width, height)
-        if self._renderer is None or not self._renderer.holds(width, height):
+        quick = max(width, height) <= SMALL
+        if self._renderer is None or not self._renderer.holds(width, height, quick):
             self._close_renderer()
-            self._renderer = MujocoRenderer(self.model, width, height)
+            self._renderer = MujocoRenderer(self.model, width, height, quick=quick)
         # After a step, what is drawn would be where it was before it.
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_comPos(self.model, self.data)

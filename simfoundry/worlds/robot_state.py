@@ -13,7 +13,7 @@ from simfoundry.scene.state import SceneState
 
 
 class Row(NamedTuple):
-    """A ``joint`` of the canonical model is at ``scale`` times where joint ``other`` of an engine's is, + ``offset``."""
+    """A ``joint`` of the canonical model is at ``scale`` times where the engine's joint ``other`` is, + ``offset``."""
 
     joint: str
     other: str

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from simfoundry.assets import decompose, mass
+from simfoundry.assets import mesh as mesh_file
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, convex_parts, hull
 from simfoundry.assets.faults import MeshError
@@ -298,3 +299,20 @@ def test_real_meshes_are_read_or_explained(shared_data: Path) -> None:
         parts = read_mesh(files[0])
         welded = weld(np.concatenate([p.vertices for p in parts]), parts[0].faces)
         assert mass.mesh(*welded).volume > volume
+
+
+def test_a_line_has_no_hull() -> None:
+    with pytest.raises(MeshError, match="flat"):
+        hull(np.zeros((0, 3)))
+
+
+def test_a_texture_beyond_all_screens_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    monkeypatch.setattr(mesh_file, "MAX_PIXELS", 16 * 16)
+    written(tmp_path, "a.mtl", "newmtl m\nmap_Kd a.png\n")
+    path = written(tmp_path, "a.obj", "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n")
+    Image.new("RGB", (16, 16), (200, 10, 10)).save(tmp_path / "a.png")
+    assert read_mesh(path)[0].texture is not None
+    Image.new("RGB", (17, 16), (200, 10, 10)).save(tmp_path / "a.png")
+    assert "17 x 16 pixels; at most 16 x 16 are read" in str(failure(path))

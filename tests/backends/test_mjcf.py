@@ -288,7 +288,8 @@ def test_two_objects_of_one_name_are_refused() -> None:
 def test_categories_are_escaped() -> None:
     item = dataclasses.replace(solid("cup", Sphere(0.1), IDENTITY), category='a"<b>&')
     model = load(compile_mjcf(scene_of(item)))
-    assert bytes(model.text_data[: model.text_size[0] - 1]).decode() == 'a"<b>&'
+    start, size = (int(getattr(model, f"text_{word}")[1]) for word in ("adr", "size"))
+    assert bytes(model.text_data[start : start + size - 1]).decode() == 'a"<b>&'
 
 
 def test_an_unknown_target_names_those_there_are() -> None:

@@ -1,4 +1,6 @@
-"""Every scene of ``specs/`` in every engine that is found: ``python -m tests.corpora.verify``.
+"""Every scene of ``specs/``, and one that says all that a spec can, in every engine that is found.
+
+``python -m tests.corpora.verify`` Robots are there if their models are: see ``docs/robots.md``.
 
 Prints what ``simfoundry verify specs/scenes`` prints, and the figures that are promised: what differs from the scene
 without the loss report saying so; slip angle, fall, period and decay of each engine; and how far any two engines are
@@ -17,13 +19,14 @@ from pathlib import Path
 from simfoundry.scene.lower import lower_file
 from simfoundry.verify import tables
 from simfoundry.verify.behaviours import BEHAVIOURS
-from simfoundry.verify.engines import ENGINES, Found, find, interpreters
+from simfoundry.verify.engines import ENGINES, find, interpreters
 from simfoundry.verify.page import summary
 from simfoundry.verify.rest import Rested, settle_subjects
 from simfoundry.verify.run import Measured, Reading, Subject, Verdict, built, measure_behaviours, read_subjects
 from tests.specs.documents import SCENES
+from tests.targets.everything import write_everything
 
-HARD = ("free_fall", "slip_angle", "period", "decay", "settled_mm", "settled_deg")
+HARD = ("free_fall", "slip_angle", "period", "decay", "drive", "mimic", "no_contact", "settled_mm", "settled_deg")
 """The behaviours that have a bar; of the others the figure is reported."""
 
 
@@ -33,8 +36,10 @@ def main() -> int:
     here = [f for f in found.values() if f is not None]
     workers = os.cpu_count() or 1
     with tempfile.TemporaryDirectory(prefix="simfoundry-verify-") as folder:
-        subjects = _subjects(Path(folder), here)
-        readings = read_subjects(subjects, here, _tell, workers)
+        targets = [f.engine.target for f in here]
+        subjects = _subjects(Path(folder), targets)
+        everything = built("everything", lower_file(write_everything(_folder(folder))), targets, Path(folder) / "all")
+        readings = read_subjects([*subjects, everything], here, _tell, workers)
         results = measure_behaviours(BEHAVIOURS, here, _tell, workers)
         rested = settle_subjects(subjects, here, _tell, workers)
     for table in (
@@ -54,8 +59,13 @@ def main() -> int:
     return 1 if failures else 0
 
 
-def _subjects(folder: Path, here: Sequence[Found]) -> list[Subject]:
-    targets = [f.engine.target for f in here]
+def _folder(folder: str) -> Path:
+    found = Path(folder) / "everything"
+    found.mkdir()
+    return found
+
+
+def _subjects(folder: Path, targets: Sequence[str]) -> list[Subject]:
     return [
         built(path.name.removesuffix(".scene.yaml"), lower_file(path), targets, folder / path.stem) for path in SCENES
     ]

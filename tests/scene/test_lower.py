@@ -321,7 +321,7 @@ def test_decomposition_goes_through_the_cache(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("decomposed again"))
     assert digest(lowered(tmp_path, text, cache)) == digest(first)
     names = [c.name for c in first.objects[0].links[0].colliders]
-    assert len(names) >= 2 and names == [f"mesh_hull_{k}" for k in range(len(names))]
+    assert len(names) >= 2 and names == [f"mesh_{k}" for k in range(len(names))]
 
 
 def digest(scene: Scene) -> str:

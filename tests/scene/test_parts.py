@@ -55,7 +55,7 @@ def test_what_is_weighed_needs_no_closed_mesh_and_no_parts(tmp_path: Path) -> No
     assert link.mass == 0.3
     assert link.com == pytest.approx([0.01, 0.02, 0.03])
     assert link.inertia == pytest.approx(np.array([[20, 1, 2], [1, 30, 3], [2, 3, 40]]) * 1e-5)
-    assert [c.name for c in link.colliders] == ["felt_hull"]
+    assert [c.name for c in link.colliders] == ["felt_0"]
     (bare,) = _links(tmp_path, WEIGHED)
     assert bare.mass == 0.3 and not bare.visuals and not bare.colliders
     assert bare.inertia == pytest.approx(link.inertia)

@@ -26,9 +26,11 @@ from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
+from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
 from simfoundry.backends.stiffness import stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
+from simfoundry.backends.xmltext import xml_text
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -63,10 +65,10 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     add_contacts(root, scene)
     add_mimics(root, scene)
     ctrl = add_drives(root, scene, timestep)
-    _add_texts(root, scene)
+    add_texts(root, scene)
     lost: list[Loss] = []
     for robot in scene.robots:
-        read = add_robot(root, robot, assets)
+        read = add_robot(root, robot, assets, timestep)
         if read is None:
             reason = "it has no model in MJCF or URDF, and USD is not converted"
             lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
@@ -78,8 +80,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     keyframe = ET.SubElement(root, "keyframe")
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}
     ET.SubElement(keyframe, "key", {"name": "initial"} | state)
-    ET.indent(root)
-    files = {"scene.xml": ET.tostring(root) + b"\n", "load.py": _LOADER.read_bytes()}
+    files = {"scene.xml": xml_text(root), "load.py": _LOADER.read_bytes()}
     files |= {f"assets/{name}": data for name, data in assets.files.items()}
     losses = (
         *restitution_losses(scene),
@@ -126,15 +127,3 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
     felt = ET.SubElement(default, "default", {"class": "collider"})
     ET.SubElement(felt, "geom", group="3", condim="3", rgba="0.9 0.5 0.2 0.5")
-
-
-def _add_texts(root: ET.Element, scene: Scene) -> None:
-    """What MuJoCo has no place for, as custom text: categories of objects and the stated relations."""
-    custom = ET.SubElement(root, "custom")
-    for item in scene.objects:
-        if item.category:
-            ET.SubElement(custom, "text", name=f"{item.name}.category", data=item.category)
-        if item.labels:
-            ET.SubElement(custom, "text", name=f"{item.name}.labels", data=" ".join(item.labels))
-    if scene.relations:
-        ET.SubElement(custom, "text", name="relations", data="; ".join(str(r) for r in scene.relations))

@@ -5,12 +5,10 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
-import numpy as np
-
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.mjcf.contacts import contact_dimensions, solref
 from simfoundry.backends.mjcf.meshes import Assets
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import (
     Background,
@@ -142,7 +140,7 @@ def _shape(geometry: Geometry, assets: Assets, collides: bool) -> dict[str, str]
     """Type and size of a geom; MuJoCo takes half extents and half heights."""
     match geometry:
         case Box(size=size):
-            return {"type": "box", "size": numbers(np.asarray(size) / 2)}
+            return {"type": "box", "size": numbers(size / 2)}
         case Sphere(radius=radius):
             return {"type": "sphere", "size": number(radius)}
         case Cylinder(radius=radius, height=height):
@@ -155,8 +153,12 @@ def _shape(geometry: Geometry, assets: Assets, collides: bool) -> dict[str, str]
 
 def pose_attributes(pose: Pose) -> dict[str, str]:
     """``pos`` and ``quat`` (wxyz) of a pose, without what is zero."""
-    return ({"pos": numbers(pose.p)} if pose.p.any() else {}) | _turn(pose.q)
+    if pose is IDENTITY:
+        return {}
+    p = pose.p.tolist()
+    return ({"pos": numbers(p)} if any(p) else {}) | _turn(pose.q)
 
 
-def _turn(q: np.ndarray) -> dict[str, str]:
-    return {"quat": numbers(q)} if q[1:].any() else {}
+def _turn(q: Array) -> dict[str, str]:
+    values = q.tolist()
+    return {"quat": numbers(values)} if any(values[1:]) else {}

@@ -21,9 +21,10 @@ from simfoundry.scene.model import (
 from simfoundry.scene.touching import silent_pairs
 
 _CONTACT_TIME = 0.02
-"""Time constant of a contact [s]: MuJoCo's own default."""
+"""Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table,
+not 4, but below 0.012 a can on its side rolls away."""
 
-_CRITICAL_REBOUND = math.exp(-2)
+CRITICAL_REBOUND = math.exp(-2)
 """Restitution of a critically damped contact."""
 
 
@@ -120,7 +121,7 @@ def damping_ratio(restitution: float) -> float:
     The bodies part when the force, not the depth, reaches zero (Schwager and Poeschel, Granular Matter 9, 2007), so
     critical damping still rebounds at exp(-2): less than that is out of reach and gets ratio 1.
     """
-    if restitution <= _CRITICAL_REBOUND:
+    if restitution <= CRITICAL_REBOUND:
         return 1.0
     low, high = 1e-3, 1.0
     for _ in range(60):

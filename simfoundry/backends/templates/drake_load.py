@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import tempfile
 import xml.etree.ElementTree as ET
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, Mo
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
         for name, item in poses.items():
             urdf = convex(HERE / item["urdf"], Path(temporary))
-            models[name] = load_object(plant, scene_graph, urdf, item, physics["objects"][name])
+            models[name] = load_object(plant, scene_graph, urdf, item, physics["objects"].get(name))
     plant.Finalize()
     return builder.Build(), plant, models
 
@@ -73,10 +74,15 @@ def convex(urdf: Path, folder: Path) -> Path:
 
 
 def load_object(
-    plant: MultibodyPlant, scene_graph: SceneGraph, urdf: Path, item: dict[str, Any], physics: dict[str, Any]
+    plant: MultibodyPlant, scene_graph: SceneGraph, urdf: Path, item: dict[str, Any], physics: dict[str, Any] | None
 ) -> ModelInstanceIndex:
-    """Load one object in its pose, with its friction, joint positions, and links that do not touch each other."""
-    (model,) = Parser(plant).AddModels(str(urdf))
+    """Load one object in its pose, with its friction, joint positions, and links that do not touch each other.
+
+    A robot with a URDF of its own has no ``physics``: it keeps Drake's surfaces, and its links pass each other.
+    """
+    parser = Parser(plant)
+    parser.SetAutoRenaming(True)  # two robots of a kind have one name in their files
+    (model,) = parser.AddModels(str(urdf))
     bodies = [plant.get_body(index) for index in plant.GetBodyIndices(model)]
     X_WO = RigidTransform(Quaternion(np.array(item["q_wxyz"]) / np.linalg.norm(item["q_wxyz"])), item["p"])
     if item["fixed"]:
@@ -85,15 +91,16 @@ def load_object(
         plant.SetDefaultFloatingBaseBodyPose(bodies[0], X_WO)
     geometries = {body.name(): plant.GetCollisionGeometriesForBody(body) for body in bodies}
     for link, found in geometries.items():
-        set_friction(plant, scene_graph, found, physics["links"][link])
+        if physics is not None:
+            set_friction(plant, scene_graph, found, physics["links"][link])
     silent = CollisionFilterDeclaration()
-    for a, b in physics["silent"]:
+    for a, b in physics["silent"] if physics else combinations(geometries, 2):
         silent.ExcludeBetween(GeometrySet(geometries[a]), GeometrySet(geometries[b]))
     scene_graph.collision_filter_manager().Apply(silent)
     for name, position in item["joints"].items():
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])
-        armature = physics["joints"][name]["armature"]
+        armature = physics["joints"][name]["armature"] if physics else 0.0
         if armature > 0:  # a motor that nobody drives, for the inertia of its rotor
             rotor = plant.AddJointActuator(f"{name}_rotor", joint)
             rotor.set_default_rotor_inertia(armature)

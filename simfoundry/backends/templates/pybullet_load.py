@@ -78,7 +78,9 @@ def load_object(client: int, item: dict[str, Any]) -> int:
 
 def load_robot(client: int, item: dict[str, Any]) -> int:
     """Load one robot of ``world.json``: at its place, its motors holding its joints, its fingers moving together."""
-    body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=FLAGS, physicsClientId=client)
+    # Kept in the order of the file, links that come before their parents have no pose: Bullet is to sort them.
+    flags = FLAGS & ~pybullet.URDF_MAINTAIN_LINK_ORDER
+    body: int = pybullet.loadURDF(str(HERE / item["urdf"]), useFixedBase=True, flags=flags, physicsClientId=client)
     place(client, body, item["p"], item["q_wxyz"])
     for index in range(joints(client, body)):
         link = pybullet.getJointInfo(body, index, physicsClientId=client)[12].decode()

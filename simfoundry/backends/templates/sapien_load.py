@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import tempfile
 import xml.etree.ElementTree as ET
+from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,6 +24,9 @@ HERE = Path(__file__).resolve().parent
 
 HOLD = 1e5
 """Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
+
+TENDON = 1e5
+"""Stiffness of the tendon that lets a joint follow another [N/m or N m/rad]."""
 
 Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
 
@@ -41,7 +45,7 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
         world = {}
         for group, (name, item) in enumerate(poses.items(), start=1):
             path = prepared(HERE / item["urdf"], Path(temporary), item["fixed"], visuals)
-            world[name] = load_object(scene, path, item, physics["objects"][name], group)
+            world[name] = load_object(scene, path, item, physics["objects"].get(name), group)
     return scene, world
 
 
@@ -62,8 +66,13 @@ def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
     return folder / urdf.name
 
 
-def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any], group: int) -> Loaded:
-    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other."""
+def load_object(
+    scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: dict[str, Any] | None, group: int
+) -> Loaded:
+    """Load one object in its pose, with its materials, joint positions, and links that do not touch each other.
+
+    A robot with a URDF of its own has no ``physics``: it keeps SAPIEN's surfaces, and its links pass each other.
+    """
     loader = scene.create_urdf_loader()
     loader.fix_root_link = item["fixed"]
     articulations, actors, _ = loader.parse(str(urdf))
@@ -72,17 +81,52 @@ def load_object(scene: sapien.Scene, urdf: Path, item: dict[str, Any], physics: 
         actors[0].set_initial_pose(pose)
         name = actors[0].name
         entity = actors[0].build_static(name) if item["fixed"] else actors[0].build(name)
-        set_surfaces(component_of(entity), physics["links"][name], 0, group)
+        if physics is not None:
+            set_surfaces(component_of(entity), physics["links"][name])
+        set_masks(component_of(entity), 0, group)
         return entity
     articulations[0].set_initial_pose(pose)
-    articulation = articulations[0].build(fix_root_link=item["fixed"])
-    bits = silence({link.name for link in articulation.links}, {frozenset(pair) for pair in physics["silent"]})
+    articulation = articulations[0].build(fix_root_link=item["fixed"], build_mimic_joints=False)
+    for mimic in articulations[0].mimic_joint_records:
+        follow(articulation, mimic.joint, mimic.mimic, mimic.multiplier, mimic.offset)
+    names = {link.name for link in articulation.links}
+    silent = physics["silent"] if physics is not None else combinations(sorted(names), 2)
+    bits = silence(names, {frozenset(pair) for pair in silent})
     for link in articulation.links:
-        set_surfaces(link, physics["links"][link.name], bits[link.name], group)
+        if physics is not None:
+            set_surfaces(link, physics["links"][link.name])
+        set_masks(link, bits[link.name], group)
     for joint in articulation.active_joints:
-        set_joint(joint, physics["joints"][joint.name])
+        if physics is not None:
+            set_joint(joint, physics["joints"][joint.name])
     articulation.set_qpos([item["joints"][joint.name] for joint in articulation.active_joints])
     return articulation
+
+
+def follow(articulation: physx.PhysxArticulation, name: str, leader: str, multiplier: float, offset: float) -> None:
+    """Let a joint follow another, by a stiff tendon, as SAPIEN's reader does; but it turns the ratio of siblings round.
+
+    PhysX can tie a joint to the one above it or to one beside it: any other is left free, which is said.
+    """
+    joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(leader)
+    above, beside = joint.parent_link == other.child_link, joint.parent_link == other.parent_link
+    root = other.parent_link
+    if multiplier == 0 or root is None or not (above or beside):
+        print(f"{articulation.name}: PhysX cannot let {name} follow {leader}: it moves freely")
+        return
+    if above:
+        links, ratios, inverse = (
+            [root, other.child_link, joint.child_link],
+            [0, -multiplier, 1],
+            [0, -1 / multiplier, 1],
+        )
+    else:
+        links, ratios, inverse = (
+            [root, joint.child_link, other.child_link],
+            [0, 1, -multiplier],
+            [0, 1, -1 / multiplier],
+        )
+    articulation.create_fixed_tendon(links, ratios, inverse, rest_length=offset, stiffness=TENDON)
 
 
 def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
@@ -110,10 +154,8 @@ def silence(links: set[str], silent: set[frozenset[str]]) -> dict[str, int]:
     return masks
 
 
-def set_surfaces(
-    link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]], mask: int, group: int
-) -> None:
-    """Give each collision shape its material, and the mask that silences it within the group of its object."""
+def set_surfaces(link: physx.PhysxRigidBaseComponent, surfaces: dict[str, dict[str, float]]) -> None:
+    """Give each collision shape its material."""
     if hasattr(link, "angular_damping"):  # PhysX drags by itself
         link.linear_damping = link.angular_damping = 0.0
     shapes = link.collision_shapes
@@ -122,6 +164,11 @@ def set_surfaces(
     for shape, surface in zip(shapes, surfaces.values(), strict=True):
         mu = surface["friction"]
         shape.physical_material = physx.PhysxMaterial(mu, mu, surface["restitution"])
+
+
+def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> None:
+    """Silence each collision shape, by its mask, within the group of its object."""
+    for shape in link.collision_shapes:
         first, second, ignored, _ = shape.collision_groups
         shape.set_collision_groups([first, second, ignored | mask, group])
 

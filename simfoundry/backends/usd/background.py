@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from simfoundry.backends.usd.crates import author, crate_bytes, new_crate
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.materials import visual_material
-from simfoundry.backends.usd.prims import attribute, define, place, relate
+from simfoundry.backends.usd.prims import Prim, define, place, relate
 from simfoundry.scene.model import Background, Splat
 
-if TYPE_CHECKING:
-    from pxr import Sdf
-
 SPLAT = "assets/background.usdc"
-"""The path of the splat's layer in the artifact: a crate, because as text it would be ten times as large."""
+"""The path of the splat's layer in the artifact."""
 
 _REACH = 3.0
 """How many standard deviations of a Gaussian count as its extent."""
 
 
-def define_background(world: Sdf.PrimSpec, looks: Sdf.PrimSpec, background: Background) -> None:
+def define_background(world: Prim, looks: Prim, background: Background) -> None:
     """Define ``background`` below ``/World/Background``."""
-    from pxr import Sdf
-
     prim = define(world, "Background", "Xform")
     place(prim, background.X_WB)
     for visual in background.visuals:
@@ -34,32 +26,25 @@ def define_background(world: Sdf.PrimSpec, looks: Sdf.PrimSpec, background: Back
         relate(shown, "material:binding", [visual_material(looks, visual)])
     if background.splat is not None:
         field = define(prim, "splat", "ParticleField3DGaussianSplat")
-        field.referenceList.prependedItems = [Sdf.Reference(f"./{SPLAT}")]
+        field.references.append(f"@./{SPLAT}@")
 
 
 def splat_layer(splat: Splat) -> bytes:
     """A layer whose default prim is the field of Gaussians, its colours as spherical harmonics by order."""
     from pxr import Sdf, Vt
 
-    layer = Sdf.Layer.CreateAnonymous(".usdc")
-    root = layer.pseudoRoot
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("upAxis", "Z")
-    layer.defaultPrim = "splat"
+    layer = new_crate("splat")
     with Sdf.ChangeBlock():
         prim = Sdf.PrimSpec(layer, "splat", Sdf.SpecifierDef, "ParticleField3DGaussianSplat")
         reach = _REACH * splat.scales.max(axis=1, keepdims=True)
         corners = np.stack([(splat.positions - reach).min(axis=0), (splat.positions + reach).max(axis=0)])
-        attribute(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(corners))
-        attribute(prim, "positions", "point3f[]", Vt.Vec3fArray.FromNumpy(splat.positions))
-        attribute(prim, "scales", "float3[]", Vt.Vec3fArray.FromNumpy(splat.scales))
+        author(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(corners))
+        author(prim, "positions", "point3f[]", Vt.Vec3fArray.FromNumpy(splat.positions))
+        author(prim, "scales", "float3[]", Vt.Vec3fArray.FromNumpy(splat.scales))
         xyzw = np.ascontiguousarray(splat.rotations[:, [1, 2, 3, 0]])
-        attribute(prim, "orientations", "quatf[]", Vt.QuatfArray.FromNumpy(xyzw))
-        attribute(prim, "opacities", "float[]", Vt.FloatArray.FromNumpy(splat.opacities))
-        attribute(prim, "radiance:sphericalHarmonicsDegree", "int", splat.degree, uniform=True)
+        author(prim, "orientations", "quatf[]", Vt.QuatfArray.FromNumpy(xyzw))
+        author(prim, "opacities", "float[]", Vt.FloatArray.FromNumpy(splat.opacities))
+        author(prim, "radiance:sphericalHarmonicsDegree", "int", splat.degree, uniform=True)
         colors = np.ascontiguousarray(splat.harmonics.reshape(-1, 3))
-        attribute(prim, "radiance:sphericalHarmonicsCoefficients", "float3[]", Vt.Vec3fArray.FromNumpy(colors))
-    with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
-        path = Path(folder) / "background.usdc"
-        layer.Export(str(path))
-        return path.read_bytes()
+        author(prim, "radiance:sphericalHarmonicsCoefficients", "float3[]", Vt.Vec3fArray.FromNumpy(colors))
+    return crate_bytes(layer)

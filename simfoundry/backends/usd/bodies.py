@@ -4,33 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.joints import define_anchor, define_joint
 from simfoundry.backends.usd.materials import contact_material, visual_material
 from simfoundry.backends.usd.prims import (
+    Prim,
     apply_schemas,
     attribute,
     define,
     place,
-    quatf,
+    quat,
     relate,
     rounded,
     settled,
-    vec3f,
+    vec3,
 )
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
-
-if TYPE_CHECKING:
-    from pxr import Sdf
-
-
-VARIANTS = "variant"
-"""The variant set of an object."""
 
 DEFAULT = "default"
 """The variant that is the object as its document writes it."""
@@ -40,9 +33,9 @@ DEFAULT = "default"
 class Scopes:
     """Where things go in the stage: objects, and the materials they share."""
 
-    objects: Sdf.PrimSpec
-    looks: Sdf.PrimSpec
-    contacts: Sdf.PrimSpec
+    objects: Prim
+    looks: Prim
+    contacts: Prim
 
 
 def is_static(tree: Tree) -> bool:
@@ -58,27 +51,20 @@ def define_object(scopes: Scopes, item: SceneObject) -> None:
     each holds all of it, in the variant set ``variant``. Labels are of the taxonomy ``class``, which Isaac Sim reads.
     """
     prim = define(scopes.objects, item.name, "Xform")
-    prim.SetInfo("kind", "component")
+    prim.kind = "component"
     if not item.variants:
         _fill_object(scopes, prim, item)
         return
-    from pxr import Sdf
-
-    every = sorted((item, *item.variants), key=lambda one: one.variant != DEFAULT)
-    prim.variantSetNameList.prependedItems = [VARIANTS]
-    prim.variantSelections[VARIANTS] = item.variant
-    choices = Sdf.VariantSetSpec(prim, VARIANTS)
-    for one in every:
-        _fill_object(scopes, Sdf.VariantSpec(choices, one.variant).primSpec, one)
+    prim.selected = item.variant
+    for one in sorted((item, *item.variants), key=lambda one: one.variant != DEFAULT):
+        _fill_object(scopes, prim.variant(one.variant), one)
 
 
-def _fill_object(scopes: Scopes, prim: Sdf.PrimSpec, item: SceneObject) -> None:
+def _fill_object(scopes: Scopes, prim: Prim, item: SceneObject) -> None:
     """What an object, or one variant of it, consists of."""
-    from pxr import Vt
-
     apply_schemas(prim, ["SemanticsLabelsAPI:category", "SemanticsLabelsAPI:class"])
-    attribute(prim, "semantics:labels:category", "token[]", Vt.TokenArray([item.category]))
-    attribute(prim, "semantics:labels:class", "token[]", Vt.TokenArray(item.semantics))
+    attribute(prim, "semantics:labels:category", "token[]", [item.category])
+    attribute(prim, "semantics:labels:class", "token[]", list(item.semantics))
     place(prim, item.X_WO)
     X_OL = link_poses(item)
     links = {}
@@ -91,7 +77,7 @@ def _fill_object(scopes: Scopes, prim: Sdf.PrimSpec, item: SceneObject) -> None:
         for link in tree.links:
             apply_schemas(links[link.name], ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
         if tree.free_joint is not None:
-            _set_free(links[tree.root.name], tree.free_joint, links[tree.free_joint.parent].path)
+            _set_free(links[tree.root.name], tree.free_joint, links[tree.free_joint.parent])
     joined = [tree for tree in moving if tree.joints]
     if joined:
         scope = define(prim, "Joints", "Scope")
@@ -99,29 +85,25 @@ def _fill_object(scopes: Scopes, prim: Sdf.PrimSpec, item: SceneObject) -> None:
             _articulate(prim, scope, tree, links, alone=len(joined) == 1)
 
 
-def _set_free(body: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path) -> None:
+def _set_free(body: Prim, joint: Joint, parent: Prim) -> None:
     """State the free joint of a body, for which UsdPhysics has no prim: a body without a joint is free.
 
     ``simfoundry:freePose`` is where it is at zero in its parent, as a matrix of USD, which multiplies row vectors.
     """
-    from pxr import Gf
-
-    matrix = Gf.Matrix4d(*(settled(v) for v in joint.X_PC.matrix.T.ravel()))
+    matrix = tuple(tuple(settled(v) for v in row) for row in joint.X_PC.matrix.T)
     attribute(body, "simfoundry:freeJoint", "token", joint.name, uniform=True)
     attribute(body, "simfoundry:freePose", "matrix4d", matrix, uniform=True)
     relate(body, "simfoundry:freeParent", [parent])
 
 
-def _articulate(
-    prim: Sdf.PrimSpec, scope: Sdf.PrimSpec, tree: Tree, links: Mapping[str, Sdf.PrimSpec], alone: bool
-) -> None:
+def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], alone: bool) -> None:
     """Join the bodies of a tree. Whether any of them may touch is the articulation's to say; which, the pairs'.
 
     Where the object has another articulation beside a fixed one, the joint that holds the latter is its root.
     """
     root = links[tree.root.name]
     if tree.fixed:
-        anchor = define_anchor(scope, prim.path, root.path)
+        anchor = define_anchor(scope, prim, root)
         root = prim if alone else anchor
     names = {link.name for link in tree.links}
     touching = any(names.issuperset(pair) for pair in touching_pairs(tree.owner))
@@ -131,22 +113,20 @@ def _articulate(
     by_name = {joint.name: joint for joint in tree.joints}
     for joint in tree.joints:
         leader = by_name.get(joint.mimic.joint) if joint.mimic is not None else None
-        define_joint(scope, joint, links[joint.parent].path, links[joint.child].path, leader)
+        define_joint(scope, joint, links[joint.parent], links[joint.child], leader)
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
     """State which links do not touch. What cannot move has no body to name: its colliders stand for it."""
-    bodies: dict[str, list[Sdf.PrimSpec]] = {}
-    felt: dict[str, list[Sdf.Path]] = {}
-    found: dict[Sdf.Path, tuple[Sdf.PrimSpec, list[Sdf.Path]]] = {}
+    bodies: dict[str, list[Prim]] = {}
+    felt: dict[str, list[Prim]] = {}
+    found: dict[Prim, list[Prim]] = {}
 
-    def silence(
-        movers: Mapping[str, list[Sdf.PrimSpec]], touched: Mapping[str, list[Sdf.Path]], a: str, b: str
-    ) -> None:
+    def silence(movers: Mapping[str, list[Prim]], touched: Mapping[str, list[Prim]], a: str, b: str) -> None:
         mover, other = (a, b) if a in movers else (b, a)
         if mover in touched and other in touched:
             for body in movers.get(mover, ()):
-                found.setdefault(body.path, (body, []))[1].extend(touched[other])
+                found.setdefault(body, []).extend(touched[other])
 
     for each in scene.objects:
         for item in (each, *each.variants):
@@ -155,58 +135,55 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
                 silence(movers, touched, item.qualified(a), item.qualified(b))
             for name, prims in movers.items():
                 bodies.setdefault(name, []).extend(prims)
-            for name, paths in touched.items():
-                felt.setdefault(name, []).extend(path.StripAllVariantSelections() for path in paths)
+            for name, prims in touched.items():
+                felt.setdefault(name, []).extend(prims)
     for a, b in scene.no_contact:
         silence(bodies, felt, a, b)
-    for body, paths in found.values():
+    for body, prims in found.items():
         apply_schemas(body, ["PhysicsFilteredPairsAPI"])
-        relate(body, "physics:filteredPairs", list(dict.fromkeys(paths)))
+        relate(body, "physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
 
 
-def _content(scopes: Scopes, item: SceneObject) -> Sdf.PrimSpec:
+def _content(scopes: Scopes, item: SceneObject) -> Prim:
     """The prim below which the links of an object are: its own, or its variant's."""
-    prim = scopes.objects.nameChildren[item.name]
-    return prim.variantSets[VARIANTS].variants[item.variant].primSpec if item.variant else prim
+    prim = scopes.objects.children[item.name]
+    return prim.variants[item.variant] if item.variant else prim
 
 
-def _touchable(
-    parent: Sdf.PrimSpec, item: SceneObject
-) -> tuple[dict[str, list[Sdf.PrimSpec]], dict[str, list[Sdf.Path]]]:
+def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], dict[str, list[Prim]]]:
     """By qualified name, the bodies of an object, and what of each link can be touched."""
-    bodies: dict[str, list[Sdf.PrimSpec]] = {}
-    felt: dict[str, list[Sdf.Path]] = {}
+    bodies: dict[str, list[Prim]] = {}
+    felt: dict[str, list[Prim]] = {}
     for tree in trees(item):
         for link in tree.links:
-            prim, name = parent.nameChildren[link.name], item.qualified(link.name)
+            prim, name = parent.children[link.name], item.qualified(link.name)
             if not is_static(tree):
                 bodies[name] = [prim]
             if link.colliders:
-                colliders = [prim.path.AppendChild("Colliders").AppendChild(c.name) for c in link.colliders]
-                felt[name] = colliders if is_static(tree) else [prim.path]
+                felt[name] = [*prim.children["Colliders"].children.values()] if is_static(tree) else [prim]
     return bodies, felt
 
 
-def _define_link(scopes: Scopes, body: Sdf.PrimSpec, link: Link) -> None:
+def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = principal_inertia(link.inertia)
     # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
-    attribute(body, "physics:centerOfMass", "point3f", vec3f(link.com))
-    attribute(body, "physics:diagonalInertia", "float3", vec3f(moments))
+    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com))
+    attribute(body, "physics:diagonalInertia", "float3", vec3(moments))
     attribute(body, "physics:mass", "float", rounded(link.mass))
-    attribute(body, "physics:principalAxes", "quatf", quatf(axes))
+    attribute(body, "physics:principalAxes", "quatf", quat(axes))
     if link.visuals:
         _define_visuals(scopes, define(body, "Visuals", "Scope"), link)
     if link.colliders:
         _define_colliders(scopes, define(body, "Colliders", "Scope"), link)
 
 
-def _define_visuals(scopes: Scopes, parent: Sdf.PrimSpec, link: Link) -> None:
+def _define_visuals(scopes: Scopes, parent: Prim, link: Link) -> None:
     for visual in link.visuals:
         prim = define_geometry(parent, visual.name, visual.geometry, visual.X_LG, ["MaterialBindingAPI"])
         relate(prim, "material:binding", [visual_material(scopes.looks, visual)])
 
 
-def _define_colliders(scopes: Scopes, parent: Sdf.PrimSpec, link: Link) -> None:
+def _define_colliders(scopes: Scopes, parent: Prim, link: Link) -> None:
     for collider in link.colliders:
         convex = isinstance(collider.geometry, Mesh)
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI", *(["PhysicsMeshCollisionAPI"] if convex else [])]

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from simfoundry.backends.usd.prims import attribute, define, place, rounded
+from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Camera
-
-if TYPE_CHECKING:
-    from pxr import Sdf
 
 # Focal length and apertures share a unit, and only their ratios count. At 1/32 a pixel they read like a real lens
 # (640 px become 20 mm), and a power of two loses no digit of the width.
@@ -22,23 +17,21 @@ HALF_PIXEL = 0.5
 X_CU = Pose.of(q=(0.0, 1.0, 0.0, 0.0))
 
 
-def define_camera(scope: Sdf.PrimSpec, camera: Camera) -> None:
+def define_camera(scope: Prim, camera: Camera) -> None:
     """Define ``camera`` with its exact intrinsics; the number of its pixels is an attribute of ours.
 
     USD has one focal length, so unequal ``fx`` and ``fy`` become unequal pixels: the vertical aperture is stretched.
     """
-    from pxr import Gf
-
     prim = define(scope, camera.name, "Camera")
     right = camera.width / 2 - (camera.cx + HALF_PIXEL)
     up = camera.cy + HALF_PIXEL - camera.height / 2
     tall = PIXEL * camera.fx / camera.fy
-    attribute(prim, "clippingRange", "float2", Gf.Vec2f(0.01, 1000.0))
+    attribute(prim, "clippingRange", "float2", (0.01, 1000.0))
     attribute(prim, "focalLength", "float", rounded(camera.fx * PIXEL))
     attribute(prim, "horizontalAperture", "float", rounded(camera.width * PIXEL))
     attribute(prim, "horizontalApertureOffset", "float", rounded(right * PIXEL))
     attribute(prim, "projection", "token", "perspective")
-    attribute(prim, "simfoundry:resolution", "int2", Gf.Vec2i(camera.width, camera.height), uniform=True)
+    attribute(prim, "simfoundry:resolution", "int2", (camera.width, camera.height), uniform=True)
     attribute(prim, "verticalAperture", "float", rounded(camera.height * tall))
     attribute(prim, "verticalApertureOffset", "float", rounded(up * tall))
     place(prim, camera.X_WC @ X_CU)

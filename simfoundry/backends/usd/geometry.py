@@ -1,30 +1,30 @@
-"""Shapes: primitives as USD's own, meshes as layers of their own that the scene refers to."""
+"""Shapes: primitives as USD's own, meshes in one layer beside the stage, which refers to them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.backends.usd.prims import attribute, define, place, rounded
+from simfoundry.backends.usd.crates import author, crate_bytes, new_crate
+from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 if TYPE_CHECKING:
     from pxr import Sdf
 
+MESHES = "assets/meshes.usdc"
+"""The path of the layer that holds the meshes: one, because a file for each costs more than its mesh."""
 
-def define_geometry(
-    parent: Sdf.PrimSpec, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]
-) -> Sdf.PrimSpec:
+
+def define_geometry(parent: Prim, name: str, geometry: Geometry, X_LG: Pose, schemas: Sequence[str]) -> Prim:
     """Define ``geometry`` below ``parent``, posed in its link.
 
-    A box is a unit cube, scaled; the mesh of a layer in ``assets/`` is referred to, see :func:`mesh_layer`.
+    A box is a unit cube, scaled; a mesh is referred to, see :func:`mesh_layer`.
     """
-    from pxr import Sdf
-
     match geometry:
         case Box(size=size):
             prim = define(parent, name, "Cube", schemas)
@@ -45,7 +45,7 @@ def define_geometry(
             _extent(prim, [radius, radius, height / 2 + radius])
         case Mesh():
             prim = define(parent, name, "Mesh", schemas)
-            prim.referenceList.prependedItems = [Sdf.Reference(f"./{mesh_path(geometry)}")]
+            prim.references.append(f"@./{MESHES}@</{_LIBRARY}/{_mesh_name(geometry)}>")
             place(prim, X_LG)
             return prim
     attribute(prim, "radius", "double", rounded(radius))
@@ -53,41 +53,46 @@ def define_geometry(
     return prim
 
 
-def mesh_path(mesh: Mesh) -> str:
-    """The path of a mesh's layer in the artifact."""
-    return f"assets/{mesh.digest}.usda"
+_LIBRARY = "Meshes"
 
 
-def mesh_layer(mesh: Mesh) -> bytes:
-    """A layer whose default prim is the mesh, in single precision, with texture coordinates where it has them.
+def _mesh_name(mesh: Mesh) -> str:
+    return f"mesh_{mesh.digest}"
 
-    Text, although a crate would be a third of the size: every release of USD reads it, and writes the same bytes.
+
+def mesh_layer(meshes: Iterable[Mesh]) -> bytes:
+    """A layer of meshes named by their content, equal ones once, in the order of their names.
+
+    They are in single precision, with texture coordinates where they have them. A class is what the prim that holds
+    them is: a stage of this layer alone shows nothing.
     """
-    from pxr import Sdf, Vt
+    from pxr import Sdf
 
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    root = layer.pseudoRoot
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("upAxis", "Z")
-    layer.defaultPrim = "mesh"
+    layer = new_crate(_LIBRARY)
     with Sdf.ChangeBlock():
-        prim = Sdf.PrimSpec(layer, "mesh", Sdf.SpecifierDef, "Mesh")
-        points = np.asarray(mesh.vertices, dtype=np.float32)
-        attribute(prim, "points", "point3f[]", Vt.Vec3fArray.FromNumpy(points))
-        bounds = np.stack([points.min(axis=0), points.max(axis=0)])
-        attribute(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(bounds))
-        indices = np.ascontiguousarray(mesh.faces, dtype=np.int32).ravel()
-        attribute(prim, "faceVertexIndices", "int[]", Vt.IntArray.FromNumpy(indices))
-        counts = np.full(len(mesh.faces), 3, dtype=np.int32)
-        attribute(prim, "faceVertexCounts", "int[]", Vt.IntArray.FromNumpy(counts))
-        attribute(prim, "normals", "normal3f[]", Vt.Vec3fArray.FromNumpy(_face_normals(points, mesh.faces)))
-        prim.attributes["normals"].SetInfo("interpolation", "uniform")
-        attribute(prim, "subdivisionScheme", "token", "none", uniform=True)
-        if mesh.uv is not None:
-            uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
-            attribute(prim, "primvars:st", "texCoord2f[]", Vt.Vec2fArray.FromNumpy(uv))
-            prim.attributes["primvars:st"].SetInfo("interpolation", "vertex")
-    return str(layer.ExportToString()).encode()
+        library = Sdf.PrimSpec(layer, _LIBRARY, Sdf.SpecifierClass, "Scope")
+        for name, mesh in sorted({_mesh_name(mesh): mesh for mesh in meshes}.items()):
+            _define_mesh(Sdf.PrimSpec(library, name, Sdf.SpecifierDef, "Mesh"), mesh)
+    return crate_bytes(layer)
+
+
+def _define_mesh(prim: Sdf.PrimSpec, mesh: Mesh) -> None:
+    from pxr import Vt
+
+    points = np.asarray(mesh.vertices, dtype=np.float32)
+    author(prim, "points", "point3f[]", Vt.Vec3fArray.FromNumpy(points))
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    author(prim, "extent", "float3[]", Vt.Vec3fArray.FromNumpy(bounds))
+    indices = np.ascontiguousarray(mesh.faces, dtype=np.int32).ravel()
+    author(prim, "faceVertexIndices", "int[]", Vt.IntArray.FromNumpy(indices))
+    counts = np.full(len(mesh.faces), 3, dtype=np.int32)
+    author(prim, "faceVertexCounts", "int[]", Vt.IntArray.FromNumpy(counts))
+    normals = Vt.Vec3fArray.FromNumpy(_face_normals(points, mesh.faces))
+    author(prim, "normals", "normal3f[]", normals).SetInfo("interpolation", "uniform")
+    author(prim, "subdivisionScheme", "token", "none", uniform=True)
+    if mesh.uv is not None:
+        uv = np.ascontiguousarray(mesh.uv, dtype=np.float32)
+        author(prim, "primvars:st", "texCoord2f[]", Vt.Vec2fArray.FromNumpy(uv)).SetInfo("interpolation", "vertex")
 
 
 def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -100,13 +105,10 @@ def _face_normals(points: NDArray[np.float32], faces: NDArray[np.int32]) -> NDAr
     return np.asarray((normals / lengths).round(7) + 0.0, dtype=np.float32)
 
 
-def _along_z(prim: Sdf.PrimSpec, height: float) -> None:
+def _along_z(prim: Prim, height: float) -> None:
     attribute(prim, "axis", "token", "Z", uniform=True)
     attribute(prim, "height", "double", rounded(height))
 
 
-def _extent(prim: Sdf.PrimSpec, half: Sequence[float]) -> None:
-    from pxr import Gf, Vt
-
-    corner = Gf.Vec3f(*half)
-    attribute(prim, "extent", "float3[]", Vt.Vec3fArray([-corner, corner]))
+def _extent(prim: Prim, half: Sequence[float]) -> None:
+    attribute(prim, "extent", "float3[]", [tuple([-v for v in half]), tuple(half)])

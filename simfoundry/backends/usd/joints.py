@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.usd.prims import apply_schemas, attribute, define, quatf, relate, rounded, vec3f
+from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quat, relate, rounded, vec3
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic
-
-if TYPE_CHECKING:
-    from pxr import Sdf, Vt
 
 _TYPE = {
     JointType.FIXED: "PhysicsFixedJoint",
@@ -31,18 +26,18 @@ _FRICTION = (0.999, 0.999, 0.001, 0.5, 2.0)
 load of 10 N hang 20 mm below its stop, and a held joint creep 10 mm/s."""
 
 
-def define_anchor(scope: Sdf.PrimSpec, object_path: Sdf.Path, root_path: Sdf.Path) -> Sdf.PrimSpec:
+def define_anchor(scope: Prim, carrier: Prim, root: Prim) -> Prim:
     """Weld a fixed object's root link to the world, at the object's prim, so that it moves along when that is moved.
 
     Its name starts with a capital, as no joint of a scene does.
     """
     prim = define(scope, "Anchor", "PhysicsFixedJoint")
-    _frames(prim, object_path, root_path, Pose.of(), Pose.of())
+    _frames(prim, carrier, root, Pose.of(), Pose.of())
     return prim
 
 
-def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf.Path, leader: Joint | None) -> None:
-    """Define ``joint`` between the links at ``parent`` and ``child``; it follows ``leader``, if there is one.
+def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: Joint | None) -> None:
+    """Define ``joint`` between the links ``parent`` and ``child``; it follows ``leader``, if there is one.
 
     UsdPhysics counts angles in degrees and turns about a coordinate axis of the joint's frames: both frames are turned
     so that the coordinate axis nearest to the scene's is that axis.
@@ -64,13 +59,13 @@ def define_joint(scope: Sdf.PrimSpec, joint: Joint, parent: Sdf.Path, child: Sdf
         lower, upper = joint.limits
         attribute(prim, "physics:lowerLimit", "float", rounded(lower * unit))
         attribute(prim, "physics:upperLimit", "float", rounded(upper * unit))
-        attribute(prim, "mjc:solreflimit", "double[]", _doubles(_LIMIT), uniform=True)
+        attribute(prim, "mjc:solreflimit", "double[]", list(_LIMIT), uniform=True)
     _dynamics(prim, joint, unit)
     if joint.mimic is not None and leader is not None:
         _follow(prim, scope, joint.mimic, unit, 1.0 if leader.type is JointType.PRISMATIC else math.degrees(1.0))
 
 
-def _ball(prim: Sdf.PrimSpec, joint: Joint) -> None:
+def _ball(prim: Prim, joint: Joint) -> None:
     """Damping, friction and armature of a ball joint, about each axis: Newton's attributes, PhysX's for the last."""
     if joint.damping or joint.friction or joint.armature:
         apply_schemas(prim, ["PhysxJointAPI", "NewtonJointAPI"])
@@ -80,12 +75,12 @@ def _ball(prim: Sdf.PrimSpec, joint: Joint) -> None:
         attribute(prim, "physxJoint:armature", "float", rounded(joint.armature))
 
 
-def _follow(prim: Sdf.PrimSpec, scope: Sdf.PrimSpec, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
+def _follow(prim: Prim, scope: Prim, mimic: Mimic, unit: float, unit_of_leader: float) -> None:
     """Let a joint follow another one: Newton's law as the scene has it, PhysX's with all terms on one side.
 
     PhysX softens it at a natural frequency; zero is for none, a rigid gear.
     """
-    leader = scope.path.AppendChild(mimic.joint)
+    leader = f"{scope.path}/{mimic.joint}"
     multiplier, offset = rounded(mimic.multiplier * unit / unit_of_leader), rounded(mimic.offset * unit)
     apply_schemas(prim, [f"PhysxMimicJointAPI:{_MIMIC}", "NewtonMimicAPI"])
     attribute(prim, "newton:mimicCoef0", "float", offset)
@@ -112,15 +107,15 @@ def joint_frame(axis: Array) -> tuple[str, Pose]:
     return "XYZ"[k], Pose.of(q=np.concatenate([[1.0 + cosine], np.cross(unit, axis)]))
 
 
-def _frames(prim: Sdf.PrimSpec, body0: Sdf.Path, body1: Sdf.Path, X_0J: Pose, X_1J: Pose) -> None:
+def _frames(prim: Prim, body0: Prim, body1: Prim, X_0J: Pose, X_1J: Pose) -> None:
     relate(prim, "physics:body0", [body0])
     relate(prim, "physics:body1", [body1])
     for k, pose in enumerate([X_0J, X_1J]):
-        attribute(prim, f"physics:localPos{k}", "point3f", vec3f(pose.p))
-        attribute(prim, f"physics:localRot{k}", "quatf", quatf(pose.q))
+        attribute(prim, f"physics:localPos{k}", "point3f", vec3(pose.p))
+        attribute(prim, f"physics:localRot{k}", "quatf", quat(pose.q))
 
 
-def _dynamics(prim: Sdf.PrimSpec, joint: Joint, unit: float) -> None:
+def _dynamics(prim: Prim, joint: Joint, unit: float) -> None:
     """Damping, drive, Coulomb friction, armature and position of a joint; ``unit`` is 1 m, or 1 rad in degrees.
 
     UsdPhysics has a place for the first two only, one drive, whose gains are per degree; ``simfoundry:damping`` is what
@@ -149,15 +144,9 @@ def _dynamics(prim: Sdf.PrimSpec, joint: Joint, unit: float) -> None:
         attribute(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort", "float", friction)
         attribute(prim, f"physxJointAxis:{kind}:staticFrictionEffort", "float", friction)
     if joint.friction:
-        attribute(prim, "mjc:solimpfriction", "double[]", _doubles(_FRICTION), uniform=True)
+        attribute(prim, "mjc:solimpfriction", "double[]", list(_FRICTION), uniform=True)
     position = rounded(joint.position * unit)
     apply_schemas(prim, [f"PhysicsJointStateAPI:{kind}"])
     attribute(prim, f"newton:{kind}:position", "float", position)
     attribute(prim, f"state:{kind}:physics:position", "float", position)
     attribute(prim, f"state:{kind}:physics:velocity", "float", 0.0)
-
-
-def _doubles(values: Sequence[float]) -> Vt.DoubleArray:
-    from pxr import Vt
-
-    return Vt.DoubleArray(values)

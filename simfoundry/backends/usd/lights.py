@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd.materials import linear_from_srgb
-from simfoundry.backends.usd.prims import attribute, define, place, rounded, vec3f
+from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded, vec3
 from simfoundry.scene.model import Light, LightType
-
-if TYPE_CHECKING:
-    from pxr import Sdf
 
 # A white diffuse surface has radiance 1 under an irradiance of pi. A normalised distant light states its irradiance;
 # a normalised sphere gives intensity / (4 d^2) at the distance d, here 1 m; a dome states its radiance.
@@ -18,23 +14,20 @@ FULL = {LightType.DISTANT: math.pi, LightType.POINT: 4.0 * math.pi, LightType.DO
 _POINT_RADIUS = 0.02
 
 
-def define_light(scope: Sdf.PrimSpec, light: Light) -> None:
+def define_light(scope: Prim, light: Light) -> None:
     """Define ``light``; at intensity 1 it makes a white surface that faces it white (a point light: at 1 m)."""
-    from pxr import Gf, Vt
-
     match light.type:
         case LightType.DISTANT:
             prim = define(scope, light.name, "DistantLight")
             attribute(prim, "inputs:angle", "float", 0.53)
         case LightType.POINT:
             prim = define(scope, light.name, "SphereLight")
-            corner = Gf.Vec3f(_POINT_RADIUS)
-            attribute(prim, "extent", "float3[]", Vt.Vec3fArray([-corner, corner]))
+            attribute(prim, "extent", "float3[]", [(-_POINT_RADIUS,) * 3, (_POINT_RADIUS,) * 3])
             attribute(prim, "inputs:radius", "float", _POINT_RADIUS)
             attribute(prim, "treatAsPoint", "bool", True)
         case LightType.DOME:
             prim = define(scope, light.name, "DomeLight")
-    attribute(prim, "inputs:color", "color3f", vec3f(linear_from_srgb(light.rgb)))
+    attribute(prim, "inputs:color", "color3f", vec3(linear_from_srgb(light.rgb)))
     attribute(prim, "inputs:intensity", "float", rounded(light.intensity * FULL[light.type]))
     if light.type is not LightType.DOME:
         attribute(prim, "inputs:normalize", "bool", True)

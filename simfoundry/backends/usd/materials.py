@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.usd.prims import apply_schemas, attribute, connect, define, rounded, vec3f
+from simfoundry.backends.usd.prims import Asset, Prim, apply_schemas, attribute, connect, define, rounded, vec3
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Collider, Mesh, Visual
-
-if TYPE_CHECKING:
-    from pxr import Sdf
 
 
 def texture_of(visual: Visual) -> bytes | None:
@@ -28,15 +24,15 @@ def texture_path(texture: bytes) -> str:
     return f"assets/{hashlib.sha256(texture).hexdigest()[:16]}.png"
 
 
-def visual_material(scope: Sdf.PrimSpec, visual: Visual) -> Sdf.Path:
+def visual_material(scope: Prim, visual: Visual) -> Prim:
     """The material of ``visual``: equal looks share one, so the name comes from the content."""
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
     rgba = [rounded(v) for v in visual.rgba]
     name = f"look_{hashlib.sha256(f'{path} {rgba}'.encode()).hexdigest()[:10]}"
-    if name not in scope.nameChildren:
+    if name not in scope.children:
         _preview_material(define(scope, name, "Material"), np.array(rgba), path)
-    return scope.path.AppendChild(name)
+    return scope.children[name]
 
 
 def linear_from_srgb(rgb: Array) -> Array:
@@ -44,7 +40,7 @@ def linear_from_srgb(rgb: Array) -> Array:
     return np.where(rgb <= 0.04045, rgb / 12.92, ((np.maximum(rgb, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
-def _preview_material(material: Sdf.PrimSpec, rgba: Array, texture: str) -> None:
+def _preview_material(material: Prim, rgba: Array, texture: str) -> None:
     surface = define(material, "Surface", "Shader")
     attribute(surface, "info:id", "token", "UsdPreviewSurface", uniform=True)
     attribute(surface, "inputs:metallic", "float", 0.0)
@@ -56,22 +52,20 @@ def _preview_material(material: Sdf.PrimSpec, rgba: Array, texture: str) -> None
         image = _texture(material, color, texture)
         connect(surface, "inputs:diffuseColor", "color3f", f"{image.path}.outputs:rgb")
     else:
-        attribute(surface, "inputs:diffuseColor", "color3f", vec3f(color))
+        attribute(surface, "inputs:diffuseColor", "color3f", vec3(color))
     connect(material, "outputs:surface", "token", f"{surface.path}.outputs:surface")
 
 
-def _texture(material: Sdf.PrimSpec, color: Array, texture: str) -> Sdf.PrimSpec:
+def _texture(material: Prim, color: Array, texture: str) -> Prim:
     """The texture's shader, multiplied by ``color``, reading its coordinates from the primvar ``st``."""
-    from pxr import Gf, Sdf
-
     reader = define(material, "Coordinates", "Shader")
     attribute(reader, "info:id", "token", "UsdPrimvarReader_float2", uniform=True)
     attribute(reader, "inputs:varname", "string", "st")
     attribute(reader, "outputs:result", "float2", None)
     image = define(material, "Texture", "Shader")
     attribute(image, "info:id", "token", "UsdUVTexture", uniform=True)
-    attribute(image, "inputs:file", "asset", Sdf.AssetPath(f"./{texture}"))
-    attribute(image, "inputs:scale", "float4", Gf.Vec4f(*(rounded(v) for v in color), 1.0))
+    attribute(image, "inputs:file", "asset", Asset(f"./{texture}"))
+    attribute(image, "inputs:scale", "float4", (*vec3(color), 1.0))
     attribute(image, "inputs:sourceColorSpace", "token", "sRGB")
     connect(image, "inputs:st", "float2", f"{reader.path}.outputs:result")
     attribute(image, "inputs:wrapS", "token", "repeat")
@@ -80,7 +74,7 @@ def _texture(material: Sdf.PrimSpec, color: Array, texture: str) -> Sdf.PrimSpec
     return image
 
 
-def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
+def contact_material(scope: Prim, collider: Collider) -> Prim:
     """The contact material of ``collider``: √μ and √e under PhysX's ``multiply``, so that a pair has geometric means.
 
     ``simfoundry:friction`` and ``simfoundry:restitution`` hold the surface's own coefficients.
@@ -91,7 +85,7 @@ def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
     resists = collider.torsional_friction > 0 or collider.rolling_friction > 0
     if resists:
         name += f"_spinning_{_word(spinning)}_rolling_{_word(rolling)}"
-    if name not in scope.nameChildren:
+    if name not in scope.children:
         prim = define(scope, name, "Material", ["PhysicsMaterialAPI", "PhysxMaterialAPI"])
         root = rounded(math.sqrt(collider.friction))
         attribute(prim, "physics:dynamicFriction", "float", root)
@@ -105,7 +99,7 @@ def contact_material(scope: Sdf.PrimSpec, collider: Collider) -> Sdf.Path:
             apply_schemas(prim, ["NewtonMaterialAPI"])
             attribute(prim, "newton:rollingFriction", "float", float(rolling))
             attribute(prim, "newton:torsionalFriction", "float", float(spinning))
-    return scope.path.AppendChild(name)
+    return scope.children[name]
 
 
 def _word(text: str) -> str:

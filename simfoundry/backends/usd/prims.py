@@ -1,114 +1,134 @@
-"""The few strokes with which every USD layer is drawn: prims, attributes, relationships, transforms."""
+"""The few strokes with which a stage is drawn: prims, attributes, relationships, transforms.
+
+Prims are plain Python and become text at the end (:mod:`~simfoundry.backends.usd.usda`): authoring through USD's own
+layers takes five times as long. A vector, a quaternion (w first) or a row of a matrix is a tuple, an array a list.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from simfoundry.backends.artifact import number
 from simfoundry.scene.frames import IDENTITY, Pose
 
-if TYPE_CHECKING:
-    from pxr import Gf, Sdf
+
+class Attribute(NamedTuple):
+    """A value of a prim, and the type that USD calls it; None where it has no value, or a ``source`` instead."""
+
+    type_name: str
+    value: Any
+    uniform: bool = False
+    source: str = ""
+
+
+class Asset(NamedTuple):
+    """A path of a file, as the value of an attribute."""
+
+    path: str
+
+
+class Targets(NamedTuple):
+    """What a relationship points at: paths as they are called on the stage."""
+
+    paths: tuple[str, ...]
 
 
 Written = dict[str, dict[str, Any]]
-"""Values of attributes, and first targets of relationships, by the path of their prim and their name."""
-
-_written: ContextVar[Written | None] = ContextVar("written", default=None)
+"""Values of attributes, and :class:`Targets` of relationships, by the path of their prim and their name."""
 
 
-@contextmanager
-def recorded() -> Iterator[Written]:
-    """All that is authored inside the block: what was just written is slow to read back from a layer."""
-    written: Written = {}
-    token = _written.set(written)
-    try:
-        yield written
-    finally:
-        _written.reset(token)
+@dataclass(eq=False)
+class Prim:
+    """A prim as it grows.
+
+    ``path`` is how the stage calls it; ``place`` also says in which variants it is drawn, as ``/cup{variant=red}lid``.
+    ``references`` are as USD writes them. A prim with ``variants`` has one set of them, called ``variant``, of which
+    one is ``selected``; each is a prim of its own name and type.
+    """
+
+    name: str
+    type_name: str
+    path: str
+    place: str
+    specifier: str = "def"
+    kind: str = ""
+    schemas: list[str] = field(default_factory=list)
+    custom_data: dict[str, Any] = field(default_factory=dict)
+    references: list[str] = field(default_factory=list)
+    properties: dict[str, Attribute | Targets] = field(default_factory=dict)
+    children: dict[str, Prim] = field(default_factory=dict)
+    variants: dict[str, Prim] = field(default_factory=dict)
+    selected: str = ""
+
+    def variant(self, name: str) -> Prim:
+        """Add the variant ``name``; what is drawn on it is there where it is selected."""
+        self.variants[name] = Prim(self.name, self.type_name, self.path, f"{self.place}{{variant={name}}}")
+        return self.variants[name]
+
+    def walk(self) -> Iterator[Prim]:
+        """This prim, its variants and all prims below them, in the order in which they were drawn."""
+        yield self
+        for below in (*self.variants.values(), *self.children.values()):
+            yield from below.walk()
+
+    def written(self) -> Written:
+        """What is said from this prim downwards, without attributes that have no value."""
+        return {prim.place: dict(_said(prim)) for prim in self.walk()}
 
 
-def _record(prim: Sdf.PrimSpec, name: str, value: object) -> None:
-    written = _written.get()
-    if written is not None:
-        written.setdefault(prim.path.pathString, {})[name] = value
+def _said(prim: Prim) -> Iterator[tuple[str, Any]]:
+    for name, found in prim.properties.items():
+        value = found.value if isinstance(found, Attribute) else found
+        if value is not None:
+            yield name, value
 
 
-@cache
-def value_type(name: str) -> Sdf.ValueTypeName:
-    """The value type that USD writes as ``name``: ``float``, ``point3f[]`` and so on."""
-    from pxr import Sdf
-
-    return Sdf.ValueTypeNames.Find(name)
-
-
-def define(parent: Sdf.PrimSpec, name: str, type_name: str, schemas: Sequence[str] = ()) -> Sdf.PrimSpec:
+def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
     """Define a child prim of a type, with the API schemas applied to it."""
-    from pxr import Sdf
-
-    prim = Sdf.PrimSpec(parent, name, Sdf.SpecifierDef, type_name)
-    if schemas:
-        apply_schemas(prim, schemas)
+    place = f"{parent.place}{'' if parent.place.endswith('}') else '/'}{name}"
+    prim = Prim(name, type_name, f"{parent.path}/{name}", place, specifier, schemas=list(schemas))
+    parent.children[name] = prim
     return prim
 
 
-def apply_schemas(prim: Sdf.PrimSpec, schemas: Sequence[str]) -> None:
+def apply_schemas(prim: Prim, schemas: Sequence[str]) -> None:
     """Apply API schemas by name; those of PhysX and Newton need not be registered to be written."""
-    from pxr import Sdf
-
-    before = prim.GetInfo("apiSchemas").prependedItems if prim.HasInfo("apiSchemas") else []
-    prim.SetInfo("apiSchemas", Sdf.TokenListOp.Create(prependedItems=[*before, *schemas]))
+    prim.schemas.extend(schemas)
 
 
-def attribute(prim: Sdf.PrimSpec, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
-    """Author an attribute of ``prim``; names in ``simfoundry:`` are marked as custom, being in no schema."""
-    from pxr import Sdf
-
-    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
-    custom = name.startswith("simfoundry:")
-    spec = Sdf.AttributeSpec(prim, name, value_type(type_name), variability, declaresCustom=custom)
-    if value is not None:
-        spec.default = value
-        _record(prim, name, value)
+def attribute(prim: Prim, name: str, type_name: str, value: object, *, uniform: bool = False) -> None:
+    """Author an attribute of ``prim``; names in ``simfoundry:`` are written as custom, being in no schema."""
+    prim.properties[name] = Attribute(type_name, value, uniform)
 
 
-def connect(prim: Sdf.PrimSpec, name: str, type_name: str, source: str) -> None:
+def connect(prim: Prim, name: str, type_name: str, source: str) -> None:
     """Author an attribute of ``prim`` that is connected to the property at the path ``source``."""
-    attribute(prim, name, type_name, None)
-    prim.attributes[name].connectionPathList.explicitItems = [source]
+    prim.properties[name] = Attribute(type_name, None, source=source)
 
 
-def relate(prim: Sdf.PrimSpec, name: str, targets: Sequence[Sdf.Path]) -> None:
-    """Author a relationship of ``prim`` to the prims at the paths ``targets``, as they are called on the stage."""
-    from pxr import Sdf
-
-    paths = [path.StripAllVariantSelections() for path in targets]
-    custom = name.startswith("simfoundry:")
-    Sdf.RelationshipSpec(prim, name, custom=custom).targetPathList.explicitItems = paths
-    _record(prim, name, paths[0] if paths else None)
+def relate(prim: Prim, name: str, targets: Iterable[Prim | str]) -> None:
+    """Author a relationship of ``prim`` to others, or to those at paths of the stage."""
+    prim.properties[name] = Targets(tuple(t if isinstance(t, str) else t.path for t in targets))
 
 
-def place(prim: Sdf.PrimSpec, pose: Pose, scale: Sequence[float] | None = None) -> None:
+def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
     """Pose ``prim`` in its parent, in double precision; ``scale`` applies first."""
-    from pxr import Gf, Vt
-
     operations = []
-    if pose is not IDENTITY and pose.p.any():
-        attribute(prim, "xformOp:translate", "double3", Gf.Vec3d(*(settled(v) for v in pose.p)))
+    p, q = ((), ()) if pose is IDENTITY else (pose.p.tolist(), pose.q.tolist())
+    if any(p):
+        attribute(prim, "xformOp:translate", "double3", tuple([settled(v) for v in p]))
         operations.append("xformOp:translate")
-    if pose is not IDENTITY and pose.q[1:].any():
-        w, x, y, z = (settled(v) for v in pose.q)
-        attribute(prim, "xformOp:orient", "quatd", Gf.Quatd(w, x, y, z))
+    if any(q[1:]):
+        attribute(prim, "xformOp:orient", "quatd", quat(q))
         operations.append("xformOp:orient")
     if scale is not None:
-        attribute(prim, "xformOp:scale", "double3", Gf.Vec3d(*(rounded(v) for v in scale)))
+        attribute(prim, "xformOp:scale", "double3", tuple([rounded(v) for v in scale]))
         operations.append("xformOp:scale")
     if operations:
-        attribute(prim, "xformOpOrder", "token[]", Vt.TokenArray(operations), uniform=True)
+        attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
 
 
 def rounded(value: float) -> float:
@@ -121,16 +141,15 @@ def settled(value: float) -> float:
     return round(float(value), 12) + 0.0
 
 
-def vec3f(values: Iterable[float]) -> Gf.Vec3f:
-    """Three numbers in single precision."""
-    from pxr import Gf
-
-    return Gf.Vec3f(*(rounded(v) for v in values))
+def vec3(values: Iterable[float]) -> tuple[float, ...]:
+    """Three numbers for single precision; what that cannot hold is infinite, as a reader will see it."""
+    return tuple([v if abs(v) < _MOST else math.copysign(math.inf, v) for v in map(rounded, values)])
 
 
-def quatf(q: Iterable[float]) -> Gf.Quatf:
-    """A wxyz quaternion in single precision."""
-    from pxr import Gf
+_MOST = 3.4028235e38
+"""The greatest number of single precision."""
 
-    w, x, y, z = (settled(v) for v in q)
-    return Gf.Quatf(w, x, y, z)
+
+def quat(q: Iterable[float]) -> tuple[float, ...]:
+    """A wxyz quaternion to twelve decimals."""
+    return tuple([settled(v) for v in q])

@@ -14,7 +14,7 @@ from simfoundry.backends.robot_urdf import conversion_losses
 from simfoundry.backends.robots import RobotModelError, mujoco_model, read_robot
 from simfoundry.backends.usd.bodies import Scopes, define_object
 from simfoundry.backends.usd.cameras import define_camera
-from simfoundry.backends.usd.prims import apply_schemas, attribute, define, place, relate, rounded
+from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate, rounded
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import MountedCamera, Scene, SceneObject
 from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
@@ -36,16 +36,16 @@ class RobotsInUsd:
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
     losses: list[Loss] = field(default_factory=list)
-    frames: dict[tuple[str, str], tuple[Sdf.PrimSpec, Pose]] = field(default_factory=dict)
+    frames: dict[tuple[str, str], tuple[Prim, Pose]] = field(default_factory=dict)
 
 
-def define_robots(world: Sdf.PrimSpec, scopes: Scopes, scene: Scene) -> RobotsInUsd:
+def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
     """Define every robot below ``/World/Robots``; nothing where there is none."""
     found = RobotsInUsd()
     if not scene.robots:
         return found
     parent = define(world, "Robots", "Xform")
-    parent.SetInfo("kind", "group")
+    parent.kind = "group"
     for robot in scene.robots:
         wanted = [m.link for m in scene.mounted if m.carrier == robot.name]
         native = robot.best(ModelFormat.USD)
@@ -61,18 +61,18 @@ def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str
     define_object(scopes, made.item)
     found.items.append(made.item)
     found.losses.extend(conversion_losses(robot, source, made.loops))
-    prim = scopes.objects.nameChildren[robot.name]
+    prim = scopes.objects.children[robot.name]
     for name in wanted:
         frame = source.frame(name) if name else LinkFrame(next(iter(made.links)))
         if frame.link not in made.links:
             there = ", ".join(made.links)
             raise RobotModelError(f"robot `{robot.name}` has no link `{frame.link}`; there are: {there}")
-        found.frames[robot.name, name] = prim.nameChildren[made.links[frame.link]], frame.X_LF
+        found.frames[robot.name, name] = prim.children[made.links[frame.link]], frame.X_LF
 
 
-def _refer(parent: Sdf.PrimSpec, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
+def _refer(parent: Prim, robot: Robot, native: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
     """Refer to the robot's own USD, copied with all that lies in its folder; its joints as the scene has them."""
-    from pxr import Sdf, Usd, UsdGeom
+    from pxr import Usd, UsdGeom
 
     stage = Usd.Stage.Open(str(native.file))
     default = stage.GetDefaultPrim()
@@ -83,10 +83,10 @@ def _refer(parent: Sdf.PrimSpec, robot: Robot, native: NativeModel, wanted: list
     top = native.file.parent
     found.files |= {f"{folder}/{f.relative_to(top).as_posix()}": f.read_bytes() for f in model_files(native.file)}
     prim = define(parent, robot.name, "Xform")
-    prim.SetInfo("kind", "component")
+    prim.kind = "component"
     place(prim, robot.X_WB)
     model = define(prim, "Model", "Xform")
-    model.referenceList.prependedItems.append(Sdf.Reference(f"./{folder}/{native.file.name}"))
+    model.references.append(f"@./{folder}/{native.file.name}@")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     turned = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y
     place(model, _UPRIGHT if turned else Pose.of(), None if unit == 1.0 else (unit, unit, unit))
@@ -114,19 +114,17 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
         yield Loss(robot.name, Fidelity.DROPPED, reason)
 
 
-def _over(model: Sdf.PrimSpec, default: Usd.Prim, prim: Usd.Prim) -> Sdf.PrimSpec:
+def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
     """The spec in our layer for a prim of the referenced stage."""
-    from pxr import Sdf
-
     spec = model
     for name in str(prim.GetPath().MakeRelativePath(default.GetPath())).split("/"):
         if name != ".":
-            below = spec.nameChildren.get(name)
-            spec = below if below is not None else Sdf.PrimSpec(spec, name, Sdf.SpecifierOver)
+            below = spec.children.get(name)
+            spec = below if below is not None else define(spec, name, "", specifier="over")
     return spec
 
 
-def _set_joint(spec: Sdf.PrimSpec, joint: Usd.Prim, position: float) -> None:
+def _set_joint(spec: Prim, joint: Usd.Prim, position: float) -> None:
     """Where a joint starts, and what its drive holds, if it has one."""
     from pxr import UsdPhysics
 
@@ -139,7 +137,7 @@ def _set_joint(spec: Sdf.PrimSpec, joint: Usd.Prim, position: float) -> None:
         attribute(spec, f"drive:{kind}:physics:targetPosition", "float", value)
 
 
-def _hold(prim: Sdf.PrimSpec, model: Sdf.PrimSpec, default: Usd.Prim) -> None:
+def _hold(prim: Prim, model: Prim, default: Usd.Prim) -> None:
     """Weld the first body to the world, unless the robot's own file holds it there."""
     from pxr import Usd, UsdPhysics
 
@@ -151,7 +149,7 @@ def _hold(prim: Sdf.PrimSpec, model: Sdf.PrimSpec, default: Usd.Prim) -> None:
             return
     if bodies:
         anchor = define(prim, "Anchor", "PhysicsFixedJoint")
-        relate(anchor, "physics:body1", [_over(model, default, bodies[0]).path])
+        relate(anchor, "physics:body1", [_over(model, default, bodies[0])])
 
 
 def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
@@ -172,10 +170,8 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
         define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
 
 
-def _carrier(
-    scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera
-) -> tuple[Sdf.PrimSpec, Pose] | None:
+def _carrier(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> tuple[Prim, Pose] | None:
     if any(robot.name == mounted.carrier for robot in scene.robots):
         return robots.frames.get((mounted.carrier, mounted.link))
     item = scene.object(mounted.carrier)
-    return scopes.objects.nameChildren[item.name].nameChildren[mounted.link or item.root.name], Pose.of()
+    return scopes.objects.children[item.name].children[mounted.link or item.root.name], Pose.of()

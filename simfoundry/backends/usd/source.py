@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from simfoundry.backends.usd.prims import Written
+from simfoundry.backends.usd.prims import Prim, Targets, Written
 from simfoundry.scene.source import Source
-
-if TYPE_CHECKING:
-    from pxr import Sdf
 
 KEY = "simfoundry"
 """The key of our dictionary in ``customData`` and in ``customLayerData``."""
@@ -32,26 +29,28 @@ VIEW_ONLY = (
 
 _NUMBER = "%.9g"
 
+_json = json.JSONEncoder(ensure_ascii=False).encode
 
-def write_source(layer: Sdf.Layer, source: Source, written: Written) -> None:
-    """Write ``source`` into the prims of a finished ``layer``, of which ``written`` has the values."""
-    world = layer.GetPrimAtPath(f"/{layer.defaultPrim}")
+
+def write_source(world: Prim, source: Source) -> dict[str, str]:
+    """Write ``source`` into the prims from the finished default prim down; returns what the layer says about it."""
     document = dict(source.data)
+    written = world.written()
     below = _by_part(written, f"{world.path}/")
     for section, scope in SCOPES.items():
         members = dict(document.get(section, {}))
+        prims = world.children[scope].children if scope in world.children else {}
         for name, data in members.items():
-            prim = layer.GetPrimAtPath(f"{world.path}/{scope}/{name}")
-            if prim:
+            if name in prims:
                 said = _built(below.get(f"{scope}/{name}", {}), written)
                 said = _posture(said) if section == "robots" else said
-                _add(prim, {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
+                _add(prims[name], {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
                 members[name] = None
         if members:
             document[section] = members
     about = {"kind": source.kind, "file": source.file, "digest": source.digest}
     _add(world, {**about, "document": _lines(document)})
-    layer.pseudoRoot.SetInfo("customLayerData", {KEY: about})
+    return about
 
 
 def _by_part(written: Written, above: str) -> dict[str, Written]:
@@ -85,12 +84,8 @@ def _posture(said: Written) -> Written:
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """The values among those of a prim's attributes that mean something to the document, as plain data."""
-    said = {}
-    for name in sorted(attributes):
-        value = plain(attributes[name])
-        if value is not None and not name.startswith(VIEW_ONLY):
-            said[name] = value
-    return said
+    said = {name: plain(attributes[name]) for name in sorted(attributes) if not name.startswith(VIEW_ONLY)}
+    return {name: value for name, value in said.items() if value is not None}
 
 
 def plain(value: Any) -> Any:
@@ -105,13 +100,16 @@ def plain(value: Any) -> Any:
             return float(_NUMBER % value)
         case str():
             return str(value)
+        case tuple() if value and isinstance(value[0], float | int):
+            return [v if type(v) is int else float(_NUMBER % v) for v in value]
     kind = type(value).__name__
     if kind.endswith("Array"):
         return None
     if kind.startswith("Quat"):
         return [float(_NUMBER % v) for v in (value.GetReal(), *value.GetImaginary())]
-    if kind.startswith("Vec"):
-        return [v if type(v) is int else float(_NUMBER % v) for v in value]
+    if kind.startswith("Vec"):  # by index: to iterate, pxr raises and translates an error at the end
+        values = [value[k] for k in range(len(value))]
+        return [v if type(v) is int else float(_NUMBER % v) for v in values]
     return None
 
 
@@ -129,11 +127,15 @@ def _bound(values: Mapping[str, Any], written: Written) -> dict[str, Any]:
     """How a shape looks and touches: values of the materials that are bound to it."""
     said: dict[str, Any] = {}
     if "material:binding" in values:
-        path = str(values["material:binding"])
+        path = _target(values["material:binding"])
         said["look"] = look({name: written.get(f"{path}/{name}", {}) for name in ("Surface", "Texture")})
     if "material:binding:physics" in values:
-        said["contact"] = contact(written[str(values["material:binding:physics"])])
+        said["contact"] = contact(written[_target(values["material:binding:physics"])])
     return said
+
+
+def _target(found: Targets) -> str:
+    return found.paths[0]
 
 
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
@@ -156,10 +158,9 @@ def contact(material: Mapping[str, Any]) -> list[float] | None:
 
 def _lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
-    entries = [f"{json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
+    entries = [f"{_json(key)}: {_json(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 
 
-def _add(prim: Sdf.PrimSpec, entries: Mapping[str, str]) -> None:
-    custom = dict(prim.customData)
-    prim.SetInfo("customData", {**custom, KEY: {**custom.get(KEY, {}), **entries}})
+def _add(prim: Prim, entries: Mapping[str, str]) -> None:
+    prim.custom_data.setdefault(KEY, {}).update(entries)

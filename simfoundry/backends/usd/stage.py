@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib.resources import files
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +12,15 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
-from simfoundry.backends.usd.geometry import mesh_layer, mesh_path
+from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.prims import attribute, define, recorded, rounded, vec3f
+from simfoundry.backends.usd.prims import Prim, attribute, define, rounded, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
-from simfoundry.backends.usd.source import write_source
+from simfoundry.backends.usd.source import KEY, write_source
+from simfoundry.backends.usd.usda import usda
 from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
-
-if TYPE_CHECKING:
-    from pxr import Sdf
 
 
 def compile_usd(scene: Scene) -> Artifact:
@@ -35,35 +32,22 @@ def compile_usd(scene: Scene) -> Artifact:
     document behind the scene is kept in metadata, see :mod:`~simfoundry.backends.usd.source`. A name that is none, or
     is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
-    from pxr import Sdf
-
     check_names(scene)
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    with Sdf.ChangeBlock(), recorded() as written:
-        robots = _define_world(layer, scene)
-        if scene.source is not None:
-            write_source(layer, scene.source, written)
+    world = Prim("World", "Xform", "/World", "/World", kind="assembly")
+    robots = _define_world(world, scene)
+    about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
-    contents = {"scene.usda": str(layer.ExportToString()).encode(), "load.py": loader.read_bytes()}
+    contents = {"scene.usda": usda(world, about), "load.py": loader.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
     return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
 
 
-def _define_world(layer: Sdf.Layer, scene: Scene) -> RobotsInUsd:
-    from pxr import Sdf, Vt
-
-    root = layer.pseudoRoot
-    root.SetInfo("kilogramsPerUnit", 1.0)
-    root.SetInfo("metersPerUnit", 1.0)
-    root.SetInfo("upAxis", "Z")
-    layer.defaultPrim = "World"
-    world = Sdf.PrimSpec(layer, "World", Sdf.SpecifierDef, "Xform")
-    world.SetInfo("kind", "assembly")
-    relations = Vt.StringArray([str(relation) for relation in scene.relations])
-    world.SetInfo("customData", {"simfoundry": {"name": scene.name, "relations": relations}})
+def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:
+    relations = [str(relation) for relation in scene.relations]
+    world.custom_data[KEY] = {"name": scene.name, "relations": relations}
     _define_physics(world, scene)
     objects = define(world, "Objects", "Xform")
-    objects.SetInfo("kind", "group")
+    objects.kind = "group"
     scopes = Scopes(objects, define(world, "Looks", "Scope"), define(world, "Contacts", "Scope"))
     for item in scene.objects:
         define_object(scopes, item)
@@ -81,28 +65,27 @@ def _define_world(layer: Sdf.Layer, scene: Scene) -> RobotsInUsd:
     return robots
 
 
-def _define_physics(world: Sdf.PrimSpec, scene: Scene) -> None:
+def _define_physics(world: Prim, scene: Scene) -> None:
     """The physics scene; without gravity its direction still has to be a direction."""
     prim = define(world, "Physics", "PhysicsScene")
     magnitude = float(np.linalg.norm(scene.gravity))
     direction = scene.gravity / magnitude if magnitude > 0 else np.array([0.0, 0.0, -1.0])
-    attribute(prim, "physics:gravityDirection", "vector3f", vec3f(direction))
+    attribute(prim, "physics:gravityDirection", "vector3f", vec3(direction))
     attribute(prim, "physics:gravityMagnitude", "float", rounded(magnitude))
 
 
 def _assets(objects: Iterable[SceneObject], around: Background | None) -> dict[str, bytes]:
-    """The layers of the meshes and the textures of the visuals by path, sorted; equal ones are there once."""
-    meshes: dict[str, Mesh] = {}
+    """The layer of the meshes, that of a splat, and the textures of the visuals by path, sorted."""
     contents: dict[str, bytes] = {}
     links = [link for each in objects for item in (each, *each.variants) for link in item.links]
     visuals = [visual for link in links for visual in link.visuals] + list(around.visuals if around else ())
-    for geometry in [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]:
-        if isinstance(geometry, Mesh):
-            meshes.setdefault(mesh_path(geometry), geometry)
+    shapes = [v.geometry for v in visuals] + [c.geometry for link in links for c in link.colliders]
+    meshes = [shape for shape in shapes if isinstance(shape, Mesh)]
+    if meshes:
+        contents[MESHES] = mesh_layer(meshes)
     for texture in map(texture_of, visuals):
         if texture is not None:
             contents[texture_path(texture)] = texture
     if around is not None and around.splat is not None:
         contents[SPLAT] = splat_layer(around.splat)
-    contents |= {path: mesh_layer(mesh) for path, mesh in meshes.items()}
     return dict(sorted(contents.items()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import takewhile
+from itertools import islice, takewhile
 
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.checks.checker import Checker
@@ -43,6 +43,10 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
         check_pair(c, pair, k, seen)
 
 
+MAX_CHAIN = 200
+"""So many links may carry each other: readers of XML and simulators follow a chain by calling themselves."""
+
+
 def _tree(c: Checker, spec: AssetSpec) -> None:
     """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
     parents: dict[str, str] = {}
@@ -65,6 +69,12 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
         elif link in set(_ancestors(link, parents)):
             place = ("joints", carriers[link], "parent")
             c.add("SF206", place, f"`{link}` is carried by itself, through a ring of joints")
+        elif sum(1 for _ in islice(_ancestors(link, parents), MAX_CHAIN)) == MAX_CHAIN:
+            message = f"`{link}` is at the end of a chain of more than {MAX_CHAIN} links"
+            c.add(
+                "SF206", ("joints", carriers[link], "parent"), message, "join links that do not move against each other"
+            )
+            return
 
 
 def _mimics(c: Checker, spec: AssetSpec) -> None:

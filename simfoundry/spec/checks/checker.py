@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ class Checker:
         self.document: Document = loaded.document
         self.loaded, self.whole, self._use = loaded, whole, use
         self.findings: list[Diagnostic] = []
+        self._counts: Counter[Severity] = Counter()
 
     def add(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
         """Add an error."""
@@ -40,7 +42,8 @@ class Checker:
         self._add(code, path, message, hint, Severity.WARNING, about)
 
     def _add(self, code: str, path: Path_, message: str, hint: str, severity: Severity, about: tuple[str, ...]) -> None:
-        if len(self.findings) < MAX_FINDINGS:
+        self._counts[severity] += 1
+        if self._counts[severity] <= MAX_FINDINGS:  # each kind for itself: no error is lost behind warnings
             line, column = self.document.place(path)
             dotted = ".".join(map(str, path))
             file = self.document.source(path)
@@ -55,7 +58,7 @@ class Checker:
         """Whether ``name`` is among the choices; a finding where it is not."""
         if name in choices:
             return True
-        if len(self.findings) < MAX_FINDINGS:
+        if self._counts[Severity.ERROR] < MAX_FINDINGS:
             hint = nearest(name, choices) or "none is defined"
             if what == "material" and not hint.startswith("did"):
                 hint += "; a new one is written under `materials`"

@@ -16,6 +16,8 @@ from pydrake.systems.framework import Diagram
 
 from simfoundry.scene.frames import Pose
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
@@ -88,7 +90,18 @@ class DrakeSession:
         inspector = self._simulator_inspector()
         colliders = tuple(_collider(inspector, g) for g in self.plant.GetCollisionGeometriesForBody(body))
         return LinkFacts(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
-                         numbers(about_com), colliders)  # fmt: skip
+                         numbers(about_com), self._held(body), colliders)  # fmt: skip
+
+    def _held(self, body: RigidBody) -> str:
+        """A floating body is free; any other hangs on the parent of its joint."""
+        if body.is_floating():
+            return FREE
+        for index in self.plant.GetJointIndices():
+            joint = self.plant.get_joint(index)
+            if joint.child_body().index() == body.index():
+                above = joint.parent_body().index()
+                return next((name for name, each in self._bodies.items() if each.index() == above), WORLD)
+        return FREE
 
     def _simulator_inspector(self) -> Any:
         (scene_graph,) = [s for s in self.diagram.GetSystems() if s.get_name() == "scene_graph"]

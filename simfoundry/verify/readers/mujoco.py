@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import mujoco
@@ -9,6 +10,8 @@ import numpy as np
 
 from simfoundry.scene.frames import Pose
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
@@ -16,6 +19,7 @@ from simfoundry.verify.facts import (
     Moment,
     mesh_bounds,
     numbers,
+    pair_name,
     pose_numbers,
     shape_bounds,
 )
@@ -65,6 +69,8 @@ class MujocoSession:
             joints={name: self._joint(k) for name, k in self._joints.items()},
             gravity=numbers(self.model.opt.gravity),
             pairs=self._pairs(),
+            silent=self._silent(),
+            actuators=tuple(self.model.actuator(k).name for k in range(self.model.nu)),
         )
 
     def close(self) -> None:
@@ -76,16 +82,23 @@ class MujocoSession:
     def _position(self, joint: int) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
 
+    def _held(self, body: int) -> str:
+        """A body in the world is welded to it or free; any other is held by the one above."""
+        parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
+        if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
+            return FREE
+        return self.model.body(parent).name if parent else WORLD
+
     def _link(self, name: str, body: int) -> LinkFacts:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
-        start, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-        felt = [g for g in range(start, start + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        felt = self._felt(body)
         return LinkFacts(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
             com=numbers(model.body_ipos[body]),
             inertia=numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
+            held=self._held(body),
             colliders=tuple(self._collider(name, geom) for geom in felt),
         )
 
@@ -102,20 +115,80 @@ class MujocoSession:
             size = {"box": (x, y, z), "sphere": (x / 2,)}.get(kind, (x / 2, y))
             bounds = shape_bounds(kind, size, X_LG)
         name = model.geom(geom).name.removeprefix(f"{link}.")
-        return ColliderFacts(name, kind, bounds, friction=float(model.geom_friction[geom][0]))
+        # What a geom says of spinning and rolling counts in contacts of as many dimensions.
+        friction, dimensions = model.geom_friction[geom], int(model.geom_condim[geom])
+        spinning, rolling = float(friction[1]) * (dimensions > 3), float(friction[2]) * (dimensions > 4)
+        return ColliderFacts(name, kind, bounds, friction=float(friction[0]), spinning=spinning, rolling=rolling)
 
     def _joint(self, joint: int) -> JointFacts:
         model, dof = self.model, self.model.jnt_dofadr[joint]
-        limited = bool(model.jnt_limited[joint])
+        limited, ball = bool(model.jnt_limited[joint]), model.jnt_type[joint] == _JOINT.mjJNT_BALL
+        at = int(model.jnt_qposadr[joint])
+        follows, law = self._law(joint)
+        drive, effort = self._drive(joint)
         return JointFacts(
             type=_TYPES.get(int(model.jnt_type[joint]), "other"),
-            axis=numbers(model.jnt_axis[joint]),
+            axis=None if ball else numbers(model.jnt_axis[joint]),
             limits=numbers(model.jnt_range[joint]) if limited else (),
             damping=float(np.ravel(model.dof_damping[dof])[0]),
             friction=float(model.dof_frictionloss[dof]),
             armature=float(model.dof_armature[dof]),
-            position=self._position(joint),
+            position=numbers(self.data.qpos[at : at + 4]) if ball else self._position(joint),
+            follows=follows,
+            law=law,
+            drive=drive,
+            effort=effort,
         )
+
+    def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:
+        """The joint that an equality makes it follow, with multiplier and offset."""
+        model = self.model
+        for k in range(model.neq):
+            if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[k] == joint and model.eq_obj2id[k] >= 0:
+                offset, multiplier, *bent = (float(v) for v in model.eq_data[k][:5])
+                return model.joint(int(model.eq_obj2id[k])).name, (multiplier, offset, *(v for v in bent if v))
+        return "", ()
+
+    def _drive(self, joint: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Stiffness, damping and target of the actuator in a joint, and its greatest force."""
+        model = self.model
+        for k in range(model.nu):
+            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[k][0] == joint:
+                stiffness, damping = -float(model.actuator_biasprm[k][1]), -float(model.actuator_biasprm[k][2])
+                limited = bool(model.actuator_forcelimited[k])
+                effort = (float(model.actuator_forcerange[k][1]),) if limited else ()
+                return (stiffness, damping, float(self.data.ctrl[k])), effort
+        return (), ()
+
+    def _silent(self) -> tuple[str, ...]:
+        """Pairs of bodies that MuJoCo never tests, or whose geoms it never lets touch, by its own rules."""
+        model = self.model
+        excluded = {int(k) for k in model.exclude_signature}
+        explicit = {
+            frozenset((int(model.geom_bodyid[a]), int(model.geom_bodyid[b])))
+            for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)
+        }
+        felt = {
+            body: [(int(model.geom_contype[g]), int(model.geom_conaffinity[g])) for g in self._felt(body)]
+            for body in self._bodies.values()
+        }
+        weld = [int(k) for k in model.body_weldid]
+        above = [weld[int(model.body_parentid[w])] for w in weld]
+        found = []
+        for a, b in combinations([body for body, masks in felt.items() if masks], 2):
+            if frozenset((a, b)) in explicit:
+                continue
+            joined = weld[a] == weld[b] or (weld[b] and weld[a] == above[b]) or (weld[a] and weld[b] == above[a])
+            parents = joined and not (weld[a] == 0 or weld[b] == 0)  # what is welded to the world is no parent
+            meet = any((t & d) or (u & c) for t, c in felt[a] for u, d in felt[b])
+            if (a << 16) + b in excluded or weld[a] == weld[b] or parents or not meet:
+                found.append(pair_name(model.body(a).name, model.body(b).name))
+        return tuple(found)
+
+    def _felt(self, body: int) -> list[int]:
+        model = self.model
+        start, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
+        return [g for g in range(start, start + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
 
     def _pairs(self) -> dict[str, float]:
         model = self.model

@@ -1,4 +1,4 @@
-"""Newton, from the mjcf build; keyframe and gravity, which its importer leaves out, are brought in here."""
+"""Newton, from the mjcf build; keyframe and gravity, which its importer leaves out, are set here."""
 
 from __future__ import annotations
 
@@ -21,18 +21,31 @@ def open_build(folder: Path) -> Session:
     apply_keyframe(builder, _floats(root.find("keyframe/key"), "qpos"))
     model = builder.finalize(device="cpu")
     model.set_gravity(tuple(_floats(root.find("option"), "gravity")))
-    return NewtonSession(model, Names(_last, _collider, _joint, {}))
+    joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
+    controls = _floats(root.find("keyframe/key"), "ctrl")
+    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}), controls)
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
     """Write MuJoCo's positions into Newton's, which keeps the order of the joints but turns quaternions to xyzw."""
-    if len(qpos) != len(builder.joint_q):
-        raise ValueError(f"the keyframe has {len(qpos)} positions and the model {len(builder.joint_q)}")
-    q = np.array(qpos)
-    for kind, start in zip(builder.joint_type, builder.joint_q_start, strict=True):
+    ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
+    q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
+    for kind, child, start, end in zip(
+        builder.joint_type, builder.joint_child, builder.joint_q_start, ends, strict=True
+    ):
+        if child in carried:  # a loop that MuJoCo closes by an equality is a second joint of the same body here
+            continue
+        carried.add(child)
+        count = end - start
+        if at + count > len(qpos):
+            raise ValueError(f"the keyframe has {len(qpos)} positions and the model more")
+        values = np.array(qpos[at : at + count])
         if kind in (newton.JointType.FREE, newton.JointType.BALL):
-            at = start + (3 if kind == newton.JointType.FREE else 0)
-            q[at : at + 4] = q[[at + 1, at + 2, at + 3, at]]
+            values[-4:] = values[[-3, -2, -1, -4]]
+        q[start:end] = values
+        at += count
+    if at != len(qpos):
+        raise ValueError(f"the keyframe has {len(qpos)} positions and the model {at}")
     builder.joint_q = q.tolist()
 
 
@@ -50,7 +63,7 @@ def _collider(label: str) -> tuple[str, str] | None:
     return (link, collider) if ":" not in name else None
 
 
-def _joint(label: str) -> str | None:
-    """A joint that moves is ``object.joint``; those that the importer adds end in ``_joint`` or are free."""
+def _joint(label: str, joints: set[str]) -> str | None:
+    """A joint of the file; any other was added by the importer."""
     name = _last(label)
-    return name if "." in name and not name.endswith("_joint") else None
+    return name if name in joints else None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import newton
@@ -11,6 +12,8 @@ import warp as wp
 
 from simfoundry.scene.frames import Pose, from_xyzw
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
@@ -19,6 +22,7 @@ from simfoundry.verify.facts import (
     Numbers,
     mesh_bounds,
     numbers,
+    pair_name,
     pose_numbers,
     shape_bounds,
 )
@@ -38,13 +42,16 @@ class Names:
     """How the labels of an importer say which link, collider and joint of the scene they stand for.
 
     ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
-    the importer adds. ``static`` are poses of links that Newton merged into the world.
+    the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
+    joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
+    as are resistances that count only in contacts of more dimensions.
     """
 
     link: Callable[[str], str]
     collider: Callable[[str], tuple[str, str] | None]
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
+    own_damping: Mapping[str, float] | None = None
 
 
 class NewtonSession:
@@ -52,7 +59,7 @@ class NewtonSession:
 
     timestep = TIMESTEP
 
-    def __init__(self, model: newton.Model, names: Names) -> None:
+    def __init__(self, model: newton.Model, names: Names, controls: Sequence[float] = ()) -> None:
         self.model, self.names = model, names
         self._bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
         self._kinds = [int(k) for k in _array(model.joint_type)]
@@ -63,6 +70,8 @@ class NewtonSession:
         if self._bodies:
             newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
         self._control = model.control()
+        if controls:
+            self._control.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:
@@ -81,20 +90,46 @@ class NewtonSession:
 
     def facts(self) -> Facts:
         """Bodies, static links and joints."""
-        model, poses, colliders = self.model, self._poses(), self._colliders()
+        model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
         mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
             name: LinkFacts(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
-                            tuple(colliders.get(name, ())))
+                            held.get(k), tuple(colliders.get(name, ())))
             for name, k in self._bodies.items()
         }  # fmt: skip
         links |= {n: LinkFacts(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
                   self.names.static.items() if n not in links}  # fmt: skip
-        joints = {name: self._joint(k) for name, k in self._joints.items()}
-        return Facts(links, joints, numbers(model.gravity.numpy()[0]))
+        joints = {name: self._joint(name, k) for name, k in self._joints.items()}
+        driven = None
+        if self.names.own_damping is not None:
+            driven = tuple(name for name, joint in joints.items() if joint.drive)
+        return Facts(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
 
     def close(self) -> None:
         """Newton frees its arrays with the objects."""
+
+    def _held(self) -> dict[int, str]:
+        """What the first joint above each body hangs it on; any other closes a loop."""
+        names = {k: name for name, k in self._bodies.items()}
+        found: dict[int, str] = {}
+        ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
+        for kind, parent, child in ends:
+            holder = FREE if kind == int(_Joint.FREE) else names[int(parent)] if parent >= 0 else WORLD
+            found.setdefault(int(child), holder)
+        return found
+
+    def _silent(self) -> tuple[str, ...]:
+        """Pairs of bodies of whose shapes Newton filters every pair; shapes of the world have no body to name."""
+        names = {k: name for name, k in self._bodies.items()}
+        owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
+        felt = {k: int(owners[k]) for k in range(len(owners)) if flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES)}
+        counts: dict[int, int] = Counter(felt.values())
+        filtered: dict[tuple[int, int], int] = Counter()
+        for a, b in self.model.shape_collision_filter_pairs:
+            one, other = sorted((felt.get(int(a), -1), felt.get(int(b), -1)))
+            if one >= 0 and one != other:
+                filtered[one, other] += 1
+        return tuple(pair_name(names[a], names[b]) for (a, b), n in filtered.items() if n == counts[a] * counts[b])
 
     def _poses(self) -> dict[str, Pose]:
         body_q = _array(self._state.body_q)
@@ -105,6 +140,7 @@ class NewtonSession:
         flags, kinds, owners = model.shape_flags.numpy(), model.shape_type.numpy(), model.shape_body.numpy()
         transforms, scales = model.shape_transform.numpy(), model.shape_scale.numpy()
         mu, restitution = model.shape_material_mu.numpy(), model.shape_material_restitution.numpy()
+        spinning, rolling = model.shape_material_mu_torsional.numpy(), model.shape_material_mu_rolling.numpy()
         found: dict[str, list[ColliderFacts]] = {}
         for k, label in enumerate(model.shape_label):
             named = self.names.collider(label)
@@ -116,7 +152,10 @@ class NewtonSession:
                 X_LG = self.names.static[link].inverse() @ X_LG
             kind = _KINDS.get(int(kinds[k]), "other")
             bounds = self._bounds(k, kind, scales[k], X_LG)
-            found.setdefault(link, []).append(ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k])))
+            told = self.names.own_damping is not None
+            resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
+            facts = ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
+            found.setdefault(link, []).append(facts)
         return found
 
     def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:
@@ -125,19 +164,29 @@ class NewtonSession:
         size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
         return shape_bounds(kind, size, X_LG)
 
-    def _joint(self, joint: int) -> JointFacts:
-        """Damping comes as a passive one from MJCF and as a drive's from USD."""
+    def _joint(self, name: str, joint: int) -> JointFacts:
+        """Damping comes as a passive one from MJCF and as a drive's from USD, which has one for both."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
         X_CJ = _pose(model.joint_X_c.numpy()[joint])
+        start, ball = int(self._q_start[joint]), self._kinds[joint] == int(_Joint.BALL)
+        damping = float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof])
+        own = (self.names.own_damping or {}).get(name)
+        drive: Numbers | None = None if self.names.own_damping is None else ()
+        if own is not None:
+            stiffness, target = model.joint_target_ke.numpy()[dof], model.joint_target_q.numpy()[start]
+            damping, drive = own, (float(stiffness), damping - own, float(target))
         return JointFacts(
             type=_TYPES[self._kinds[joint]],
-            axis=numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
-            limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT else (),
-            damping=float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof]),
+            axis=None if ball else numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
+            limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),
+            damping=damping,
             friction=float(model.joint_friction.numpy()[dof]),
             armature=float(model.joint_armature.numpy()[dof]),
-            position=float(model.joint_q.numpy()[self._q_start[joint]]),
+            position=numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
+            if ball
+            else float(model.joint_q.numpy()[start]),
+            drive=drive,
         )
 
 

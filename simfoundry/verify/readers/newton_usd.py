@@ -11,7 +11,7 @@ from pxr import Usd, UsdGeom
 from simfoundry.scene.frames import Pose
 from simfoundry.verify.readers import Session, load_module
 from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
-from simfoundry.verify.readers.usd import links
+from simfoundry.verify.readers.usd import OWN_DAMPING, links, own_damping
 
 
 def open_build(folder: Path) -> Session:
@@ -31,13 +31,18 @@ def _names(stage: Usd.Stage) -> Names:
 
     def collider(label: str) -> tuple[str, str] | None:
         link, _, name = label.partition("/Colliders/")
-        return (names[link], name) if name else None
+        return (names[link], name) if name and link in names else None
 
     def joint(label: str) -> str | None:
         parts = label.split("/")
         return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
 
-    return Names(names.__getitem__, collider, joint, poses)
+    def link(path: str) -> str:
+        return names.get(path, path)  # a robot that is a file of its own has names of its own
+
+    found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(OWN_DAMPING)}
+    own = {found[path] or "": own_damping(stage.GetPrimAtPath(path)) for path in found}
+    return Names(link, collider, joint, poses, own)
 
 
 def _pose(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Pose:

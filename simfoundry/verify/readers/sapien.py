@@ -12,6 +12,8 @@ from sapien import physx
 
 from simfoundry.scene.frames import Pose
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
@@ -101,17 +103,25 @@ class SapienSession:
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkFacts:
         """A static body has no mass in PhysX."""
         item = name.partition(".")[0]
-        names = self._names[item, link.name]
-        colliders = tuple(_collider(n, s) for n, s in zip(names, link.collision_shapes, strict=True))
+        names = self._names.get((item, link.name), self._names.get((name, link.name)))
+        shapes = link.collision_shapes
+        told = names if names is not None else [None] * len(shapes)  # a robot's own file may split its meshes
+        colliders = tuple(_collider(n, s) for n, s in zip(told, shapes, strict=True))
         pose = pose_numbers(_pose(link.entity_pose))
         if not hasattr(link, "mass"):
-            return LinkFacts(pose=pose, colliders=colliders)
+            return LinkFacts(pose=pose, held=self._held(name, link), colliders=colliders)
         X_LI = _pose(link.cmass_local_pose)
         inertia = X_LI.rotation @ np.diag(np.asarray(link.inertia, dtype=np.float64)) @ X_LI.rotation.T
-        return LinkFacts(pose, float(link.mass), numbers(X_LI.p), numbers(inertia), colliders)
+        return LinkFacts(pose, float(link.mass), numbers(X_LI.p), numbers(inertia), self._held(name, link), colliders)
+
+    def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
+        """A static body is welded to the world; of an articulation's root SAPIEN does not tell."""
+        if isinstance(link, physx.PhysxArticulationLinkComponent):
+            return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
+        return FREE if hasattr(link, "mass") else WORLD
 
 
-def _collider(name: str, shape: physx.PhysxCollisionShape) -> ColliderFacts:
+def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderFacts:
     kind, bounds = _shape(shape)
     material = shape.physical_material
     return ColliderFacts(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))

@@ -10,6 +10,8 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from simfoundry.scene.frames import Pose
 from simfoundry.verify.facts import (
+    FREE,
+    WORLD,
     ColliderFacts,
     Facts,
     JointFacts,
@@ -17,12 +19,13 @@ from simfoundry.verify.facts import (
     Moment,
     mesh_bounds,
     numbers,
+    pair_name,
     pose_numbers,
     shape_bounds,
 )
 from simfoundry.verify.readers import Session, load_module
 
-_OBJECTS = "/World/Objects"
+_SCOPES = ("/World/Objects", "/World/Robots")
 _TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
 _KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
 
@@ -54,17 +57,22 @@ class UsdSession:
         """Links and joints, and the gravity of the physics scene."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
+        held = self._held()
+        joints = {name: self._joint(name, prim) for name, prim in self._joints().items()}
+        own = {name: LinkFacts(pose=pose_numbers(self._pose(prim))) for name, prim in _references(self.stage).items()}
         return Facts(
-            links={name: self._link(prim) for name, prim in links(self.stage).items()},
-            joints={name: _joint(prim) for name, prim in self._joints().items()},
+            links={name: self._link(prim, held[name]) for name, prim in links(self.stage).items()} | own,
+            joints=joints,
             gravity=numbers(direction * physics.GetGravityMagnitudeAttr().Get()),
+            silent=self._silent(),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
         )
 
     def close(self) -> None:
         """USD frees the stage with the object."""
 
     def _objects(self) -> list[Usd.Prim]:
-        return list(self.stage.GetPrimAtPath(_OBJECTS).GetChildren())
+        return _items(self.stage)
 
     def _joints(self) -> dict[str, Usd.Prim]:
         return {
@@ -78,7 +86,37 @@ class UsdSession:
         matrix: Gf.Matrix4d = self._cache.GetLocalToWorldTransform(prim)
         return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
 
-    def _link(self, prim: Usd.Prim) -> LinkFacts:
+    def _held(self) -> dict[str, str | None]:
+        """What holds each link: a joint's other end; nothing, if it is a rigid body; else, if it is a root, the world.
+
+        Of other links of an object that cannot move a stage does not tell what they hang on.
+        """
+        names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
+        found: dict[str, str | None] = {}
+        for item in self._objects():
+            scope = item.GetChild("Joints")
+            for prim in scope.GetChildren() if scope else []:
+                ends = [
+                    r.GetTargets() for r in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())
+                ]
+                if ends[1] and ends[1][0] in names:
+                    found[names[ends[1][0]]] = names.get(ends[0][0], WORLD) if ends[0] else WORLD
+        for name, prim in links(self.stage).items():
+            free = FREE if prim.HasAPI(UsdPhysics.RigidBodyAPI) else None if "." in name else WORLD
+            found.setdefault(name, free)
+        return found
+
+    def _silent(self) -> tuple[str, ...]:
+        """The filtered pairs; a collider stands for its link."""
+        names = {str(prim.GetPath()): name for name, prim in links(self.stage).items()}
+        found = set()
+        for path, name in names.items():
+            pairs = UsdPhysics.FilteredPairsAPI(self.stage.GetPrimAtPath(path)).GetFilteredPairsRel()
+            for target in pairs.GetTargets() if pairs else []:
+                found.add(pair_name(name, names[str(target).partition("/Colliders/")[0]]))
+        return tuple(sorted(found))
+
+    def _link(self, prim: Usd.Prim, held: str | None) -> LinkFacts:
         mass = UsdPhysics.MassAPI(prim)
         axes = Pose.of(q=_wxyz(mass.GetPrincipalAxesAttr().Get())).rotation
         moments = np.array(mass.GetDiagonalInertiaAttr().Get(), dtype=np.float64)
@@ -89,6 +127,7 @@ class UsdSession:
             mass=float(mass.GetMassAttr().Get()),
             com=numbers(mass.GetCenterOfMassAttr().Get()),
             inertia=numbers(axes @ np.diag(moments) @ axes.T),
+            held=held,
             colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
         )
 
@@ -116,16 +155,52 @@ class UsdSession:
             bounds=bounds,
             friction=_own(material, "friction", float(surface.GetDynamicFrictionAttr().Get())),
             restitution=_own(material, "restitution", float(surface.GetRestitutionAttr().Get())),
+            spinning=_number(material.GetPrim(), "newton:torsionalFriction"),
+            rolling=_number(material.GetPrim(), "newton:rollingFriction"),
+        )
+
+    def _joint(self, name: str, prim: Usd.Prim) -> JointFacts:
+        """A joint of one axis as its prim says; a ball joint in the state in which its bodies stand."""
+        if prim.GetTypeName() != "PhysicsSphericalJoint":
+            return _joint(name, prim)
+        ball = UsdPhysics.SphericalJoint(prim)
+        parent, child = (r.GetTargets()[0] for r in (ball.GetBody0Rel(), ball.GetBody1Rel()))
+        X_WP, X_WC = (self._pose(self.stage.GetPrimAtPath(path)) for path in (parent, child))
+        X_PJ, X_CJ = (Pose.of(q=_wxyz(a.Get())) for a in (ball.GetLocalRot0Attr(), ball.GetLocalRot1Attr()))
+        turned = (X_WP @ X_PJ).inverse() @ X_WC @ X_CJ
+        return JointFacts(
+            type="ball",
+            limits=(),
+            damping=_number(prim, "newton:damping") / math.radians(1.0),
+            friction=_number(prim, "newton:friction"),
+            armature=_number(prim, "newton:armature"),
+            position=numbers(turned.q),
+            follows="",
+            law=(),
+            drive=(),
+            effort=(),
         )
 
 
 def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
     """The prims of all links by qualified name; the first of an object is its root."""
     found = {}
-    for item in stage.GetPrimAtPath(_OBJECTS).GetChildren():
-        for k, prim in enumerate(p for p in item.GetChildren() if p.GetTypeName() == "Xform"):
-            found[item.GetName() if k == 0 else f"{item.GetName()}.{prim.GetName()}"] = prim
+    for item in _items(stage):
+        if not item.GetChild("Model"):
+            for k, prim in enumerate(p for p in item.GetChildren() if p.GetTypeName() == "Xform"):
+                found[item.GetName() if k == 0 else f"{item.GetName()}.{prim.GetName()}"] = prim
     return found
+
+
+def _items(stage: Usd.Stage) -> list[Usd.Prim]:
+    """Objects and robots."""
+    scopes = (stage.GetPrimAtPath(path) for path in _SCOPES)
+    return [prim for scope in scopes if scope for prim in scope.GetChildren()]
+
+
+def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+    """Robots that are a file of their own, whose prims have names of their own."""
+    return {prim.GetName(): prim for prim in _items(stage) if prim.GetChild("Model")}
 
 
 def _own(material: UsdShade.Material, name: str, value: float) -> float:
@@ -134,7 +209,7 @@ def _own(material: UsdShade.Material, name: str, value: float) -> float:
     return value * value if mode == "multiply" else value
 
 
-def _joint(prim: Usd.Prim) -> JointFacts:
+def _joint(name: str, prim: Usd.Prim) -> JointFacts:
     kind = _TYPES.get(str(prim.GetTypeName()), "other")
     if kind not in ("prismatic", "revolute"):
         return JointFacts(type=kind)
@@ -142,16 +217,48 @@ def _joint(prim: Usd.Prim) -> JointFacts:
     typed = UsdPhysics.PrismaticJoint(prim) if kind == "prismatic" else UsdPhysics.RevoluteJoint(prim)
     lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
     drive = UsdPhysics.DriveAPI.Get(prim, instance)
+    damping = float(drive.GetDampingAttr().Get()) / unit if drive else 0.0
+    driven, own = drive and prim.HasAttribute(OWN_DAMPING), own_damping(prim)
+    spring = (float(drive.GetStiffnessAttr().Get()) / unit, damping - own) if driven else ()
+    target = (float(drive.GetTargetPositionAttr().Get()) * unit,) if driven else ()
+    limit = float(drive.GetMaxForceAttr().Get()) if driven else math.inf
     unit_axis = np.eye(3)["XYZ".index(str(typed.GetAxisAttr().Get()))]
+    follows, law = _law(name, prim)
     return JointFacts(
         type=kind,
         axis=numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
         limits=(lower, upper) if math.isfinite(lower) and math.isfinite(upper) else (),
-        damping=float(drive.GetDampingAttr().Get()) / unit if drive else 0.0,
+        damping=own if driven else damping,
         friction=_number(prim, f"physxJointAxis:{instance}:dynamicFrictionEffort"),
         armature=_number(prim, f"physxJointAxis:{instance}:armature"),
         position=_position(prim),
+        follows=follows,
+        law=law,
+        drive=spring + target,
+        effort=(limit,) if math.isfinite(limit) else (),
     )
+
+
+OWN_DAMPING = "simfoundry:damping"
+"""What of the damping of a joint with a motor is its own; only those have it."""
+
+
+def own_damping(joint: Usd.Prim) -> float:
+    """The damping of a joint that is not its motor's."""
+    return _number(joint, OWN_DAMPING)
+
+
+def _law(name: str, prim: Usd.Prim) -> tuple[str, tuple[float, ...]]:
+    """The joint that it follows, with multiplier and offset [rad or m]."""
+    leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
+    if not leaders:
+        return "", ()
+    leader = prim.GetStage().GetPrimAtPath(leaders[0])
+    unit, unit_of_leader = (
+        1.0 if p.GetTypeName() == "PhysicsPrismaticJoint" else math.radians(1.0) for p in (prim, leader)
+    )
+    multiplier, offset = _number(prim, "newton:mimicCoef1"), _number(prim, "newton:mimicCoef0")
+    return f"{name.partition('.')[0]}.{leader.GetName()}", (multiplier * unit / unit_of_leader, offset * unit)
 
 
 def _position(prim: Usd.Prim) -> float:

@@ -1,0 +1,45 @@
+"""``simfoundry judge``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from simfoundry.cli.output import json_option, print_json, progress_bar, reporting
+from simfoundry.errors import SimfoundryError
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.argument("conditions", nargs=-1)
+@json_option
+@reporting
+def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
+    """Say of predicates, as 'Inside(cup, bowl)', whether they hold in a scene, by how much and why.
+
+    Without any, of the scene's own relations. Exit code 1 where one does not hold.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.predicates import Judge, PredicateError
+    from simfoundry.scene.lower import lower
+    from simfoundry.scene.state import SceneState
+    from simfoundry.spec.expressions import ExpressionError, parse_call
+    from simfoundry.spec.load import load_scene
+
+    with progress_bar(as_json) as progress:
+        lowered = lower(load_scene(scene), Cache.default(), lambda name, done, total: progress(name, done / total))
+    judge, state = Judge(lowered), SceneState.initial(lowered)
+    rows: list[dict[str, Any]] = []
+    for text in conditions or tuple(str(relation) for relation in lowered.relations):
+        try:
+            name, verdict = str(parse_call(text)), judge(text, state)
+        except (ExpressionError, PredicateError) as error:
+            raise SimfoundryError(f"{text}: {error}") from None
+        rows.append({"condition": name, "value": verdict.value, "margin": verdict.margin, "why": verdict.why})
+    if as_json:
+        print_json({"verdicts": rows})
+    for row in () if as_json else rows:
+        click.echo(f"{'true ' if row['value'] else 'false'}  {row['margin']:+.4f}  {row['condition']}: {row['why']}")
+    return int(not all(row["value"] for row in rows))

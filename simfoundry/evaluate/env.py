@@ -1,0 +1,208 @@
+"""A task as a Gymnasium environment: ``gymnasium.make("SimFoundry/Task-v0", task="my.task.yaml")``.
+
+An observation is a dictionary of arrays: for each robot ``arm/joints`` [rad or m], ``arm/gripper`` (0 open to 1 closed)
+and ``arm/hand`` (position [m] and quaternion wxyz in the world); ``objects``, shape (objects, 7), likewise; ``joints``
+[rad or m] of the objects; and ``image/camera`` for each camera that was asked for. An action is that of a policy: for
+each robot its joints (positions, or velocities), then its gripper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from simfoundry.assets.cache import Cache
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.control import Controller, physics_steps
+from simfoundry.evaluate.judging import Progress, judge_of
+from simfoundry.evaluate.observe import check_cameras, pictures, readings
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
+from simfoundry.evaluate.starts import Start, starts
+from simfoundry.evaluate.task import Task, load_task, need_robots
+from simfoundry.scene.frames import Array
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds import ENGINES, open_world
+from simfoundry.worlds.base import Image
+from simfoundry.worlds.robot import WorldRobot
+
+FASTEST = 3.0
+"""Velocities of an action lie between minus this and this [rad/s or m/s]: DROID's 0.2 rad in a step at 15 Hz."""
+
+Observations = dict[str, NDArray[Any]]
+
+
+class TaskEnv(gymnasium.Env[Any, Any]):
+    """A task that ends (``terminated``) when its goal has held, and is cut off (``truncated``) at its horizon.
+
+    The reward is 1 where the goal has held, else 0. ``info`` has ``success``, ``subtasks`` (at which step each was
+    done, counted from 1, 0 where it was not), ``start`` (the number of the start), and ``trouble``, empty unless the
+    simulation diverged, which cuts the episode off as well. ``reset`` draws one of ``starts`` starts with its seed, or
+    takes ``options={"start": k}``; ``options={"subtask": name}`` starts as that step does, with the goal of that step.
+
+    ``cameras`` maps cameras of the scene onto (width, height); without any, nothing is rendered.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 15}  # noqa: RUF012 - as Gymnasium has it
+
+    action_space: spaces.Box
+    observation_space: spaces.Dict
+    _state: SceneState
+    _controller: Controller
+    _progress: Progress
+
+    def __init__(
+        self,
+        task: str | Path | Task,
+        engine: str = "mujoco",
+        cameras: Mapping[str, tuple[int, int]] | None = None,
+        action_space: str = "joint_position",
+        starts: int = 25,
+        seed: int = 0,
+        render_mode: str | None = None,
+        render_camera: str | None = None,
+        render_size: tuple[int, int] = (640, 480),
+        cache: bool = True,
+    ) -> None:
+        if engine not in ENGINES:
+            raise SimfoundryError(f"no engine `{engine}`; there are: {', '.join(ENGINES)}")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise SimfoundryError(f"no render mode `{render_mode}`; there is: rgb_array")
+        if action_space not in list(ActionSpace):
+            raise SimfoundryError(f"no action space `{action_space}`; there are: {', '.join(ActionSpace)}")
+        self._cache = Cache.default() if cache else None
+        self._whole = task if isinstance(task, Task) else load_task(Path(task), self._cache)
+        need_robots(self._whole)
+        self._engine, self._count, self._seed = engine, starts, seed
+        self._cameras = {name: ImageSize(*size) for name, size in (cameras or {}).items()}
+        check_cameras(self._whole.scene, self._cameras, "the environment")
+        self._kind = ActionSpace(action_space)
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(self._whole.control_hz)}
+        self._picture = {} if render_mode is None else {self._watching(render_camera): ImageSize(*render_size)}
+        check_cameras(self._whole.scene, self._picture, "the environment")
+        self._scenes: dict[str, _Opened] = {}
+        self._now = self._opened("")
+        self.action_space = _actions(self._now.robots, self._kind)
+        self._begin(Start(-1, seed, {}, self._now.world.state()))
+        self.observation_space = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Go to a start; see the class for ``options``."""
+        super().reset(seed=seed)
+        options = options or {}
+        unknown = sorted(set(options) - {"start", "subtask", "reset_mask"})
+        if unknown:
+            raise SimfoundryError(f"reset knows no option `{unknown[0]}`; there are: start, subtask")
+        self._now = self._opened(str(options.get("subtask") or ""))
+        k = options.get("start")
+        k = int(self.np_random.integers(self._count)) if k is None else int(k)
+        if not 0 <= k < self._count:
+            raise SimfoundryError(f"no start {k}; there are {self._count}, counted from 0")
+        self._begin(self._now.start(k, self._count, self._seed, self._cache))
+        return self._observation(), self._info(False)
+
+    def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Carry out one action."""
+        now, task = self._now, self._now.task
+        self._controller.apply(np.asarray(action, dtype=np.float64))
+        now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
+        self._steps += 1
+        self._trouble = now.world.trouble()
+        self._state = self._state if self._trouble else now.world.state()
+        success = not self._trouble and self._progress.see(self._steps, self._state)
+        cut = bool(self._trouble) or (not success and self._steps >= task.horizon)
+        return self._observation(), float(success), success, cut, self._info(success)
+
+    def render(self) -> Image | None:
+        """What the render camera sees, uint8, shape (h, w, 3); None without a render mode."""
+        return next(iter(pictures(self._now.world, self._picture).values()), None)
+
+    def close(self) -> None:
+        """Let go of the simulators."""
+        for opened in self._scenes.values():
+            opened.world.close()
+        self._scenes.clear()
+
+    def _begin(self, start: Start) -> None:
+        now = self._now
+        now.world.reset(start.state)
+        self._start, self._steps, self._trouble = start, 0, ""
+        self._state = now.world.state()
+        self._controller = Controller(now.robots, self._kind, now.task.control_hz)
+        self._progress = Progress(now.task, now.judge, self._state)
+
+    def _observation(self) -> Observations:
+        found: Observations = {}
+        for name, reading in readings(self._now.world, self._now.robots).items():
+            found[f"{name}/joints"] = np.array(reading.joints)
+            found[f"{name}/gripper"] = np.array([reading.gripper])
+            found[f"{name}/hand"] = np.concatenate([reading.X_WH.p, reading.X_WH.q])
+        poses = [np.concatenate([pose.p, pose.q]) for pose in self._state.poses.values()]
+        found["objects"] = np.array(poses).reshape(len(poses), 7)
+        found["joints"] = np.array(list(self._state.joints.values()), dtype=np.float64)
+        for name, image in pictures(self._now.world, self._cameras).items():
+            found[f"image/{name}"] = image
+        return found
+
+    def _info(self, success: bool) -> dict[str, Any]:
+        subtasks = dict.fromkeys(self._whole.subtasks, 0) | {n: s or 0 for n, s in self._progress.subtasks.items()}
+        return {"success": success, "subtasks": subtasks, "start": self._start.index, "trouble": self._trouble}
+
+    def _opened(self, step: str) -> _Opened:
+        """The world of the whole task, or of one step alone: its scene may have other joints' targets."""
+        if step not in self._scenes:
+            task = self._whole.alone(step) if step else self._whole
+            self._scenes[step] = _Opened(task, self._engine)
+        return self._scenes[step]
+
+    def _watching(self, camera: str | None) -> str:
+        scene = self._whole.scene
+        names = [c.name for c in scene.cameras] + [m.camera.name for m in scene.mounted]
+        if camera is None and not names:
+            raise SimfoundryError(f"scene `{scene.name}` has no camera to render with")
+        return camera or names[0]
+
+
+class _Opened:
+    """A task with its world, its judge and its starts."""
+
+    def __init__(self, task: Task, engine: str) -> None:
+        self.task = task
+        self.world = open_world(task.scene, engine)
+        self.judge = judge_of(task.scene)
+        self.robots: dict[str, WorldRobot] = {name: self.world.robot(name) for name in task.robots}
+        self._starts: tuple[Start, ...] = ()
+
+    def start(self, k: int, count: int, seed: int, cache: Cache | None) -> Start:
+        """The k-th of so many starts; all of them are found when the first is asked for."""
+        if not self._starts:
+            self._starts = starts(self.task, count, seed, cache)
+        return self._starts[k]
+
+
+def _actions(robots: Mapping[str, WorldRobot], kind: ActionSpace) -> spaces.Box:
+    """Between the joints' limits, or the fastest velocities, and an open and a closed gripper."""
+    low, high = [], []
+    for robot in robots.values():
+        for least, most in robot.limits().values():
+            low.append(least if kind is ActionSpace.JOINT_POSITION else -FASTEST)
+            high.append(most if kind is ActionSpace.JOINT_POSITION else FASTEST)
+        low.append(0.0)
+        high.append(1.0)
+    return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+
+
+def _space(key: str, value: NDArray[Any]) -> spaces.Box:
+    """All that could be seen: positions have no limits that an engine would not overstep a little."""
+    if value.dtype == np.uint8:
+        return spaces.Box(0, 255, value.shape, np.uint8)
+    low, high = (0.0, 1.0) if key.endswith("/gripper") else (-np.inf, np.inf)
+    return spaces.Box(low, high, value.shape, np.float64)

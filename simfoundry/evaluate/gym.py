@@ -1,0 +1,13 @@
+"""Importing this registers ``SimFoundry/Task-v0`` with Gymnasium; the simulators are loaded when one is made.
+
+``gymnasium.make("simfoundry.evaluate.gym:SimFoundry/Task-v0", task="my.task.yaml")`` imports it by the way.
+"""
+
+from __future__ import annotations
+
+from gymnasium.envs.registration import register, registry
+
+ENV_ID = "SimFoundry/Task-v0"
+
+if ENV_ID not in registry:
+    register(ENV_ID, entry_point="simfoundry.evaluate.env:TaskEnv")

@@ -1,0 +1,122 @@
+"""Robots as engines should hold them: base, mass, joints and motors, taken from the robot's own model.
+
+An engine tells of a robot as of an object, link by link. What counts here is what a robot's model and the scene say
+together, however a target wrote it: where its base stands, what it weighs in all, and how its joints stand and end.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from simfoundry.backends.robot_object import as_object
+from simfoundry.backends.robots import MujocoRobot, mujoco_model, read_robot
+from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
+from simfoundry.verify.facts import Facts, JointFacts, Numbers, numbers, pose_numbers
+
+_READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
+_OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
+"""The formats of a robot that each target takes, the one that it likes best first."""
+
+_MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class RobotFacts:
+    """A robot: the ``pose`` of its base link in the world, the ``mass`` of all links [kg], its joints by their own
+    names, of which limits and position count, and its ``actuators``; None is what is not told."""
+
+    pose: Numbers | None
+    mass: float | None
+    joints: Mapping[str, JointFacts]
+    actuators: tuple[str, ...] | None = None
+
+
+def expected_robots(scene: Scene, target: str) -> dict[str, RobotFacts | None]:
+    """What ``target`` should hold of each robot; None where it has no model that can be looked into."""
+    return {robot.name: _expected(robot, target) for robot in scene.robots}
+
+
+def without_robots(facts: Facts, names: Iterable[str]) -> tuple[Facts, dict[str, RobotFacts]]:
+    """The facts of the objects, and those of the robots that are there."""
+    robots = [name for name in names if any(_of(link, name) for link in facts.links)]
+    ours = {
+        "links": {n: f for n, f in facts.links.items() if not any(_of(n, r) for r in robots)},
+        "joints": {n: f for n, f in facts.joints.items() if not any(_of(n, r) for r in robots)},
+        "silent": _apart(facts.silent, robots),
+    }
+    return replace(facts, **ours), {name: _told(facts, name) for name in robots}  # type: ignore[arg-type]
+
+
+def _of(name: str, robot: str) -> bool:
+    return name == robot or name.startswith(f"{robot}.")
+
+
+def _apart(pairs: tuple[str, ...] | None, robots: list[str]) -> tuple[str, ...] | None:
+    if pairs is None:
+        return None
+    return tuple(p for p in pairs if not any(_of(end, r) for end in p.split("|") for r in robots))
+
+
+def _told(facts: Facts, robot: str) -> RobotFacts:
+    links = {n: f for n, f in facts.links.items() if _of(n, robot)}
+    # A base that is welded to the world has no mass in some engines: the rest is then compared without it.
+    masses = [f.mass for f in links.values() if f.mass is not None]
+    joints = {n.removeprefix(f"{robot}."): f for n, f in facts.joints.items() if _of(n, robot)}
+    actuators = None
+    if facts.actuators is not None:
+        actuators = tuple(sorted(a.removeprefix(f"{robot}.") for a in facts.actuators if _of(a, robot)))
+    base = links.get(robot)
+    whole = len(masses) == len(links)
+    return RobotFacts(base.pose if base else None, sum(masses) if whole else None, joints, actuators)
+
+
+def _expected(robot: Robot, target: str) -> RobotFacts | None:
+    native = robot.best(*_READS.get(target, _OTHERS))
+    if native is None or native.format is ModelFormat.USD:
+        return None
+    if target == "mjcf":
+        read = read_robot(robot, native, f"{robot.name}.")
+        joints = _joints(read, {})
+        names = [read.model.actuator(k).name.removeprefix(read.prefix) for k in range(read.model.nu)]
+        return RobotFacts(pose_numbers(robot.X_WB), float(read.model.body_mass.sum()), joints, tuple(sorted(names)))
+    if native.format is ModelFormat.URDF and target != "usd":
+        return _of_urdf(robot, native)
+    source = mujoco_model(robot)
+    assert source is not None
+    read = read_robot(robot, source, f"{robot.name}.")
+    made = as_object(robot, read)
+    driven = sorted(j.name for j in made.item.joints if j.drive is not None and j.mimic is None)
+    return RobotFacts(pose_numbers(made.item.X_WO), float(read.model.body_mass.sum()), _joints(read, made.joints),
+                      tuple(driven))  # fmt: skip
+
+
+def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointFacts]:
+    """The joints as MuJoCo reads the robot's file, in the state at the start; ``names`` are those of a conversion."""
+    model, found = read.model, {}
+    for k in range(model.njnt):
+        name = model.joint(k).name.removeprefix(read.prefix)
+        limits = numbers(model.jnt_range[k]) if model.jnt_limited[k] else ()
+        position = float(read.qpos[model.jnt_qposadr[k]])
+        found[names.get(name, name)] = JointFacts(limits=limits, position=position)
+    return found
+
+
+def _of_urdf(robot: Robot, native: NativeModel) -> RobotFacts:
+    """A URDF says what it is itself; what follows other joints has no motor."""
+    root = ET.parse(native.file).getroot()
+    mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
+    moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]
+    start, gripper = robot.start(native), native.gripper
+    joints = {str(j.get("name")): _urdf_joint(j, start.get(str(j.get("name")), 0.0)) for j in moving}
+    led = {str(j.get("name")) for j in moving if j.find("mimic") is not None} | set(gripper.follow if gripper else ())
+    return RobotFacts(pose_numbers(robot.X_WB), mass, joints, tuple(sorted(joints.keys() - led)))
+
+
+def _urdf_joint(joint: ET.Element, position: float) -> JointFacts:
+    limit = joint.find("limit")
+    if limit is None or joint.get("type") == "continuous":
+        return JointFacts(limits=(), position=position)
+    return JointFacts(limits=(float(limit.get("lower", "0")), float(limit.get("upper", "0"))), position=position)

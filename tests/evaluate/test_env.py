@@ -1,0 +1,156 @@
+"""The Gymnasium environment: by its checkers, alone and many at once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.starts import Start
+from simfoundry.evaluate.task import Task
+from simfoundry.worlds.gl import Engine, choose_engine
+
+gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")
+
+import simfoundry.evaluate.gym  # noqa: E402 - registers it
+from simfoundry.evaluate.env import TaskEnv  # noqa: E402
+
+ENV = simfoundry.evaluate.gym.ENV_ID
+
+
+@pytest.fixture(scope="module")
+def env(push: Task) -> Iterator[TaskEnv]:
+    made = TaskEnv(push, starts=3, cache=False)
+    yield made
+    made.close()
+
+
+def push_out(env: TaskEnv) -> tuple[float, bool, bool, dict[str, object], int]:
+    """Turn to the block and push it slowly to where the goal wants it."""
+    observation, _ = env.reset(options={"start": 0})
+    x, y, *_ = observation["objects"][1]
+    for k in range(60):
+        action = np.array([np.arctan2(y, x), min(0.008 * max(0, k - 5), 0.205), 0.0])
+        observation, reward, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            return reward, terminated, truncated, info, k + 1
+    raise AssertionError("neither done nor cut off")
+
+
+def test_gymnasium_finds_no_fault(push_file: Path) -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    cameras = {"front": (32, 24)} if choose_engine() is not Engine.RAYCAST else {}
+    made = gymnasium.make(
+        ENV, task=str(push_file), cameras=cameras, starts=2, cache=False, render_mode="rgb_array" if cameras else None
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(made.unwrapped)
+    # Positions in the world have no bounds, and actions are in radians and metres, as the robots take them.
+    usual = ("infinity", "symmetric and normalized")
+    assert [str(w.message) for w in caught if not any(part in str(w.message) for part in usual)] == []
+    made.close()
+
+
+def test_an_episode_ends_with_the_goal_or_at_the_horizon(env: TaskEnv) -> None:
+    reward, terminated, truncated, info, steps = push_out(env)
+    assert (reward, terminated, truncated) == (1.0, True, False) and info["success"] is True
+    subtasks = info["subtasks"]
+    assert isinstance(subtasks, dict) and 0 < subtasks["touch"] < subtasks["away"] == steps - 2
+    env.reset(options={"start": 1})
+    for k in range(1, 46):
+        _, reward, terminated, truncated, info = env.step(np.zeros(3))
+        assert (reward, terminated, truncated) == (0.0, False, k == 45)
+    assert info == {"success": False, "subtasks": {"touch": 0, "away": 0}, "start": 1, "trouble": ""}
+
+
+def test_resets_are_the_starts_of_rollouts_and_repeat(env: TaskEnv, push_starts: tuple[Start, ...]) -> None:
+    for k in (2, 0):
+        observation, info = env.reset(options={"start": k})
+        assert info["start"] == k
+        poses = [[*p.p, *p.q] for p in push_starts[k].state.poses.values()]
+        np.testing.assert_allclose(observation["objects"], poses, atol=1e-12)
+    drawn = [env.reset(seed=s)[1]["start"] for s in (5, 5, 6, 7, 8, 9, 10)]
+    assert drawn[0] == drawn[1] and len(set(drawn)) > 1
+    first, again = (trajectory(env) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def trajectory(env: TaskEnv) -> list[np.ndarray]:
+    env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    low, high = (np.asarray(end, dtype=np.float64) for end in (env.action_space.low, env.action_space.high))
+    return [env.step(low + rng.random(3) * (high - low))[0]["objects"] for _ in range(12)]
+
+
+def test_a_step_can_be_done_alone(env: TaskEnv) -> None:
+    observation, info = env.reset(options={"start": 1, "subtask": "away"})
+    assert observation["objects"][1][0] == pytest.approx(0.4, abs=1e-3)
+    assert info["subtasks"] == {"touch": 0, "away": 0}
+    observation, _ = env.reset(options={"start": 1})
+    assert observation["objects"][1][0] < 0.34
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"start": 3}, "no start 3; there are 3, counted from 0"),
+        ({"subtask": "awy"}, "did you mean `away`"),
+        ({"cell": 3}, "reset knows no option `cell`; there are: start, subtask"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, object], message: str) -> None:
+    with pytest.raises(SimfoundryError, match=message):
+        env.reset(options=options)
+
+
+def test_slips_in_making_one_are_refused(push: Task) -> None:
+    with pytest.raises(SimfoundryError, match="no engine `mujuco`; there are: mujoco, pybullet"):
+        TaskEnv(push, engine="mujuco")
+    with pytest.raises(SimfoundryError, match="no render mode `human`"):
+        TaskEnv(push, render_mode="human")
+    with pytest.raises(SimfoundryError, match=r"asks for camera `frnt`.*did you mean `front`"):
+        TaskEnv(push, cameras={"frnt": (8, 8)})
+    with pytest.raises(SimfoundryError, match=r"no action space `torque`; there are: joint_position, joint_velocity"):
+        TaskEnv(push, action_space="torque")
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_many_run_side_by_side_and_reset_one_by_one(push_file: Path, mode: str) -> None:
+    from gymnasium.vector import AutoresetMode
+
+    many = gymnasium.make_vec(
+        ENV,
+        num_envs=2,
+        vectorization_mode=mode,
+        vector_kwargs={"autoreset_mode": AutoresetMode.DISABLED},
+        task=str(push_file),
+        starts=2,
+        cache=False,
+    )
+    first, info = many.reset(seed=[1, 2], options={"start": 1})
+    np.testing.assert_array_equal(first["objects"][0], first["objects"][1])
+    assert info["start"].tolist() == [1, 1] and first["arm/joints"].shape == (2, 2)
+    moved, *_ = many.step(np.array([[0.5, 0.1, 0.0], [0.0, 0.0, 0.0]]))
+    assert abs(moved["arm/joints"][0, 0]) > 0.01 > abs(moved["arm/joints"][1, 0])
+    again, _ = many.reset(options={"start": 1, "reset_mask": np.array([True, False])})
+    np.testing.assert_array_equal(again["objects"][0], first["objects"][0])
+    np.testing.assert_array_equal(again["arm/joints"][1], moved["arm/joints"][1])
+    many.close()
+
+
+def test_the_registration_loads_no_simulator() -> None:
+    code = (
+        "import sys, gymnasium, simfoundry.evaluate.gym;"
+        "print([m for m in ('mujoco', 'pybullet', 'scipy', 'pydantic') if m in sys.modules],"
+        "'SimFoundry/Task-v0' in gymnasium.registry)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[] True"
