@@ -1,4 +1,4 @@
-"""Whether a proposed task is one: its names exist, its goal is a change, it can be done, and it is not there already."""
+"""Whether a proposed task is one: its names exist, its goal is a change, it can be done, and it is new."""
 
 from __future__ import annotations
 
@@ -48,9 +48,11 @@ def misnamed(goal: Any, setting: Setting) -> tuple[Reason, ...]:
             found.append(Reason("bad_goal", f"{error}{hint}"))
             continue
         if call.predicate not in (*ALLOWED, "Released"):
-            found.append(Reason("not_allowed", f"`{call.predicate}` may not be asked for; allowed: {', '.join(ALLOWED)}"))
+            found.append(
+                Reason("not_allowed", f"`{call.predicate}` may not be asked for; allowed: {', '.join(ALLOWED)}")
+            )
         found += _unknown(call, setting)
-    return tuple(dict.fromkeys(found))
+    return tuple({reason.text: reason for reason in found}.values())
 
 
 def _unknown(call: Call, setting: Setting) -> list[Reason]:
@@ -87,6 +89,18 @@ def unchanged(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     if not any(call.predicate != "Released" for way in branches(goal) for call in way):
         return (Reason("no_change", "it asks for nothing to come true, only that something is not"),)
     return ()
+
+
+def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+    """Things of a goal that no hand gets to where they are."""
+    names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
+    there = {o.name: o for o in setting.twin.scene.objects}
+    found: list[Reason] = []
+    for name in names:
+        item = there.get(name.partition(".")[0])
+        if item is not None and item.name != setting.twin.ground and not found:
+            found += setting.cannot_reach(name, *setting.bounds(name))
+    return tuple(found)
 
 
 def _impossible(goal: Any, setting: Setting) -> tuple[Reason, ...]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.cousins.tasks.ideas import Idea
+from simfoundry.cousins.tasks.meaning import branches
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.spec.base import Origin
 from simfoundry.spec.task import Reset, ResetRegion, Subtask, TaskSpec
@@ -26,15 +27,13 @@ def task_of(idea: Idea, setting: Setting, scene: str, note: str) -> TaskSpec:
     """The document of an idea; ``scene`` is the scene's file relative to it, ``note`` says where it comes from."""
     released = [f"Released({thing})" for thing in idea.things]
     goal: Any = {"all": (*idea.goal, *released)} if len(idea.goal) + len(released) > 1 else idea.goal[0]
-    return task(idea.name, setting, scene, _instruction(idea), goal, subtasks(idea, setting), note)
+    return task(idea.name, setting, scene, instruction_of(idea), goal, subtasks(idea, setting), note)
 
 
 def task(
     name: str, setting: Setting, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
 ) -> TaskSpec:
     """A task document from its parts, which are sound."""
-    from simfoundry.cousins.tasks.meaning import branches
-
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
     count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
     return TaskSpec.model_validate(
@@ -77,13 +76,18 @@ def taking(thing: str, setting: Setting) -> dict[str, Subtask]:
 
 def regions(setting: Setting, names: tuple[str, ...]) -> dict[str, ResetRegion]:
     """Where the free things of a task that stand on the ground may start: about where they are, clear of all others."""
-    twin, found = setting.twin, {}
+    twin = setting.twin
+    found: dict[str, ResetRegion] = {}
     hulls_of = {o.name: setting.bounds(o.name) for o in twin.scene.objects if o.name != twin.ground}
     for name in names:
         if twin.carried.get(name) != (twin.ground,):
             continue
         low, high = hulls_of[name]
-        gaps = [_gap(low, high, *box) for other, box in hulls_of.items() if other != name and name not in _on(twin, other)]
+        gaps = [
+            _gap(low, high, *box)
+            for other, box in hulls_of.items()
+            if other != name and name not in twin.carried.get(other, ())
+        ]
         half = min([REGION, *(gap / 2 - 0.002 for gap in gaps)])
         if half >= LEAST:
             half = np.floor(half * 1000) / 1000
@@ -93,18 +97,14 @@ def regions(setting: Setting, names: tuple[str, ...]) -> dict[str, ResetRegion]:
     return found
 
 
-def _on(twin: Any, other: str) -> tuple[str, ...]:
-    carried: tuple[str, ...] = twin.carried.get(other, ())
-    return carried
-
-
 def _gap(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
     """How far two boxes are apart along the ground, in the direction in which they are farthest [m]."""
     apart = np.maximum(low[:2] - other_high[:2], other_low[:2] - high[:2])
     return float(apart.max())
 
 
-def _instruction(idea: Idea) -> str:
+def instruction_of(idea: Idea) -> str:
+    """What a policy is told: the steps in plain words."""
     words = [step.words for step in idea.steps]
     if len(idea.steps) == 1 and idea.steps[0].thing:
         thing = idea.things[0].replace("_", " ")

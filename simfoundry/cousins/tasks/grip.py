@@ -58,7 +58,7 @@ def _along(item: SceneObject, yaw: float) -> float:
     depth = min(DEEP, float(size[2]) / 2)
     first = min(max(round((float(size[2]) - depth) / cell - 0.5), 0), int(shape[2]) - 1)
     filled = distances(parts, low, cell, np.maximum(shape, 1)) <= 0.0
-    seen = filled[:, :, first:].any(axis=2)
+    seen = np.asarray(filled[:, :, first:].any(axis=2))
     wide = min(PAD, float(size[0]) / 4) / cell
     return _narrowest(seen, math.ceil(FINGER / cell), max(1, round(wide)), max(1, math.floor(EVEN / cell))) * cell
 
@@ -71,7 +71,7 @@ def _narrowest(seen: Mask, finger: int, pad: int, even: int) -> float:
     """
     best = math.inf
     for k in range(len(seen) - pad + 1):
-        some, every = seen[k : k + pad].any(axis=0), seen[k : k + pad].all(axis=0)
+        some, every = (np.asarray(found(seen[k : k + pad], axis=0)) for found in (np.any, np.all))
         runs = _runs(some)
         for n, (start, end) in enumerate(runs):
             before = start - (runs[n - 1][1] if n else 0)
@@ -86,5 +86,5 @@ def _narrowest(seen: Mask, finger: int, pad: int, even: int) -> float:
 
 def _runs(row: Mask) -> list[tuple[int, int]]:
     """Where a row is true: first, and one beyond the last."""
-    edges: NDArray[Any] = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
+    edges: NDArray[Any] = np.flatnonzero(np.diff(np.pad(row, 1).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""What could be done in a scene, from what its things afford: cavities, level tops, joints, and what a hand can take."""
+"""What could be done in a scene, from what its things afford: cavities, tops, joints, and what a hand can take."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.ways import across, cavities, is_free
 from simfoundry.predicates import PredicateError
+from simfoundry.spec.expressions import Call
 
 TOGETHER = 3
 """So many things are put into one at once, at most."""
@@ -76,7 +77,9 @@ class Affordances:
     def of(cls, setting: Setting) -> Affordances:
         """What the things of a scene afford, measured on their colliders."""
         objects = setting.twin.scene.objects
-        names = [o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent]
+        names = [
+            o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
+        ]
         parts = {n: [f"{n}.{j.child}" for j in setting.joints(n)] for n in names}
         grounds = {setting.twin.ground}
         hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
@@ -146,7 +149,7 @@ def _lid(setting: Setting, joint: str, target: str) -> bool:
 
 
 def _stacks(setting: Setting, there: Affordances) -> Iterator[Idea]:
-    """A container onto a support, and then the largest thing that goes into it: a bowl on a plate, a cup in the bowl."""
+    """A container onto a support, then the largest thing that fits into it: a bowl on a plate, a cup in the bowl."""
     for below, middle in product(there.supports, there.containers):
         if middle == below or middle not in there.things or not _fits(setting, (middle,), below):
             continue
@@ -159,7 +162,7 @@ def _stacks(setting: Setting, there: Affordances) -> Iterator[Idea]:
 
 def _gathered(setting: Setting, there: Affordances) -> Iterator[Idea]:
     """All things of a category, or of a word of their names, into one container or onto one support."""
-    for word, group in _kinds(setting, there):
+    for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
             if target.partition(".")[0] in group or not _fits(setting, group, target):
                 continue
@@ -169,7 +172,7 @@ def _gathered(setting: Setting, there: Affordances) -> Iterator[Idea]:
             yield Idea(f"all_{word}s_{side}_{_short(target)}", tuple(s.goal for s in steps), steps, 1)
 
 
-def _kinds(setting: Setting, there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
     words: dict[str, list[str]] = {}
     for name in there.things:
         last = [part for part in name.split("_") if not part.isdigit()][-1]
@@ -199,12 +202,37 @@ def _need(setting: Setting, thing: str) -> float:
 def _step(thing: str, word: str, target: str) -> Step:
     side = "in" if word == "Inside" else "on"
     said = f"{'inside' if word == 'Inside' else 'on'} the {_said(target)}"
-    return Step(f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing)
+    return Step(
+        f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
+    )
 
 
 def _moved(joint: str, word: str) -> Step:
     verb = "open" if word == "Open" else "close"
     return Step(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
+
+
+WORDS = {
+    "NextTo": "next to", "LeftOf": "left of", "RightOf": "right of", "InFrontOf": "in front of", "Behind": "behind",
+    "Touching": "against", "Above": "above", "Under": "under", "OnTop": "on", "Inside": "in",
+}  # fmt: skip
+"""How a predicate is said of a thing that is put somewhere."""
+
+
+def step_of(call: Call) -> Step:
+    """The step that brings a predicate about."""
+    thing = call.args[0]
+    if call.predicate in ("Inside", "OnTop"):
+        return _step(thing, call.predicate, call.args[1])
+    if call.predicate in ("Open", "Closed"):
+        return _moved(thing, call.predicate)
+    name = "_".join(
+        [_short(thing), call.predicate.lower(), *(_short(a) for a in call.args[1:2] if call.kinds[1] == "thing")]
+    )
+    if call.predicate in WORDS:
+        return Step(name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing)
+    verb = {"Lifted": "lift", "Grasped": "take", "Upright": "stand up"}.get(call.predicate, "move")
+    return Step(name, str(call), f"{verb} the {_said(thing)}", thing)
 
 
 def _short(name: str) -> str:

@@ -19,7 +19,7 @@ Meaning = tuple[Any, ...]
 
 
 def meaning(goal: Any) -> Meaning:
-    """A goal in one form: order, repetition and the choice of words do not count, nor does Released where it is implied.
+    """A goal in one form: order, repetition and choice of words do not count, nor does Released where it is implied.
 
     Raises :class:`~simfoundry.spec.expressions.ExpressionError` for what is no goal.
     """

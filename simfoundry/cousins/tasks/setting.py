@@ -129,7 +129,9 @@ class Setting:
                 return (Reason("out_of_reach", text, numbers(away_m=away, reach_m=reach)),)
         solved = self.twin.reach(low, high)
         if solved.checked and not solved.reached:
-            text = f"no arm gets down to `{name}` from above: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            text = (
+                f"no arm gets down to `{name}` from above: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            )
             return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
         return ()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -41,8 +40,9 @@ def item_in(setting: Setting, name: str, state: SceneState) -> SceneObject:
     item = setting.twin.scene.object(name)
     at = state.of_object(item)
     joints = tuple(
-        replace(j, position=at[j.name]) if j.has_axis else replace(j, motion=at[j.name]) if j.name in at else j
+        replace(j, motion=to) if isinstance(to, Pose) else replace(j, position=to) if to is not None else j
         for j in item.joints
+        for to in (at.get(j.name),)
     )
     return replace(item, X_WO=state.poses[name], joints=joints, variants=())
 
@@ -57,13 +57,13 @@ def dropped(
     twin = setting.twin
     shape = twin.shape(name, Pose.of(q=q))
     middle = [sum(shape.extent(axis)) / 2 for axis in np.eye(3)[:2]]
-    rpy = tuple(math.degrees(angle) for angle in rpy_from_quat(q))
+    roll, pitch, yaw = np.degrees(rpy_from_quat(q)).tolist()
     within = target if inside and "." in target else None
     place = Place(
         on=None if within else target,
         inside=within,
         xy=(xy[0] - middle[0] + ASTRAY[0], xy[1] - middle[1] + ASTRAY[1]),
-        rpy_deg=rpy,
+        rpy_deg=(roll, pitch, yaw),
     )
     owner = target.partition(".")[0]
     found = solve(twin.item(name), place, {owner: item_in(setting, owner, state)}, twin.scene.viewer)
@@ -77,18 +77,20 @@ def put(setting: Setting, name: str, X_WO: Pose, state: SceneState) -> SceneStat
     return SceneState.of({**state.poses, **along, name: X_WO}, state.joints, state.motions)
 
 
-def turned(setting: Setting, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState) -> SceneState:
+def turned(
+    setting: Setting, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
+) -> SceneState:
     """A state with a joint elsewhere [rad or m]; what is ``held`` by its link, named ``owner.link``, goes along."""
     item = setting.twin.scene.object(owner)
     joints = {**state.joints, f"{owner}.{joint.name}": to}
     after = SceneState.of(state.poses, joints, state.motions)
-    before_X, after_X = (link_poses(item, s.of_object(item)) for s in (state, after))
+    before, now = (link_poses(item, s.of_object(item)) for s in (state, after))
     poses = dict(state.poses)
     for name, link in held.items():
         if link.partition(".")[0] == owner:
             part = link.partition(".")[2] or item.root.name
             X_WO = state.poses[owner]
-            poses[name] = X_WO @ after_X[part] @ before_X[part].inverse() @ X_WO.inverse() @ poses[name]
+            poses[name] = X_WO @ now[part] @ before[part].inverse() @ X_WO.inverse() @ poses[name]
     return SceneState.of(poses, joints, state.motions)
 
 

@@ -51,7 +51,7 @@ def places(setting: Setting, call: Call, state: SceneState) -> list[tuple[float,
         return [(float(call.args[1]), float(call.args[2]))]
     if call.predicate == "Upright":
         low, high = setting.bounds(call.args[0], state)
-        return [tuple(((low + high) / 2)[:2].tolist())]  # type: ignore[list-item]
+        return [tuple(((low + high) / 2)[:2].tolist())]
     return list(_over(setting, call.args[1], state))
 
 
@@ -60,10 +60,10 @@ def _over(setting: Setting, target: str, state: SceneState) -> Iterator[tuple[fl
     if hole is not None:
         yield float(hole[0]), float(hole[1])
     low, high = setting.bounds(target, state)
-    yield tuple(((low + high) / 2)[:2].tolist())  # type: ignore[misc]
+    yield tuple(((low + high) / 2)[:2].tolist())
     for k in range(1, SPREAD + 1):
         share = np.array([_halton(k, 2), _halton(k, 3)])
-        yield tuple((low[:2] + share * (high - low)[:2]).tolist())  # type: ignore[misc]
+        yield tuple((low[:2] + share * (high - low)[:2]).tolist())
 
 
 def hollow(setting: Setting, target: str, state: SceneState) -> Array | None:
@@ -118,7 +118,7 @@ def _beside(setting: Setting, call: Call, state: SceneState) -> Iterator[tuple[f
     for gap, (a, b) in product(GAPS, ways):
         way = a * x_axis + b * y_axis
         far = float(np.abs(way) @ (half + mine)) + gap
-        yield tuple((middle + far * way).tolist())  # type: ignore[misc]
+        yield tuple((middle + far * way).tolist())
 
 
 def _halton(k: int, base: int) -> float:

@@ -39,7 +39,7 @@ ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
 NEAR = 0.03
 """A thing that misses what is asked by no more than this [m] where it is put may come to it as it settles."""
 
-SETTLES = 4
+SETTLES = 6
 """So many times physics runs for one thing until it counts as not going there."""
 
 FEW = 3
@@ -91,9 +91,9 @@ def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reaso
         if lacks := _put(setting, attempt, name, calls):
             return lacks
     for call in way:
-        if call.predicate == "Closed" and not setting.twin.judge(str(call), attempt.state).value:
-            if lacks := _set(setting, attempt, call):
-                return lacks
+        shut = call.predicate != "Closed" or setting.twin.judge(str(call), attempt.state).value
+        if not shut and (lacks := _set(setting, attempt, call)):
+            return lacks
     if not any(call.predicate in HELD for call in way):
         verdict = setting.twin.judge(goal, attempt.state)
         if not verdict.value:
@@ -154,23 +154,29 @@ def _put(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> t
     below = next((_owner(call) for call in calls if _owner(call) in setting.twin.riders(name)), "")
     if below:
         return (Reason("impossible", f"`{name}` cannot go there: `{below}` stands on it"),)
-    lacks = _tried(setting, attempt, name, calls)
-    closed = [call.args[1] for call in calls if call.predicate in ON and _owner(call)]
-    for target in closed if lacks else ():
-        owner, joints = target.partition(".")[0], setting.joints(target) or setting.joints(target.partition(".")[0])
-        shut = [j for j in joints if not setting.twin.judge(f"Open({owner}.{j.name})", attempt.state).value]
-        if not shut:
-            continue
-        before = attempt.state
-        if any(_set(setting, attempt, Call("Open", (f"{owner}.{j.name}",))) for j in shut):
+    shut = [joint for call in calls if call.predicate in ON for joint in _shut(setting, attempt, call.args[1])]
+    within = any("." in call.args[1] for call in calls if call.predicate in ON)
+    lacks = _tried(setting, attempt, name, calls) if not (shut and within) else ()
+    if not shut or not (lacks or within):
+        return lacks
+    before = attempt.state
+    for owner, joint in dict.fromkeys(shut):
+        if closed := _set(setting, attempt, Call("Open", (f"{owner}.{joint}",))):
             attempt.state = before
-            continue
-        again = _tried(setting, attempt, name, calls)
-        if not again:
-            attempt.opened += [f"{owner}.{j.name}" for j in shut]
-            return ()
+            return lacks or closed
+    again = _tried(setting, attempt, name, calls)
+    if again:
         attempt.state = before
-    return lacks
+        return lacks or again
+    attempt.opened += [f"{owner}.{joint}" for owner, joint in dict.fromkeys(shut)]
+    return ()
+
+
+def _shut(setting: Setting, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
+    """The joints of the part that is named, or of the whole, that are not open: a drawer takes nothing while shut."""
+    owner = target.partition(".")[0]
+    judge, state = setting.twin.judge, attempt.state
+    return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
 
 
 def _tried(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
@@ -186,14 +192,24 @@ def _tried(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) ->
                 nearly.append((verdict.margin, state))
             elif (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
                 return found
-        for margin, state in sorted(nearly, key=lambda row: -row[0]):
-            if margin < -NEAR or tried.settles >= SETTLES:
+        for state in _unlike(nearly, name):
+            if tried.settles >= SETTLES:
                 break
             if (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
                 return found
     except PredicateError as error:
         return (Reason("impossible", str(error)),)
     return tried.far or (_cannot(setting, name, calls, tried),)
+
+
+def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[SceneState]:
+    """The nearest first, and of those at one place that miss by the same the first: they are the same thing, turned."""
+    seen = set()
+    for margin, state in sorted(nearly, key=lambda row: -row[0]):
+        key = (round(margin, 3), *np.round(state.poses[name].p, 2).tolist())
+        if margin >= -NEAR and key not in seen:
+            seen.add(key)
+            yield state
 
 
 @dataclass
@@ -246,13 +262,13 @@ def _settled(
         tried.far = tried.far or lacks
         return None
     attempt.state = settled.state
-    attempt.held |= {name: link_named(setting, c.args[1]) for c in calls if c.predicate in ON}
+    for call in calls:
+        if call.predicate in ON:
+            attempt.held[name] = link_named(setting, call.args[1])
     return ()
 
 
-def _ways(
-    setting: Setting, attempt: _Attempt, name: str, call: Call
-) -> Iterator[tuple[tuple[float, float], Array]]:
+def _ways(setting: Setting, attempt: _Attempt, name: str, call: Call) -> Iterator[tuple[tuple[float, float], Array]]:
     every = turns(setting, name)
     for k, xy in enumerate(places(setting, call, attempt.state)):
         for q in every if k < 2 else every[:FEW]:
@@ -276,6 +292,4 @@ def _cannot(setting: Setting, name: str, calls: list[Call], tried: _Tried) -> Re
     text = f"{asked} does not come true in {tried.puts} ways to put `{name}` ({size} cm) there"
     text += cavity_words(setting, calls[0].args[1]) if calls[0].predicate == "Inside" else ""
     margin = {"margin": float(tried.best)} if np.isfinite(tried.best) else {}
-    return Reason(
-        "impossible", f"{text}: {tried.why}" if tried.why else text, numbers(tries=tried.puts, **margin)
-    )
+    return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, numbers(tries=tried.puts, **margin))
