@@ -32,9 +32,9 @@ materials: {wood: {density: 600, friction: 0.5}, lead: {density: 11000, friction
 objects:
   desk: {fixed: true, shape: {box: [1.6, 1.4, 0.04]}, material: wood, pose: {xyz: [0.6, 0, -0.02]}}
   bowl: {asset: bowl.asset.yaml, place: {on: desk, xy: [0.5, 0]}}
-  cabinet: {asset: cabinet.asset.yaml, place: {on: desk, xy: [0.6, 0.4]}}
+  cabinet: {asset: cabinet.asset.yaml, place: {on: desk, xy: [0.45, 0.37]}}
   ball: {asset: tennis_ball.asset.yaml, place: {on: desk, xy: [0.4, -0.2]}}
-  block: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [0.4, 0.2, 0.015]}}
+  block: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [0.33, 0.12, 0.015]}}
   wide: {shape: {box: [0.12, 0.12, 0.12]}, material: wood, pose: {xyz: [0.5, -0.4, 0.06]}}
   heavy: {shape: {box: [0.07, 0.07, 0.07]}, material: lead, pose: {xyz: [0.4, -0.5, 0.035]}}
   far: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [1.2, 0, 0.015]}}

@@ -53,8 +53,8 @@ def _along(item: SceneObject, yaw: float) -> float:
     size = spans[:, 1] - spans[:, 0]
     cell = max(float(size.max()) / CELLS, FINEST)
     rim = max(2, math.ceil(FINGER / cell) + 1)
-    low = spans[:, 0] + [0.0, -rim * cell, 0.5 * cell]
-    shape = np.ceil(size / cell).astype(int) + [1, 2 * rim + 1, 0]
+    low = spans[:, 0] + np.array([0.0, -rim * cell, 0.5 * cell])
+    shape = np.ceil(size / cell).astype(int) + np.array([1, 2 * rim + 1, 0])
     depth = min(DEEP, float(size[2]) / 2)
     first = min(max(round((float(size[2]) - depth) / cell - 0.5), 0), int(shape[2]) - 1)
     filled = distances(parts, low, cell, np.maximum(shape, 1)) <= 0.0
