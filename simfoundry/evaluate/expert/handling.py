@@ -22,8 +22,8 @@ STANDOFF = 0.09
 LIFT = 0.12
 """How high a thing is lifted before it is carried away [m]."""
 
-ABOVE = 0.08
-"""How far above its place a thing comes [m]."""
+ABOVE = 0.12
+"""How far above its place a thing comes [m]: what goes into a cup comes over its rim."""
 
 DROP = 0.006
 """How high above its place a thing is let go [m]."""
