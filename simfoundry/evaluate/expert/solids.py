@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -55,8 +55,13 @@ class Span:
 _planes: WeakKeyDictionary[object, tuple[Array, Array, Array]] = WeakKeyDictionary()
 
 
-def solid(item: SceneObject, state: SceneState, links: Iterable[str] | None = None) -> Solid:
-    """The colliders of an object, or of some of its links, where it is now."""
+def solid(
+    item: SceneObject,
+    state: SceneState,
+    links: Iterable[str] | None = None,
+    keep: Callable[[Array], bool] = lambda corners: True,
+) -> Solid:
+    """The colliders of an object, or of some of its links, where it is now; those whose corners [m] are to ``keep``."""
     chosen = None if links is None else set(links)
     X_OL = link_poses(item, state.of_object(item))
     X_WO = state.poses[item.name]
@@ -69,6 +74,8 @@ def solid(item: SceneObject, state: SceneState, links: Iterable[str] | None = No
                 _planes[piece] = _half_spaces(piece.geometry)
             n, d, c = _planes[piece]
             X_WG = X_WO @ X_OL[link.name] @ piece.X_LG
+            if not keep(X_WG.apply(c)):
+                continue
             normals.append(n @ X_WG.rotation.T)
             offsets.append(d + normals[-1] @ X_WG.p)
             corners.append(X_WG.apply(c))
