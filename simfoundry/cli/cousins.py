@@ -41,7 +41,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
-@click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also one USD stage of all, as variants.")
+@click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
 @json_option
 @reporting
 def command(
@@ -146,12 +146,14 @@ def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
         f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}; {ledger.examined} candidates examined, "
         f"{ledger.rate:.1%} accepted"
     )
-    for code, text in examples(plan, ledger).items():
+    for code, text in examples(ledger).items():
         click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
+    for text in ledger.unchecked:
+        click.echo(f"not checked: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
-            f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons above "
-            "say what to ask for less strictly",
+            f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "
+            "above say what to ask for less strictly",
             err=True,
         )
     elif short:

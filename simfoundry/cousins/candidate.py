@@ -16,13 +16,15 @@ class Candidate:
     """What came of candidate ``index``, counted from 1.
 
     ``documents`` are the texts of an accepted one by kind (``scene``, ``task``), ``asked`` the predicates that its
-    layout was asked for, ``goal`` is that of its own task. ``reasons`` are those of a rejected one.
+    layout was asked for, ``goal`` is that of its own task, and ``unchecked`` says what could not be looked at.
+    ``reasons`` are those of a rejected one.
     """
 
     index: int
     documents: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     asked: tuple[str, ...] = ()
     goal: str = ""
+    unchecked: tuple[str, ...] = ()
     reasons: tuple[Reason, ...] = ()
 
     @property
@@ -40,6 +42,7 @@ class Candidate:
         if self.accepted:
             data |= {"documents": dict(self.documents), "asked": list(self.asked)}
             data |= {"goal": self.goal} if self.goal else {}
+            data |= {"unchecked": list(self.unchecked)} if self.unchecked else {}
         else:
             data["reasons"] = [reason.to_json() for reason in self.reasons]
         return json.dumps(data, ensure_ascii=False, separators=(",", ":"))
@@ -53,7 +56,8 @@ class Candidate:
             documents = {str(kind): str(text) for kind, text in data.get("documents", {}).items()}
             if not reasons and not documents:
                 raise ValueError("neither a cousin nor a reason")
-            return cls(int(data["index"]), documents, tuple(data.get("asked", ())), data.get("goal", ""), reasons)
+            asked, unchecked = tuple(data.get("asked", ())), tuple(data.get("unchecked", ()))
+            return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"no candidate: {error}") from None
 

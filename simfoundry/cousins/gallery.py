@@ -47,7 +47,7 @@ def write_gallery(plan: Plan, ledger: Ledger, most: int, progress: Callable[[int
         if path is not None:
             pictures[candidate.index] = path.relative_to(plan.out).as_posix()
     path = plan.out / PAGE
-    write_atomically(path, page(summary(plan, ledger), shown, pictures, examples(plan, ledger)).encode())
+    write_atomically(path, page(summary(plan, ledger), shown, pictures, examples(ledger)).encode())
     return path
 
 
@@ -89,9 +89,7 @@ def view(scene: Scene, spec: SceneSpec) -> Camera | None:
     scale = WIDTH / camera.width
     height = max(1, round(camera.height * scale))
     cx, cy = scale * (camera.cx + 0.5) - 0.5, scale * (camera.cy + 0.5) - 0.5
-    return replace(
-        camera, width=WIDTH, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy
-    )
+    return replace(camera, width=WIDTH, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
 
 
 def page(
@@ -109,8 +107,9 @@ def page(
             "<meta name='viewport' content='width=device-width,initial-scale=1'>",
             f"<title>{escape(title)}</title><style>{STYLE}{_OWN}</style></head><body><article>",
             f"<h1>{escape(title)}</h1>",
-            f"<p class='sides'>{facts['accepted']} of {facts['asked']} cousins, seed {facts['seed']}; {facts['examined']} "
-            f"candidates examined, {facts['acceptance_rate']:.1%} accepted ({escape(facts['end'])})</p>",
+            f"<p class='sides'>{facts['accepted']} of {facts['asked']} cousins, seed {facts['seed']}; "
+            f"{facts['examined']} candidates examined, {facts['acceptance_rate']:.1%} accepted "
+            f"({escape(facts['end'])})</p>",
             f"<div class='all'>{''.join(_figure(c, pictures.get(c.index)) for c in shown)}</div>",
             f"<p>{rest} more are in <a href='{FILE}'>{FILE}</a>.</p>" if rest > 0 else "",
             _table(facts, reasons),

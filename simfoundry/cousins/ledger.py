@@ -36,7 +36,7 @@ class Ledger:
 
     ``wanted`` are to be accepted; ``most`` is the last index that there is, None without end. ``known`` is where each
     candidate stands; ``accepted`` are the indices of those that count, ``totals`` how many candidates each reason
-    rejected. ``settled`` hears every accepted candidate that counts, in order.
+    rejected, ``unchecked`` what could not be looked at in some that are accepted.
     """
 
     wanted: int
@@ -46,6 +46,7 @@ class Ledger:
     known: dict[int, Place] = field(default_factory=dict)
     accepted: list[int] = field(default_factory=list)
     totals: Counter[str] = field(default_factory=Counter)
+    unchecked: dict[str, None] = field(default_factory=dict)
     next_index: int = 0
     end: End = End.OPEN
 
@@ -75,6 +76,7 @@ class Ledger:
             self.next_index += self.step
             if candidate.accepted:
                 self.accepted.append(candidate.index)
+                self.unchecked.update(dict.fromkeys(candidate.unchecked))
                 settled(candidate)
             self.totals.update({reason.code for reason in candidate.reasons})
             self.end = self._end()
@@ -83,7 +85,11 @@ class Ledger:
 
     def counted(self) -> Iterator[Place]:
         """Where the candidates that count stand, in order."""
-        return (self.known[k] for k in range(self.first, self.next_index, self.step))
+        return (self.known[k] for k in self.indices())
+
+    def indices(self) -> range:
+        """The candidates that count, in order."""
+        return range(self.first, self.next_index, self.step)
 
     def unknown(self) -> Iterator[int]:
         """Indices that are not known, in order; more than are needed, as nobody knows how many those are."""

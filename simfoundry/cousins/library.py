@@ -1,7 +1,7 @@
 """Things to put beside a task: a folder of assets and meshes, each with the mass, volume and density that it has.
 
-What a thing weighs is what its lowered asset weighs; its volume is that of its convex parts, so that of a cup it is that
-of the wall. Both are measured once and kept in the cache.
+What a thing weighs is what its lowered asset weighs; its volume is that of its convex parts, so of a cup it is that of
+the wall. Both are measured once and kept in the cache.
 """
 
 from __future__ import annotations
@@ -292,7 +292,9 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> 
         text += f". It has no `{unknown[0]}`; {nearest(unknown[0], known)}"
     if library.faults:
         numbers["unusable"] = float(len(library.faults))
-        text += f". {len(library.faults)} files cannot be used, the first {library.faults[0][0]}: {library.faults[0][1]}"
+        text += (
+            f". {len(library.faults)} files cannot be used, the first {library.faults[0][0]}: {library.faults[0][1]}"
+        )
     return Reason("no_distractor", text, numbers)
 
 

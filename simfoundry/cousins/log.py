@@ -145,15 +145,22 @@ class Log:
         self._stream.seek(end)
 
 
-def replace_logs(out: Path, places: Iterable[Place]) -> None:
-    """Make one log of the lines at ``places``, in their order, in the place of all that are there."""
-    old = logs(out)
-    with Reader() as reader, writing_atomically(out / WORK / WHOLE) as stream:
-        for place in places:
+def replace_logs(out: Path, places: Iterable[tuple[int, Place]]) -> dict[int, Place]:
+    """Make one log of the lines at ``places`` by index, in their order, in the place of all that are there.
+
+    Returns where the lines are now.
+    """
+    old, now = logs(out), dict[int, Place]()
+    whole, start = out / WORK / WHOLE, 0
+    with Reader() as reader, writing_atomically(whole) as stream:
+        for index, place in places:
             stream.write(reader.line(place))
+            now[index] = Place(whole, start, place.length, place.accepted)
+            start += place.length
     for file in old:
-        if file.name != WHOLE:
+        if file != whole:
             file.unlink(missing_ok=True)
+    return now
 
 
 def _lock(handle: int, file: Path) -> None:

@@ -7,7 +7,7 @@ processes: the same run gives the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -33,6 +33,7 @@ def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:
         "accepted": len(ledger.accepted),
         "acceptance_rate": round(ledger.rate, 4),
         "reasons": dict(sorted(ledger.totals.items(), key=lambda pair: (-pair[1], pair[0]))),
+        "unchecked": list(ledger.unchecked),
     }
 
 
@@ -86,7 +87,7 @@ def told(ledger: Ledger, top: int = 3) -> str:
     return text
 
 
-def examples(plan: Plan, ledger: Ledger, wanted: Callable[[str], bool] = lambda code: True) -> dict[str, str]:
+def examples(ledger: Ledger) -> dict[str, str]:
     """For each reason, most frequent first, the sentence of the first candidate that it rejected."""
     found: dict[str, str] = {}
     with Reader() as reader:
@@ -94,6 +95,5 @@ def examples(plan: Plan, ledger: Ledger, wanted: Callable[[str], bool] = lambda 
             if place.accepted or len(found) == len(ledger.totals):
                 continue
             for reason in reader.candidate(place).reasons:
-                if wanted(reason.code):
-                    found.setdefault(reason.code, reason.text)
+                found.setdefault(reason.code, reason.text)
     return {code: found[code] for code, _ in ledger.totals.most_common() if code in found}

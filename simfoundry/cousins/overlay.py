@@ -52,7 +52,11 @@ def scene_overlay(
             data["joints"] = dict(joints[name])
         if data:
             objects[name] = data
-    document: Data = {"simfoundry": "scene/1", "extends": relative(recipe.scene.path, out), "name": named(recipe, index)}
+    document: Data = {
+        "simfoundry": "scene/1",
+        "extends": relative(recipe.scene.path, out),
+        "name": named(recipe, index),
+    }
     document |= {"objects": objects} if objects else {}
     document |= {"relations": relations} if relations != recipe.scene_spec.relations else {}
     document["origin"] = origin(recipe, index)

@@ -10,6 +10,7 @@ import queue
 import threading
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Protocol
 
 from simfoundry.contain import FailedError, Limits, Worker
@@ -36,6 +37,11 @@ class Work:
         module, _, name = self.function.partition(":")
         candidate: Candidate = getattr(import_module(module), name)(*self.arguments, index)
         return candidate
+
+
+def line_of(work: Work, index: int) -> str:
+    """The line of a candidate: what travels between processes."""
+    return work(index).line()
 
 
 class Pool(Protocol):
@@ -77,7 +83,7 @@ class Here:
 
 
 class Local:
-    """Processes of this machine, which may crash or hang: then their candidate is tried once more, and then rejected."""
+    """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
 
     def __init__(self, work: Work, size: int) -> None:
         self.work, self.size = work, size
@@ -109,8 +115,7 @@ class Local:
 def _contained(worker: Worker, work: Work, index: int) -> Candidate:
     for attempt in (1, 2):
         try:
-            candidate: Candidate = worker.call(work.function, *work.arguments, index)
-            return candidate
+            return Candidate.of(worker.call("simfoundry.cousins.pools:line_of", work, index))
         except FailedError as error:
             if attempt == 2:
                 return failed(index, error.how)
@@ -137,15 +142,16 @@ class OnRay:
 
     def __init__(self, work: Work, size: int | None) -> None:
         try:
-            import ray
+            import ray as module
         except ModuleNotFoundError:
             raise MissingEngineError("Ray is not installed: pip install 'simfoundry[ray]'") from None
+        ray: Any = module
         self._ray, self._owns = ray, not ray.is_initialized()
         if self._owns:
             _connect(ray, size)
         self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
         remote = ray.remote(num_cpus=1, max_restarts=2, max_task_retries=1)(_Actor)
-        self._idle = [remote.remote(work) for _ in range(self.size)]
+        self._idle: list[Any] = [remote.remote(work) for _ in range(self.size)]
         self._waiting: list[int] = []
         self._running: dict[Any, tuple[int, Any]] = {}
 
@@ -179,13 +185,13 @@ class OnRay:
 
 
 class _Actor:
-    """A process of a cluster; candidates travel as their lines."""
+    """A process of a cluster."""
 
     def __init__(self, work: Work) -> None:
         self.work = work
 
     def line(self, index: int) -> str:
-        return self.work(index).line()
+        return line_of(self.work, index)
 
 
 def _connect(ray: Any, size: int | None) -> None:
@@ -194,7 +200,7 @@ def _connect(ray: Any, size: int | None) -> None:
     import sys
 
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False}
-    paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
+    paths = os.pathsep.join(str(Path(p).absolute()) for p in sys.path if p)
     environment = {"env_vars": {"PYTHONPATH": paths}}
     if os.environ.get("RAY_ADDRESS"):
         ray.init(log_to_driver=False, logging_level=logging.ERROR)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.ledger import Ledger
+from simfoundry.cousins.ledger import End, Ledger
 from simfoundry.cousins.log import WORK, Log, Reader, log_file, logs, read_places, replace_logs
 from simfoundry.cousins.pools import Pool
 from simfoundry.errors import OutputError
@@ -79,28 +80,27 @@ def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None
         settled = _nothing if plan.shard is not None else lambda candidate: write_documents(plan.out, candidate)
         ledger.advance(reader, settled)
         heard(ledger)
-        if ledger.end == "open":
-            workers = pool()
-            try:
-                _examine(ledger, workers, log, lambda: (ledger.advance(reader, settled), heard(ledger)))
-            finally:
-                workers.close()
+        if ledger.end is not End.OPEN:
+            return ledger
+        with closing(pool()) as workers:
+            for candidate in _examined(ledger, workers):
+                ledger.known[candidate.index] = log.add(candidate)
+                ledger.advance(reader, settled)
+                heard(ledger)
     return ledger
 
 
-def _examine(ledger: Ledger, pool: Pool, log: Log, counted: Callable[[], object]) -> None:
-    """Keep the pool busy until the ledger is at its end."""
+def _examined(ledger: Ledger, pool: Pool) -> Iterator[Candidate]:
+    """Candidates that were not known, as they are done; the pool is kept busy until the ledger is at its end."""
     todo, running = ledger.unknown(), 0
     index = next(todo, None)
-    while ledger.end == "open":
+    while ledger.end is End.OPEN:
         while index is not None and running < 2 * pool.size and _is_near(index, ledger, pool):
             pool.submit(index)
             running += 1
             index = next(todo, None)
-        candidate = pool.next()
+        yield pool.next()
         running -= 1
-        ledger.known[candidate.index] = log.add(candidate)
-        counted()
 
 
 def _is_near(index: int, ledger: Ledger, pool: Pool) -> bool:
@@ -122,4 +122,4 @@ def write_documents(out: Path, candidate: Candidate) -> None:
 
 def finish(plan: Plan, ledger: Ledger) -> None:
     """Leave one log, of the candidates that count and nothing else, in their order."""
-    replace_logs(plan.out, ledger.counted())
+    ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

@@ -77,7 +77,7 @@ def candidate(setup: Setup, index: int) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """What chance chose: the ``twin`` with other and more things, by name, its ``layout``, and the rest of the chance."""
+    """What chance chose: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
 
     twin: Twin
     layout: Layout
@@ -110,7 +110,10 @@ def _distractors(shared: Prepared, rng: np.random.Generator) -> dict[str, librar
     axis = shared.recipe.spec.distractors
     if axis is None:
         return {}
-    items, taken = shared.recipe.distractors, set(shared.recipe.scene_spec.objects) | set(shared.recipe.scene_spec.robots)
+    items, taken = (
+        shared.recipe.distractors,
+        set(shared.recipe.scene_spec.objects) | set(shared.recipe.scene_spec.robots),
+    )
     count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
     order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
     found: dict[str, library.Item] = {}
@@ -165,7 +168,7 @@ def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) 
         goal = task.goal
     elif recipe.task is not None:
         documents["task"] = overlay.task_overlay(recipe, shared.out, index, moved, bool(draw.added))
-    return Candidate(index, documents, draw.layout.asked, goal)
+    return Candidate(index, documents, draw.layout.asked, goal, found.unchecked if found is not None else ())
 
 
 def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:
