@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,7 +70,7 @@ def command(
     from simfoundry.cousins.pools import Work, open_pool
     from simfoundry.cousins.reasons import ImpossibleError
     from simfoundry.cousins.recipe import need_same_project, read_recipe
-    from simfoundry.cousins.run import Plan, run
+    from simfoundry.cousins.run import Plan, begin, run
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
     read = read_recipe(recipe, seed)
@@ -79,12 +80,13 @@ def command(
     with progress_bar(as_json) as progress, _interruptible(folder):
         progress("the twin", 0.0)
         try:
-            about = read.about()
+            plan = Plan(folder, count or read.spec.count, read.about(), shard)
+            begin(plan)
             shared = prepared(setup)
             see_possible(shared)
         except ImpossibleError as error:
             return _impossible(error, as_json)
-        plan = Plan(folder, count or read.spec.count, about, shard, shared.stock.most)
+        plan = replace(plan, most=shared.stock.most)
 
         def heard(ledger: Ledger) -> None:
             from simfoundry.cousins.manifest import told
