@@ -7,8 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-
 from simfoundry.cousins.layout import Layout
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.settling import MOST_S, Settled, settle_layout
@@ -17,7 +15,7 @@ from simfoundry.cousins.views import SEEN, best_view
 from simfoundry.predicates import Verdict
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import parse_call
+from simfoundry.spec.expressions import Condition, parse_call, parts
 
 PENETRATION = 0.001
 """Nothing overlaps deeper than this at rest [m]."""
@@ -55,7 +53,7 @@ def examine(twin: Twin, layout: Layout) -> Examined:
         reasons += _seen(twin, layout, settled.state, unchecked)
         clock.lap("view")
     if not reasons:
-        reasons += _reached(twin, layout, settled.state, unchecked)
+        reasons += _reached(twin, settled.state, unchecked)
         clock.lap("reach")
     poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
     return Examined(
@@ -101,10 +99,17 @@ def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]
         verdict = twin.judge(text, state)
         if not verdict.value:
             yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
-    if twin.goal is not None:
-        verdict = twin.judge(twin.goal, state)
-        if verdict.value:
-            yield Reason("goal_true", f"the goal is true already: {verdict.why}", _margin(verdict))
+    if twin.goal is not None and (goal := _true(twin, twin.goal, state)) is not None:
+        yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
+
+
+def _true(twin: Twin, condition: Condition, state: SceneState) -> Verdict | None:
+    """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
+    tag, below = parts(condition)
+    if tag == "all" and any(not twin.judge(one, state).value for one in below[:-1]):
+        return None
+    verdict = twin.judge(condition, state)
+    return verdict if verdict.value else None
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
@@ -128,24 +133,24 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
         unchecked.append("view: the scene has no camera that stands still")
         return
     for name in twin.task_objects or tuple(layout.poses):
-        shape = twin.shape(name, state.poses[name])
-        camera, share = best_view(cameras, shape.corners)
+        camera, share = best_view(cameras, twin.corners(name, state.poses[name])[0])
         if share < SEEN:
             text = f"only {share:.0%} of `{name}` is in the picture of `{camera}`, which has most; {SEEN:.0%} must be"
             yield Reason("out_of_view", text, _numbers(share=share))
 
 
-def _reached(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
     """What the task is about is within reach of an arm, by inverse kinematics."""
     if twin.reach.missing:
         unchecked.append(f"reach: {twin.reach.missing}")
         return
-    for name in twin.task_objects or tuple(layout.poses):
+    if twin.goal is None:
+        unchecked.append("reach: no task says which objects must be reached")
+        return
+    for name in twin.task_objects:
         if twin.scene.object(name).fixed:
             continue
-        shape = twin.shape(name, state.poses[name])
-        low, high = np.array([shape.extent(axis) for axis in np.eye(3)]).T
-        result = twin.reach(low, high)
+        result = twin.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
             text = (
                 f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"
