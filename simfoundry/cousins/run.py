@@ -81,6 +81,7 @@ def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None
         ledger.advance(reader, settled)
         heard(ledger)
         if ledger.end is not End.OPEN:
+            _see_no_more(plan, ledger)
             return ledger
         with closing(pool()) as workers:
             for candidate in _examined(ledger, workers):
@@ -88,6 +89,16 @@ def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None
                 ledger.advance(reader, settled)
                 heard(ledger)
     return ledger
+
+
+def _see_no_more(plan: Plan, ledger: Ledger) -> None:
+    """Raise :class:`OutputError` where cousins of a longer run would be left over."""
+    beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
+    if beyond and plan.shard is None:
+        raise OutputError(
+            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; write "
+            "to another folder, or ask for as many as before"
+        )
 
 
 def _examined(ledger: Ledger, pool: Pool) -> Iterator[Candidate]:
