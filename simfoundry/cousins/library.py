@@ -176,7 +176,7 @@ def measured(file: Path, cache: Cache) -> Item:
     if loaded.errors:
         raise SpecError(loaded.errors)
     inputs = record(loaded, ())
-    digest = key_of(VERSION, json.dumps({key: inputs[key] for key in ("documents", "files")}, sort_keys=True))
+    digest = key_of(VERSION, *(inputs[key][name] for key in ("documents", "files") for name in inputs[key]))
     key = key_of(digest, json.dumps(inputs["software"], sort_keys=True))
     stored = cache.get(key)
     facts = _read(stored) if stored is not None else None
@@ -289,7 +289,7 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> 
     known = sorted({item.category for item in library.items})
     unknown = [name for name in axis.categories if name not in known]
     if unknown and known:
-        text += f". It has no `{unknown[0]}`; {nearest(unknown[0], known)}"
+        text += f"; it has no `{unknown[0]}`, {nearest(unknown[0], known)}"
     if library.faults:
         numbers["unusable"] = float(len(library.faults))
         text += (

@@ -85,13 +85,12 @@ class Recipe:
         inputs["task"] = None if self.task_spec is None else to_data(self.task_spec)
         inputs["library"] = [[item.name, item.digest] for item in self.distractors]
         axes = {key: value for key, value in to_data(self.spec).items() if key not in (*NOT_COUNTED, "twin")}
-        software = inputs["software"].pop("simfoundry")
         return {
             "recipe": self.spec.name,
             "seed": self.seed,
             "axes": _hash(axes),
             "twin": _hash(inputs),
-            "generator": f"simfoundry {software}",
+            "generator": f"simfoundry {inputs['software']['simfoundry']}",
         }
 
 
