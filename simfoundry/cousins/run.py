@@ -96,8 +96,8 @@ def _see_no_more(plan: Plan, ledger: Ledger) -> None:
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         raise OutputError(
-            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; write "
-            "to another folder, or ask for as many as before"
+            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; "
+            "write to another folder, or ask for as many as before"
         )
 
 

@@ -56,7 +56,7 @@ GROWTH = 300 * 2**20
 
 @dataclass(frozen=True)
 class Read:
-    """One cousin in one engine after :data:`SECONDS`: what no longer holds, the deepest overlap and farthest way [m]."""
+    """One cousin in one engine after :data:`SECONDS`: what is lost, the deepest overlap and the farthest way [m]."""
 
     file: str
     engine: str
@@ -71,7 +71,7 @@ class Read:
         return not self.lost and self.overlap <= OVERLAP and self.moved <= MOVED
 
 
-# -- running --------------------------------------------------------------------------------------------------------------
+# -- running ----------------------------------------------------------------------------------------------------------
 
 
 def project(folder: Path) -> Path:
@@ -118,7 +118,7 @@ def same(first: Path, other: Path) -> bool:
     return not differ
 
 
-# -- parts ----------------------------------------------------------------------------------------------------------------
+# -- parts ------------------------------------------------------------------------------------------------------------
 
 
 def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
@@ -268,8 +268,8 @@ def scale(root: Path, count: int, jobs: int) -> bool:
     peak, span = max(rss for _, rss in seen), time.perf_counter() - started
     files = len(list((root / "build" / "light").glob("*.scene.yaml")))
     print(
-        f"scale: {facts.get('accepted')} cousins ({files} files) of {facts.get('examined')} candidates in {span:.0f} s; "
-        f"{early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
+        f"scale: {facts.get('accepted')} cousins ({files} files) of {facts.get('examined')} candidates in "
+        f"{span:.0f} s; {early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
     )
     return process.returncode == 0 and files == count and peak - early <= GROWTH
 
