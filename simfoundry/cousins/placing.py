@@ -1,7 +1,7 @@
 """Places for things by rejection: uniform over all that is allowed, however that is shaped.
 
 Positions and turns are drawn uniformly over a rectangle that holds every allowed one, many at once; the first that
-passes every test is taken. So each allowed place is as likely as any other. Tests, from cheap to dear: the whole shadow
+passes every test is taken. So each allowed place is as likely as any other. Demands, from cheap to dear: the whole shadow
 is over the support; no rectangle of what stands there is met, which is exact for boxes; what else is asked of the pose,
 on all that are left together; the real convex parts, one candidate after the other, where rectangles overlap.
 """
@@ -163,7 +163,7 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class Tests:
+class Demands:
     """What a place must pass beyond being over the support and clear of what fills its rectangle.
 
     ``allowed`` is asked of many at once; ``clear`` of one that meets rectangles of entries, with their numbers; and
@@ -181,7 +181,7 @@ def find(
     there: There,
     rng: np.random.Generator,
     gap: float,
-    tests: Tests,
+    demands: Demands,
     tries: int = TRIES,
 ) -> Found:
     """A place for a thing in a region, uniform over all that pass every test; of at most ``tries`` candidates."""
@@ -194,18 +194,18 @@ def find(
         size = min(4 * size, MOST)
         left = region.support.holds(centre, turn, outline.spread).nonzero()[0]
         standing += len(left)
-        if tests.allowed is not None and len(left):
+        if demands.allowed is not None and len(left):
             p = _frames(centre[left], turn[left], offset)
-            left = left[tests.allowed(p.real, p.imag, yaw[left])]
+            left = left[demands.allowed(p.real, p.imag, yaw[left])]
             permitted += len(left)
         if not len(left):
             continue
         centre, yaw, turn = centre[left], yaw[left], turn[left]
-        for k, met in _unblocked(outline, region.z, there, gap, tests.last is None, centre, turn):
-            if met and (tests.clear is None or not tests.clear(*_spot(centre[k], yaw[k], turn[k], offset), met)):
+        for k, met in _unblocked(outline, region.z, there, gap, demands.last is None, centre, turn):
+            if met and (demands.clear is None or not demands.clear(*_spot(centre[k], yaw[k], turn[k], offset), met)):
                 continue
             spot = _spot(centre[k], yaw[k], turn[k], offset)
-            if tests.last is None or tests.last(*spot):
+            if demands.last is None or demands.last(*spot):
                 return Found(spot, tried, standing, permitted)
     return Found(None, tried, standing, permitted)
 

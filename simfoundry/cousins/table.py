@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.cousins.crowd import EACH, place_together
 from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.placing import Allowed, Found, Region, Tests, There, find
+from simfoundry.cousins.placing import Allowed, Found, Region, Demands, There, find
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.frames import Pose
@@ -113,8 +113,8 @@ class Table:
             self.pose(thing, thing.pose(x, y, region.z, yaw))
             return also is None or also()
 
-        tests = Tests(allowed, clear, None if also is None else last)
-        found = find(thing.outline, region, self.there, rng, GAP, tests)
+        demands = Demands(allowed, clear, None if also is None else last)
+        found = find(thing.outline, region, self.there, rng, GAP, demands)
         self.tries += found.tried
         return found
 
