@@ -52,9 +52,10 @@ def begin(plan: Plan) -> None:
         found = _read(path)
         for key, value in plan.about.items():
             if found.get(key) != value:
+                differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
                 raise OutputError(
-                    f"{plan.out} holds cousins of another run: its {key} is {found.get(key)!r}, not {value!r}; "
-                    "write to another folder, or remove that one"
+                    f"{plan.out} holds cousins of another run: its {key} {differs}; write to another folder, or remove "
+                    "that one"
                 )
         return
     strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from simfoundry.backends.artifact import number
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.ledger import Ledger
 from simfoundry.cousins.log import Reader
@@ -21,7 +22,6 @@ from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
 from simfoundry.spec import base
 from simfoundry.spec.text import parse
-from simfoundry.spec.write import number
 
 SET, TWIN = "cousin", "twin"
 """The variant set, and its variant that is the twin."""
