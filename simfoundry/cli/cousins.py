@@ -17,6 +17,7 @@ from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progr
 if TYPE_CHECKING:
     from simfoundry.cousins.ledger import Ledger
     from simfoundry.cousins.reasons import ImpossibleError
+    from simfoundry.cousins.recipe import Recipe
     from simfoundry.cousins.run import Plan
 
 
@@ -95,7 +96,7 @@ def command(
 
         ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
         if shard is None:
-            _write(plan, ledger, 0 if no_gallery else gallery, stage, progress)
+            _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
     return _report(plan, ledger, as_json)
 
 
@@ -109,7 +110,12 @@ def _interruptible(out: Path) -> Iterator[None]:
 
 
 def _write(
-    plan: Plan, ledger: Ledger, pictures: int, stage: Path | None, progress: Callable[[str, float], None]
+    plan: Plan,
+    ledger: Ledger,
+    recipe: Recipe,
+    pictures: int,
+    stage: Path | None,
+    progress: Callable[[str, float], None],
 ) -> None:
     """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
     from simfoundry.cousins.gallery import write_gallery
@@ -122,7 +128,7 @@ def _write(
     if stage is not None:
         from simfoundry.cousins.stage import write_stage
 
-        write_stage(plan, ledger, stage)
+        write_stage(plan, ledger, recipe, stage)
     finish(plan, ledger)
 
 

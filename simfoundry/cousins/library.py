@@ -292,9 +292,8 @@ def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> 
         text += f"; it has no `{unknown[0]}`, {nearest(unknown[0], known)}"
     if library.faults:
         numbers["unusable"] = float(len(library.faults))
-        text += (
-            f". {len(library.faults)} files cannot be used, the first {library.faults[0][0]}: {library.faults[0][1]}"
-        )
+        file, why = library.faults[0]
+        text += f"; {len(library.faults)} cannot be used, the first is {file}: {why}"
     return Reason("no_distractor", text, numbers)
 
 

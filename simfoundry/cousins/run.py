@@ -52,9 +52,10 @@ def begin(plan: Plan) -> None:
         found = _read(path)
         for key, value in plan.about.items():
             if found.get(key) != value:
+                differs = f"is {found.get(key)!r}, not {value!r}" if len(str(value)) < 48 else "differs"
                 raise OutputError(
-                    f"{plan.out} holds cousins of another run: its {key} is {found.get(key)!r}, not {value!r}; "
-                    "write to another folder, or remove that one"
+                    f"{plan.out} holds cousins of another run: its {key} {differs}; write to another folder, or remove "
+                    "that one"
                 )
         return
     strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []
@@ -96,8 +97,8 @@ def _see_no_more(plan: Plan, ledger: Ledger) -> None:
     beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
     if beyond and plan.shard is None:
         raise OutputError(
-            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; write "
-            "to another folder, or ask for as many as before"
+            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; "
+            "write to another folder, or ask for as many as before"
         )
 
 

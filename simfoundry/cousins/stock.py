@@ -72,7 +72,7 @@ def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
 def _reference(item: Item, root: Path, out: Path) -> str:
     if item.file.resolve().is_relative_to(root):
         return relative(item.file, out)
-    return relative(copied(item.file, out / ASSETS / f"{item.name}_{item.digest[:8]}"), out)
+    return relative(copied(item.file, out / ASSETS / item.digest[:8] / item.name), out)
 
 
 def copied(file: Path, folder: Path) -> Path:

@@ -56,7 +56,7 @@ GROWTH = 300 * 2**20
 
 @dataclass(frozen=True)
 class Read:
-    """One cousin in one engine after :data:`SECONDS`: what no longer holds, the deepest overlap and farthest way [m]."""
+    """One cousin in one engine after :data:`SECONDS`: what is lost, the deepest overlap and the farthest way [m]."""
 
     file: str
     engine: str
@@ -71,7 +71,7 @@ class Read:
         return not self.lost and self.overlap <= OVERLAP and self.moved <= MOVED
 
 
-# -- running --------------------------------------------------------------------------------------------------------------
+# -- running ----------------------------------------------------------------------------------------------------------
 
 
 def project(folder: Path) -> Path:
@@ -118,7 +118,7 @@ def same(first: Path, other: Path) -> bool:
     return not differ
 
 
-# -- parts ----------------------------------------------------------------------------------------------------------------
+# -- parts ------------------------------------------------------------------------------------------------------------
 
 
 def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
@@ -173,9 +173,7 @@ def _row(recipe: str, engine: str, reads: list[Read]) -> bool:
 
 def kills(root: Path, count: int, jobs: int, seed: int = 0) -> bool:
     """A run that is killed at random moments, and the same run left alone."""
-    started = time.perf_counter()
     whole = make(root, "cup_in_bowl", "whole", count, "-j", str(jobs), "--gallery", "2")
-    span = time.perf_counter() - started
     chance, killed = random.Random(seed), 0
     log = root / "build" / "killed" / ".cousins" / "log.jsonl"
     line = command(root, "cup_in_bowl", "killed", count, "-j", str(jobs), "--gallery", "2")
@@ -183,17 +181,23 @@ def kills(root: Path, count: int, jobs: int, seed: int = 0) -> bool:
         process = subprocess.Popen(
             line, env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
-        time.sleep(chance.uniform(0.3, 0.8) * span)
+        goal = _lines(log) + chance.randrange(1, max(2, 2 * count // KILLS))
+        while process.poll() is None and _lines(log) < min(goal, count - 1):
+            time.sleep(0.02)
+        time.sleep(chance.uniform(0.0, 0.5))  # in the midst of anything, the last files among it
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
             killed += 1
         process.wait()
-        known = log.read_bytes().count(b"\n") if log.is_file() else 0
-        print(f"  killed with {known} candidates in the log", flush=True)
+        print(f"  killed with {_lines(log)} candidates in the log", flush=True)
     resumed = make(root, "cup_in_bowl", "killed", count, "-j", str(jobs), "--gallery", "2")
     alike = same(whole, resumed)
     print(f"kills: {killed} of {KILLS} while running; same bytes: {alike}")
     return alike and killed > 0
+
+
+def _lines(log: Path) -> int:
+    return log.read_bytes().count(b"\n") if log.is_file() else 0
 
 
 def workers(root: Path, count: int) -> bool:
@@ -268,8 +272,8 @@ def scale(root: Path, count: int, jobs: int) -> bool:
     peak, span = max(rss for _, rss in seen), time.perf_counter() - started
     files = len(list((root / "build" / "light").glob("*.scene.yaml")))
     print(
-        f"scale: {facts.get('accepted')} cousins ({files} files) of {facts.get('examined')} candidates in {span:.0f} s; "
-        f"{early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
+        f"scale: {facts.get('accepted')} cousins, {files} files, of {facts.get('examined')} candidates in "
+        f"{span:.0f} s; {early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
     )
     return process.returncode == 0 and files == count and peak - early <= GROWTH
 

@@ -95,8 +95,8 @@ def test_nothing_left_is_said_with_what_each_filter_took(folder: Path) -> None:
     (reason,) = raised.value.reasons
     assert reason.numbers["library"] == 4
     assert reason.text == (
-        "no distractor is left of the 4 in things; category `brick` or `hat` or `tend`: 2 taken; mass at most 0.0001 kg: "
-        "2 taken (theirs 0.018 to 0.9); it has no `tend`, did you mean `tent`?; 1 cannot be used, the first is "
+        "no distractor is left of the 4 in things; category `brick` or `hat` or `tend`: 2 taken; mass at most 0.0001 "
+        "kg: 2 taken (theirs 0.018 to 0.9); it has no `tend`, did you mean `tent`?; 1 cannot be used, the first is "
         "broken.asset.yaml: expected at least 1 values, found 0"
     )
 

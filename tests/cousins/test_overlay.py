@@ -178,3 +178,25 @@ def test_what_is_placed_by_words_moves_along() -> None:
     assert isinstance(loaded.spec, SceneSpec)
     assert dependents(loaded.spec, {"bowl"}) == {"cup"}
     assert dependents(loaded.spec, {"cup"}) == set()
+
+
+def test_one_stage_holds_the_twin_and_every_cousin(project: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    recipe, stage = project / "scenes.cousins.yaml", project / "all.usda"
+    done = run("cousins", recipe, "-n", "3", "-o", project / "out", "-j", "1", "--no-gallery", "--stage", stage)
+    assert done.code == 0, done.err
+    opened = Usd.Stage.Open(str(stage))
+    choice = opened.GetPrimAtPath("/World").GetVariantSet("cousin")
+    files = {f"c{p.name[:6]}": p for p in (project / "out").glob("*.scene.yaml")}
+    assert sorted(choice.GetVariantNames()) == sorted([*files, "twin"])
+    for name, file in {**files, "twin": project / "table.scene.yaml"}.items():
+        choice.SetVariantSelection(name)
+        found = {p.GetName(): UsdGeom.Xformable(p) for p in opened.GetPrimAtPath("/World/Objects").GetChildren()}
+        scene = lower(load_scene(file))
+        assert set(found) == {o.name for o in scene.objects}
+        for item in scene.objects:
+            moved = found[item.name].ComputeLocalToWorldTransform(0)
+            assert tuple(moved.ExtractTranslation()) == pytest.approx(tuple(item.X_WO.p), abs=1e-6)
+            axis = moved.TransformDir((1.0, 2.0, 3.0))
+            assert tuple(axis) == pytest.approx(tuple(item.X_WO.rotation @ [1, 2, 3]), abs=1e-5)
