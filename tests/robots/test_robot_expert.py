@@ -44,9 +44,7 @@ horizon: 300
 """
 
 
-def test_the_expert_puts_a_cube_on_a_tray(
-    own_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_expert_puts_a_cube_on_a_tray(own_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(OWN_MODELS, str(own_models))
     (tmp_path / "tray.scene.yaml").write_text(SCENE)
     file = tmp_path / "cube_on_tray.task.yaml"
@@ -63,4 +61,4 @@ def test_the_expert_puts_a_cube_on_a_tray(
         apart = one.final.poses["cube"].p - one.final.poses["tray"].p
         assert abs(apart[:2]).max() < 0.05 and one.final.poses["cube"].p[2] == pytest.approx(0.04, abs=2e-3)
         short = rollout(replace(task, horizon=picked), start, expert, world, judge)  # the same again, as far as it goes
-        assert (short.actions == one.actions[: picked]).all() and short.end is End.HORIZON
+        assert (short.actions == one.actions[:picked]).all() and short.end is End.HORIZON

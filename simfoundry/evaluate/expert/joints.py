@@ -88,7 +88,7 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
     if plan is None:
         raise FailedError(f"{robot} finds no way to lead {target} by a handle")
     worker.share[robot] = plan.grasp.open
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
