@@ -32,7 +32,7 @@ class Asks:
 
 def asks_of(twin: Twin, axis: SceneAxis) -> Asks:
     """What an axis asks; raises :class:`ImpossibleError` with every reason that is certain. Found once for a twin."""
-    key = f"asks {axis.model_dump_json()}"
+    key = ("asks", axis.model_dump_json())
     if key not in twin.kept:
         twin.kept[key] = _asks(twin, axis)
     found = twin.kept[key]

@@ -7,17 +7,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-
 from simfoundry.cousins.layout import Layout
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.settling import MOST_S, Settled, settle_layout
 from simfoundry.cousins.twin import Twin
 from simfoundry.cousins.views import SEEN, best_view
-from simfoundry.predicates import Verdict
+from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import parse_call
+from simfoundry.spec.expressions import Condition, parse_call, parts
 
 PENETRATION = 0.001
 """Nothing overlaps deeper than this at rest [m]."""
@@ -55,7 +53,7 @@ def examine(twin: Twin, layout: Layout) -> Examined:
         reasons += _seen(twin, layout, settled.state, unchecked)
         clock.lap("view")
     if not reasons:
-        reasons += _reached(twin, layout, settled.state, unchecked)
+        reasons += _reached(twin, settled.state, unchecked)
         clock.lap("reach")
     poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
     return Examined(
@@ -91,20 +89,33 @@ def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
     """What is asked holds, the other relations still do, and the goal is still to be reached."""
-    for text in layout.asked:
+    batch = StateBatch.of(twin.scene, [state])
+    for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
             yield Reason(
                 "not_as_asked", f"{text} does not hold at rest: {verdict.why}", _numbers(margin=verdict.margin)
             )
-    for text in kept_relations(twin, layout.poses):
+    for text in _false(twin, kept_relations(twin, layout.poses), batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
             yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
-    if twin.goal is not None:
-        verdict = twin.judge(twin.goal, state)
-        if verdict.value:
-            yield Reason("goal_true", f"the goal is true already: {verdict.why}", _margin(verdict))
+    if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
+        yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
+
+
+def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
+    """All of some conditions where one of them is false; none where they all hold, as they mostly do."""
+    return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
+
+
+def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
+    """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
+    tag, below = parts(condition)
+    for one in below if tag == "all" else (condition,):
+        if not twin.judge.batch(one, batch)[0][0]:
+            return None
+    return twin.judge(condition, state)
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
@@ -128,24 +139,24 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
         unchecked.append("view: the scene has no camera that stands still")
         return
     for name in twin.task_objects or tuple(layout.poses):
-        shape = twin.shape(name, state.poses[name])
-        camera, share = best_view(cameras, shape.corners)
+        camera, share = best_view(cameras, twin.corners(name, state.poses[name])[0])
         if share < SEEN:
             text = f"only {share:.0%} of `{name}` is in the picture of `{camera}`, which has most; {SEEN:.0%} must be"
             yield Reason("out_of_view", text, _numbers(share=share))
 
 
-def _reached(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
     """What the task is about is within reach of an arm, by inverse kinematics."""
     if twin.reach.missing:
         unchecked.append(f"reach: {twin.reach.missing}")
         return
-    for name in twin.task_objects or tuple(layout.poses):
+    if twin.goal is None:
+        unchecked.append("reach: no task says which objects must be reached")
+        return
+    for name in twin.task_objects:
         if twin.scene.object(name).fixed:
             continue
-        shape = twin.shape(name, state.poses[name])
-        low, high = np.array([shape.extent(axis) for axis in np.eye(3)]).T
-        result = twin.reach(low, high)
+        result = twin.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
             text = (
                 f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"

@@ -31,7 +31,7 @@ def drop(
     shape = twin.shape(anchor, X_WA)
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
     low, high = (math.radians(v) for v in axis.yaw_deg)
-    others = sorted(set(table.there.owners) - {anchor})
+    others = [name for name in table.solid if name != anchor]
     counts, why = {"did not fit": 0, "did not lie as asked": 0, "met another thing": 0}, ""
     for _ in range(DROPS):
         table.tries += 1

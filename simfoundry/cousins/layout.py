@@ -21,7 +21,7 @@ from simfoundry.cousins.reasons import Reason, Rejected
 from simfoundry.cousins.shortage import no_room
 from simfoundry.cousins.sides import DROPPED
 from simfoundry.cousins.support import Support
-from simfoundry.cousins.table import Table, Thing, anywhere
+from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
 from simfoundry.predicates.batch import Poses, StateBatch, rotations
 from simfoundry.scene.frames import Array, Pose
@@ -70,7 +70,7 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
     reason: Reason | None = None
     tries = 0
     for _ in range(STARTS):
-        table = Table(twin, layout.poses, asks.order)
+        table = Table(twin, layout.poses, asks.order, asks.support)
         for name in asks.order:
             reason = _place(table, asks, axis, name, chosen[name], rng)
             if reason is not None:
@@ -94,18 +94,13 @@ def scatter(
     if support is None:
         raise TwinError(f"nothing of `{on or twin.ground}` is level, so nothing can be put on it")
     order = by_size(twin, names, support.name)
+    things = [Thing.of(twin, name, support.name, order) for name in order]
     reason: Reason | None = None
     tries = 0
     for _ in range(STARTS):
-        table, reason = Table(twin, layout.poses, order), None
-        for name in order:
-            thing = Thing.of(twin, name, support.name, order)
-            region = anywhere(thing, support)
-            found = table.find(thing, region, rng)
-            if found.spot is None:
-                reason = no_room(table, thing, support, found)
-                break
-            table.put(thing, region.z, found.spot)
+        table = Table(twin, layout.poses, order, support)
+        failed = table.put_all(things, support, rng)
+        reason = None if failed is None else no_room(table, failed[0], support, failed[1])
         tries += table.tries
         if reason is None:
             return layout.and_then(table, "", (), tries)
@@ -115,7 +110,7 @@ def scatter(
 
 def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
     """The largest shadow first; equal ones by name."""
-    areas = {name: twin.outline(name, twin.upright(name, on)).area for name in names}
+    areas = {name: Thing.of(twin, name, on).outline.area for name in names}
     return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
 
@@ -146,8 +141,8 @@ def _region(table: Table, thing: Thing, anchor: str, support: Support, axis: Sce
     shape = table.twin.shape(anchor, table.poses[anchor])
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
     reach = axis.gap[1] + thing.outline.radius
-    low = np.maximum(support.corners.min(axis=0), spans[:, 0] - reach)
-    high = np.minimum(support.corners.max(axis=0), spans[:, 1] + reach)
+    low = np.maximum(support.bounds[0], spans[:, 0] - reach)
+    high = np.minimum(support.bounds[1], spans[:, 1] + reach)
     turn = (math.radians(axis.yaw_deg[0]), math.radians(axis.yaw_deg[1]))
     return Region(low, np.maximum(low, high), turn, support, thing.height(support))
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import cmath
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
+
+Complex = NDArray[np.complex128]
 
 ROUND = 48
 """Corners of the polygon around the shadow of a ball."""
@@ -53,6 +57,21 @@ class Outline:
     def radius(self) -> float:
         """Of the circle about the centre of the rectangle that holds the shadow [m]."""
         return float(np.hypot(*self.spread).max())
+
+    @cached_property
+    def size(self) -> float:
+        """Of the circle around the rectangle [m]."""
+        return float(np.hypot(*self.half))
+
+    @cached_property
+    def middle(self) -> complex:
+        """The centre as x + iy [m]."""
+        return complex(*self.centre.tolist())
+
+    @cached_property
+    def turn(self) -> complex:
+        """The turn of the rectangle as a unit complex number."""
+        return cmath.rect(1.0, self.angle)
 
     @cached_property
     def area(self) -> float:

@@ -20,7 +20,7 @@ OVER = 0.10
 """How far above its grasp the hand comes down from [m]."""
 
 YAWS = 6
-"""Turns of the hand about z that are tried, over half a turn, and their opposites."""
+"""Turns of the hand about z that are tried."""
 
 DEEP = 0.03
 """How far below the top of a thing fingers take it [m], or at its middle where it is lower."""
@@ -99,13 +99,26 @@ class Reach:
 
     def _takes(self, arm: Arm, hand: Array) -> bool:
         """Whether the hand, which looks down, gets over its place and straight down to it."""
-        rng = np.random.default_rng(0)
+        starts = (_towards(arm, hand), arm.home)
         for k in range(YAWS):
-            for turn in (0.0, math.pi):
-                yaw = turn + math.pi * k / YAWS
-                c, s = math.cos(yaw), math.sin(yaw)
-                down = Pose.from_matrix(np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]))
-                over = arm.solve_any(Pose.of(hand + np.array([0.0, 0.0, OVER]), down.q), arm.home, rng)
-                if over is not None and arm.solve(Pose.of(hand, down.q), over) is not None:
+            yaw = 2 * math.pi * k / YAWS
+            c, s = math.cos(yaw), math.sin(yaw)
+            down = Pose.from_matrix(np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]))
+            over = Pose.of(hand + np.array([0.0, 0.0, OVER]), down.q)
+            for start in starts:
+                q = arm.solve(over, start)
+                if q is not None and arm.solve(Pose.of(hand, down.q), q) is not None:
                     return True
         return False
+
+
+def _towards(arm: Arm, hand: Array) -> Array:
+    """The home posture with the first joint turned so that the hand is on the side where it should go.
+
+    A good start where that joint stands upright, as it does in most arms, and no bad one elsewhere.
+    """
+    base, now = arm.robot.X_WB.p, arm.hand(arm.home).p
+    turn = math.atan2(hand[1] - base[1], hand[0] - base[0]) - math.atan2(now[1] - base[1], now[0] - base[0])
+    turned = np.array(arm.home)
+    turned[0] += math.remainder(turn, 2 * math.pi)
+    return np.asarray(np.clip(turned, arm.low, arm.high))

@@ -12,7 +12,7 @@ from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.predicates.batch import rotations
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.model import Link, Scene, SceneObject
 
 Index = NDArray[np.int64]
 
@@ -23,7 +23,7 @@ class Solids:
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
         import mujoco
 
-        bare = tuple(replace(o, links=tuple(replace(k, visuals=()) for k in o.links), variants=()) for o in items)
+        bare = tuple(replace(o, links=tuple(map(_bare, o.links)), variants=(), no_contact=()) for o in items)
         files = compile_mjcf(Scene("solids", frozen_array([0.0, 0.0, 0.0]), bare)).files
         assets = {path: data for path, data in files.items() if path.startswith("assets/")}
         self._distance = mujoco.mj_geomDistance
@@ -32,6 +32,7 @@ class Solids:
         self._own: dict[str, tuple[Index, Array, Array]] = {}
         self._boxes: dict[str, tuple[Array, Array]] = {}
         self._at: dict[str, tuple[Array, Array, Array]] = {}
+        self._waiting: dict[str, Pose] = {}
         for item in items:
             self._own[item.name] = self._in_frame(item, joints.get(item.name, {}))
             self.put(item.name, item.X_WO)
@@ -52,15 +53,22 @@ class Solids:
         return every, np.concatenate(p), np.concatenate(turned)
 
     def put(self, name: str, X_WO: Pose) -> None:
-        """Pose an object."""
+        """Pose an object; its parts follow when they are looked at."""
+        self._waiting[name] = X_WO
+
+    def _posed(self, name: str) -> tuple[Array, Array, Array]:
+        """Of the boxes around the parts: middles [m] (k, 3), rotations (k, 3, 3), radii of their balls [m] (k,)."""
+        X_WO = self._waiting.pop(name, None)
+        if X_WO is None:
+            return self._at[name]
         geoms, p, turned = self._own[name]
-        if not len(geoms):
-            return
         points, turns = X_WO.apply(p), X_WO.rotation @ turned
         self._data.geom_xpos[geoms] = points
         self._data.geom_xmat[geoms] = turns.reshape(-1, 9)
         middle, half = self._boxes[name]
-        self._at[name] = points + np.einsum("kij,kj->ki", turns, middle), turns, np.sqrt((half * half).sum(axis=1))
+        middles = points + np.einsum("kij,kj->ki", turns, middle)
+        self._at[name] = middles, turns, np.sqrt((half * half).sum(axis=1))
+        return self._at[name]
 
     def meet(self, a: str, b: str, gap: float) -> bool:
         """Whether two objects are nearer to each other than ``gap`` [m], or overlap."""
@@ -83,9 +91,9 @@ class Solids:
 
     def _near(self, a: str, b: str, far: float) -> Iterator[tuple[int, int, float]]:
         """Pairs of parts whose bounds are nearer than ``far``, from the nearest, with the least that they are apart."""
-        if a not in self._at or b not in self._at:
+        if not len(self._own[a][0]) or not len(self._own[b][0]):
             return
-        (middle_a, turn_a, size_a), (middle_b, turn_b, size_b) = self._at[a], self._at[b]
+        (middle_a, turn_a, size_a), (middle_b, turn_b, size_b) = self._posed(a), self._posed(b)
         off = middle_b[None] - middle_a[:, None]
         between = np.sqrt((off * off).sum(axis=2)) - size_a[:, None] - size_b
         i, j = np.nonzero(between < far)
@@ -99,6 +107,14 @@ class Solids:
         kept = np.flatnonzero(bound < far)
         for k in kept[np.argsort(bound[kept], kind="stable")]:
             yield int(i[k]), int(j[k]), float(bound[k])
+
+
+def _bare(link: Link) -> Link:
+    """The link as mere shape: with one surface for all, no pair of parts needs a line of its own in the model."""
+    colliders = tuple(
+        replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
+    )
+    return replace(link, visuals=(), colliders=colliders)
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.cousins.outline import Outline, hull
+from simfoundry.cousins.outline import Complex, hull
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
 
@@ -39,6 +39,11 @@ class Support:
     plain: bool
 
     @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner [m], shape (2,) each."""
+        return self.corners.min(axis=0), self.corners.max(axis=0)
+
+    @cached_property
     def normals(self) -> Array:
         """Outward unit normals of the sides of the hull, shape (m, 2)."""
         edges = np.roll(self.corners, -1, axis=0) - self.corners
@@ -50,22 +55,28 @@ class Support:
         """Of the sides along their normals [m], shape (m,)."""
         return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
 
-    def holds(self, x: Array, y: Array, cos: Array, sin: Array, outline: Outline) -> NDArray[np.bool_]:
-        """Whether the whole shadow is over the level, (n,), its rectangle's centre at x, y [m] and turned about z."""
-        nx, ny = self.normals.T
-        turned = np.stack([np.outer(cos, nx) + np.outer(sin, ny), np.outer(cos, ny) - np.outer(sin, nx)], axis=-1)
-        reach = (turned @ outline.spread).max(axis=-1)
-        within = (np.outer(x, nx) + np.outer(y, ny) + reach <= self.offsets).all(axis=1)
-        if self.plane is None or not within.any():
-            return np.asarray(within)
-        import shapely
+    def holds(self, centre: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
+        """Whether whole shadows are over the level, (n,).
 
-        sx, sy = outline.spread
-        px = x[:, None] + np.outer(cos, sx) - np.outer(sin, sy)
-        py = y[:, None] + np.outer(sin, sx) + np.outer(cos, sy)
-        shadows = shapely.polygons(np.stack([px, py], axis=-1)[within])
-        within[within] = shapely.covers(self.plane, shadows)
-        return np.asarray(within)
+        The centres of their rectangles [m], (n, 2); their turns about z as unit complex numbers, (n,); and the
+        :attr:`Outline.spread` of one for all, (2, m), or of each, (n, 2, m).
+        """
+        # Sides turned back into the thing's frame, where the shadow's farthest corner along each is found.
+        sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
+        reach = (sides @ spread).max(axis=-1)
+        within: NDArray[np.bool_] = (centre @ self.normals.T + reach <= self.offsets).all(axis=1)
+        if self.plane is not None and within.any():
+            import shapely
+
+            each = np.broadcast_to(spread, (len(turn), *spread.shape[-2:]))[within]
+            corners = (each[:, 0] + 1j * each[:, 1]) * turn[within, None]
+            points = corners.view(np.float64).reshape(*corners.shape, 2) + centre[within, None]
+            within[within] = shapely.covers(self.plane, shapely.polygons(points))
+        return within
+
+    @cached_property
+    def _sides(self) -> Complex:
+        return np.ascontiguousarray(self.normals).view(np.complex128)[:, 0]
 
 
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:

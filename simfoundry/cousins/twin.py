@@ -17,7 +17,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
 from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import IDENTITY, Pose, quat_from_rpy
+from simfoundry.scene.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint, Scene, SceneObject
@@ -54,7 +54,7 @@ class Twin:
     robots: tuple[str, ...]
     carried: Mapping[str, tuple[str, ...]]
     absent: frozenset[str] = frozenset()
-    kept: dict[str, Any] = field(default_factory=dict, repr=False)
+    kept: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def load(cls, path: Path, cache: Cache | None = None) -> Twin:
@@ -148,7 +148,7 @@ class Twin:
 
     def item(self, name: str) -> SceneObject:
         """An object with its joints as in :attr:`state`, at the origin."""
-        key = f"item {name}"
+        key = ("item", name)
         if key not in self.kept:
             item = self.scene.object(name)
             at = self.state.of_object(item)
@@ -159,7 +159,7 @@ class Twin:
 
     def item_at(self, name: str, X_WO: Pose) -> SceneObject:
         """An object where it is put; the same one each time, so that what is measured on it is measured once."""
-        key = f"item {name} {X_WO.p.tolist()} {X_WO.q.tolist()}"
+        key = ("item", name, *X_WO.p.tolist(), *X_WO.q.tolist())
         if key not in self.kept:
             self.kept[key] = replace(self.item(name), X_WO=X_WO)
         found: SceneObject = self.kept[key]
@@ -167,16 +167,27 @@ class Twin:
 
     def shape(self, name: str, X_WO: Pose = IDENTITY) -> Hulls:
         """The convex parts of an object whose frame is at ``X_WO``."""
-        if X_WO is not self.state.poses.get(name):
+        kept = X_WO is IDENTITY or X_WO is self.state.poses.get(name)
+        if not kept:
             return hulls(replace(self.item(name), X_WO=X_WO))
-        if (key := f"shape {name}") not in self.kept:
+        if (key := ("shape", name, X_WO is IDENTITY)) not in self.kept:
             self.kept[key] = hulls(replace(self.item(name), X_WO=X_WO))
         found: Hulls = self.kept[key]
         return found
 
+    def corners(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
+        """Corners of an object's parts where it is put [m], shape (n, 3), and their rounding [m], (n,)."""
+        shape = self.shape(name)
+        return X_WO.apply(shape.corners), shape.radius[shape.part]
+
+    def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
+        """Lowest and highest corner in the world [m], shape (3,) each, of an object where it is put."""
+        corners, radius = self.corners(name, X_WO)
+        return (corners - radius[:, None]).min(axis=0), (corners + radius[:, None]).max(axis=0)
+
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
         """The shadow of each link of an object or a robot where it stands, in the world."""
-        key = f"shadows {name}"
+        key = ("shadows", name)
         robot = {item.name: item for item in self.robot_items}.get(name)
         kept = robot is not None or X_WO is self.state.poses.get(name)
         if kept and key in self.kept:
@@ -206,16 +217,19 @@ class Twin:
 
     def riders(self, name: str) -> tuple[str, ...]:
         """What moves along with an object: all that rests on nothing but it and other riders, in the scene's order."""
-        moving = {name}
-        while True:
-            more = {n for n, below in self.carried.items() if n not in moving and below and set(below) <= moving}
-            if not more:
-                return tuple(o.name for o in self.scene.objects if o.name in moving and o.name != name)
-            moving |= more
+        key = ("riders", name)
+        if key not in self.kept:
+            moving, more = set[str](), {name}
+            while more:
+                moving |= more
+                more = {n for n, below in self.carried.items() if n not in moving and below and set(below) <= moving}
+            self.kept[key] = tuple(o.name for o in self.scene.objects if o.name in moving - {name})
+        found: tuple[str, ...] = self.kept[key]
+        return found
 
     def support(self, name: str, near: float | None = None) -> Support | None:
         """The level of an object, where it is, at the height ``near`` [m]; None where nothing of it is level."""
-        key = f"support {name} {near}"
+        key = ("support", name, near)
         if key not in self.kept:
             self.kept[key] = support_of(name, self.shape(name, self.state.poses[name]), near)
         found: Support | None = self.kept[key]
@@ -223,7 +237,7 @@ class Twin:
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
         """The shadow of a thing, with what rides on it, ``upright`` at the origin."""
-        key = f"outline {name} {upright.q.tolist()} {tuple(along)}"
+        key = ("outline", name, *upright.q.tolist(), *along)
         if key not in self.kept:
             back = upright @ self.state.poses[name].inverse()
             shapes = [self.shape(name, upright), *(self.shape(n, back @ self.state.poses[n]) for n in along)]

@@ -22,8 +22,8 @@ STANDOFF = 0.09
 LIFT = 0.12
 """How high a thing is lifted before it is carried away [m]."""
 
-ABOVE = 0.08
-"""How far above its place a thing comes [m]."""
+ABOVE = 0.12
+"""How far above its place a thing comes [m]: what goes into a cup comes over its rim."""
 
 DROP = 0.006
 """How high above its place a thing is let go [m]."""
@@ -69,7 +69,7 @@ def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) ->
     if plan is None:
         raise FailedError(f"{robot} finds no grasp of {name}")
     worker.share[robot] = plan.grasp.open
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
@@ -92,14 +92,14 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
     item = worker.scene.object(name)
     center = center_of_mass(item, state.poses[name])
     q = worker.q[robot]
-    for tilts in ((0.0,), (0.35, 0.7)):
+    for spare, tilts in ((SPARE, (0.0,)), (0.002, (0.0,)), (0.002, (0.35, 0.7))):
         tried = 0
         for grasp in grasps(solid(item, state), center, reach.jaws, down(tilts)):
             held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
             worker.cell.put(name, state.poses[name])
             if not _hand_fits(reach, grasp, name):
                 continue
-            fitting = None if places is None else _fitting(reach, grasp, held, places)
+            fitting = None if places is None else _fitting(reach, grasp, held, places, spare)
             worker.cell.put(name, state.poses[name])
             plan = _reached(reach, q, grasp, name) if fitting is None or fitting else None
             if plan is None:
@@ -125,7 +125,7 @@ def _hand_fits(reach: Reach, grasp: Grasp, name: str) -> bool:
     return not cell.hand_clash(robot, grasp.X_WH, gap=0.001, ignore=name)
 
 
-def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt]) -> list[PlaceAt]:
+def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
     """The places at which the hand alone, with the thing in it, has room."""
     cell, robot = reach.cell, reach.name
     cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
@@ -133,7 +133,7 @@ def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt]) -> l
     for place in places:
         X_WO = _over(place.X_WO, DROP)
         cell.put(held.name, X_WO)
-        if not cell.hand_clash(robot, X_WO @ held.X_HO.inverse(), held.name, gap=SPARE):
+        if not cell.hand_clash(robot, X_WO @ held.X_HO.inverse(), held.name, gap=spare):
             found.append(place)
             if len(found) >= CHECKED:
                 break
@@ -180,7 +180,7 @@ def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
     plan = plan_put(worker, robot, places)
     if plan is None:
         raise FailedError(f"{robot} finds no place for {held.name}")
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, corrected(worker, robot, plan), CAREFUL)
     yield from worker.settle(robot)

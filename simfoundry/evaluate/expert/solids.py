@@ -134,13 +134,15 @@ def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array)
         else:
             spans.append((float(entry[k]), float(leave[k]), int(k), int(k)))
     return [
-        Span(start, end, min(-_slope(shape, room, slope, a, start), _slope(shape, room, slope, b, end)))
+        Span(start, end, min(_facing(shape, room, slope, a, start, -1.0), _facing(shape, room, slope, b, end, 1.0)))
         for start, end, a, b in spans
     ]
 
 
-def _slope(shape: Solid, room: Array, slope: Array, part: int, at: float) -> float:
-    """The cosine between the line and the face of a part that it goes through at ``at`` [m]."""
+def _facing(shape: Solid, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
+    """How much the face of a part looks along a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
     end = shape.first[part + 1] if part + 1 < len(shape.first) else len(room)
     rows = slice(int(shape.first[part]), int(end))
-    return float(slope[rows][np.abs(room[rows] - slope[rows] * at).argmin()])
+    through = sign * slope[rows]
+    off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)
+    return float(through[off.argmin()])
