@@ -95,6 +95,8 @@ def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, own_scene: b
     data = to_data(spec)
     data["name"] = named(recipe, index)
     data["scene"] = file_of(index, "scene") if own_scene else relative(recipe.scene.path, out)
+    if own_scene:  # where things may start was found in the twin's layout
+        data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
     return write_tree(plain_tree(data), TaskSpec)
 

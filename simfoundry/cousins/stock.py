@@ -61,7 +61,19 @@ class Stock:
 
 def stock_of(recipe: Recipe, out: Path, twin: Twin) -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
-    return Stock(references=references(recipe.distractors, recipe.scene.root, out))
+    tasks = _tasks(recipe, twin)
+    alone = not (recipe.spec.scene or recipe.spec.object or recipe.spec.distractors)
+    things = references(recipe.distractors, recipe.scene.root, out)
+    return Stock(references=things, tasks=tasks, most=len(tasks) if tasks and alone else None)
+
+
+def _tasks(recipe: Recipe, twin: Twin) -> tuple[TaskChoice, ...]:
+    """The tasks of the recipe's axis, proved in the twin."""
+    if recipe.spec.task is None:
+        return ()
+    from simfoundry.cousins.tasks.choices import task_cousins
+
+    return task_cousins(twin, recipe.scene_spec, recipe.spec.task, recipe.seed, recipe.scene.path.name)[0]
 
 
 def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
