@@ -38,8 +38,15 @@ class Choice:
 class TaskChoice(Protocol):
     """A task that cousins may have."""
 
-    spec: TaskSpec
-    goal: str
+    @property
+    def spec(self) -> TaskSpec:
+        """Its document."""
+        ...
+
+    @property
+    def goal(self) -> str:
+        """What it asks for, as text."""
+        ...
 
     def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
         """Why it is no task in a scene as it stands; empty where it is one."""
