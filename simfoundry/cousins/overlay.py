@@ -90,9 +90,12 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
 def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
     """The text of a task of its own, in the scene cousin of the same index, or in the twin's scene.
 
-    It starts as the twin does, but for what the cousin ``moved``.
+    It starts as the twin does, but for what the cousin ``moved``; in a scene of its own, as that stands: its regions
+    are free of the twin's things.
     """
     data = to_data(spec)
+    if own_scene:
+        data.pop("reset", None)
     if recipe.task_spec is not None:
         start = to_data(recipe.task_spec.start)
         kept = {key: {n: v for n, v in start.get(key, {}).items() if n not in moved} for key in ("place", "pose")}
