@@ -12,7 +12,7 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.settling import MOST_S, Settled, settle_layout
 from simfoundry.cousins.twin import Twin
 from simfoundry.cousins.views import SEEN, best_view
-from simfoundry.predicates import Verdict
+from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.expressions import Condition, parse_call, parts
@@ -89,27 +89,33 @@ def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
 
 def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
     """What is asked holds, the other relations still do, and the goal is still to be reached."""
-    for text in layout.asked:
+    batch = StateBatch.of(twin.scene, [state])
+    for text in _false(twin, layout.asked, batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
             yield Reason(
                 "not_as_asked", f"{text} does not hold at rest: {verdict.why}", _numbers(margin=verdict.margin)
             )
-    for text in kept_relations(twin, layout.poses):
+    for text in _false(twin, kept_relations(twin, layout.poses), batch):
         verdict = twin.judge(text, state)
         if not verdict.value:
             yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
-    if twin.goal is not None and (goal := _true(twin, twin.goal, state)) is not None:
+    if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
         yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
 
 
-def _true(twin: Twin, condition: Condition, state: SceneState) -> Verdict | None:
+def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
+    """All of some conditions where one of them is false; none where they all hold, as they mostly do."""
+    return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
+
+
+def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
     """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
     tag, below = parts(condition)
-    if tag == "all" and any(not twin.judge(one, state).value for one in below[:-1]):
-        return None
-    verdict = twin.judge(condition, state)
-    return verdict if verdict.value else None
+    for one in below if tag == "all" else (condition,):
+        if not twin.judge.batch(one, batch)[0][0]:
+            return None
+    return twin.judge(condition, state)
 
 
 def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:

@@ -1,9 +1,9 @@
 """Places for things by rejection: uniform over all that is allowed, however that is shaped.
 
 Positions and turns are drawn uniformly over a rectangle that holds every allowed one, many at once; the first that
-passes every test is taken. So each allowed place is as likely as any other. Demands, from cheap to dear: the whole shadow
-is over the support; no rectangle of what stands there is met, which is exact for boxes; what else is asked of the pose,
-on all that are left together; the real convex parts, one candidate after the other, where rectangles overlap.
+passes every test is taken. So each allowed place is as likely as any other. Tests, in their order: the whole shadow is
+over the support; what is asked of the pose, on all that are left together; no rectangle of what stands there is met,
+which is exact for boxes; the real convex parts, one candidate after the other, where rectangles overlap.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from simfoundry.scene.frames import Array
 TRIES = 4096
 """Candidates until a thing counts as not placeable among what stands there."""
 
-FIRST, MOST = 4, 1024
-"""Candidates that are looked at together: first, and at most; more each time."""
+FIRST, FIRST_JUDGED, MOST = 4, 64, 1024
+"""Candidates that are looked at together: first, also where they are judged, and at most; more each time."""
 
 NEAR_LEVEL = 0.02
 """What is lowest within this [m] of a level stands on it."""
@@ -186,7 +186,7 @@ def find(
 ) -> Found:
     """A place for a thing in a region, uniform over all that pass every test; of at most ``tries`` candidates."""
     tried = standing = permitted = 0
-    size, offset = FIRST, outline.middle
+    size, offset = FIRST if demands.allowed is None else FIRST_JUDGED, outline.middle
     while tried < tries:
         centre, yaw = region.draw(rng, size)
         turn = np.exp(1j * yaw)

@@ -12,7 +12,7 @@ from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.predicates.batch import rotations
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.model import Link, Scene, SceneObject
 
 Index = NDArray[np.int64]
 
@@ -23,7 +23,7 @@ class Solids:
     def __init__(self, items: tuple[SceneObject, ...], joints: Mapping[str, Mapping[str, float | Pose]]) -> None:
         import mujoco
 
-        bare = tuple(replace(o, links=tuple(replace(k, visuals=()) for k in o.links), variants=()) for o in items)
+        bare = tuple(replace(o, links=tuple(map(_bare, o.links)), variants=(), no_contact=()) for o in items)
         files = compile_mjcf(Scene("solids", frozen_array([0.0, 0.0, 0.0]), bare)).files
         assets = {path: data for path, data in files.items() if path.startswith("assets/")}
         self._distance = mujoco.mj_geomDistance
@@ -107,6 +107,14 @@ class Solids:
         kept = np.flatnonzero(bound < far)
         for k in kept[np.argsort(bound[kept], kind="stable")]:
             yield int(i[k]), int(j[k]), float(bound[k])
+
+
+def _bare(link: Link) -> Link:
+    """The link as mere shape: with one surface for all, no pair of parts needs a line of its own in the model."""
+    colliders = tuple(
+        replace(c, friction=1.0, restitution=0.0, torsional_friction=0.0, rolling_friction=0.0) for c in link.colliders
+    )
+    return replace(link, visuals=(), colliders=colliders)
 
 
 def _beyond(off: Array, turn: Array, half: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.cousins.crowd import EACH, place_together
 from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.placing import Allowed, Found, Region, Demands, There, find
+from simfoundry.cousins.placing import Allowed, Demands, Found, Region, There, find
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.frames import Pose
