@@ -65,22 +65,24 @@ class Stock:
     tasks: tuple[TaskChoice, ...] = ()
     most: int | None = None
 
+    def combination(self, k: int) -> dict[str, Choice]:
+        """Combination ``k`` of choices, from 0 on; each comes once before one comes again."""
+        found = {}
+        for name, of in self.choices.items():
+            k, digit = divmod(k, len(of))
+            found[name] = of[digit]
+        return found
 
-def stock_of(recipe: Recipe, out: Path, twin: Twin) -> Stock:
+
+def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
-    tasks = _tasks(recipe, twin)
-    alone = not (recipe.spec.scene or recipe.spec.object or recipe.spec.distractors)
-    things = references(recipe.distractors, recipe.scene.root, out)
-    return Stock(references=things, tasks=tasks, most=len(tasks) if tasks and alone else None)
+    from simfoundry.cousins.stock_tasks import tasks_of
 
-
-def _tasks(recipe: Recipe, twin: Twin) -> tuple[TaskChoice, ...]:
-    """The tasks of the recipe's axis, proved in the twin."""
-    if recipe.spec.task is None:
-        return ()
-    from simfoundry.cousins.tasks.choices import task_cousins
-
-    return task_cousins(twin, recipe.scene_spec, recipe.spec.task, recipe.seed, recipe.scene.path.name)[0]
+    tasks = tasks_of(recipe, out, twin, vlm)
+    most = None
+    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
+        most = max(1, len(tasks))
+    return Stock(references=references(recipe.distractors, recipe.scene.root, out), tasks=tasks, most=most)
 
 
 def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
