@@ -96,7 +96,7 @@ def _grid(name: str, records: Sequence[Mapping[str, Any]]) -> str:
     rows, columns = (max(record["grid"][k] for record in here) for k in (0, 1))
     side = 20
     shapes = [
-        f"<rect x='{side * k}' y='{side * i}' width='{side - 1}' height='{side - 1}' rx='3' fill='#9aa4af' opacity='.18'/>"
+        f"<rect x='{side * k}' y='{side * i}' width='{side - 1}' height='{side - 1}' rx='3' fill='#9aa4af33'/>"
         for i in range(rows)
         for k in range(columns)
     ]

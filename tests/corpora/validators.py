@@ -1,9 +1,9 @@
 """Every build of ``specs/`` before the validators of others: ``python -m tests.corpora.validators``.
 
 - USD's own (``UsdValidation``, all that are registered) on each stage and on each object of OmniGibson.
-- NVIDIA's asset validator on the same files, but for stages with a robot once for each robot, and for objects that are
-  the same in many scenes once. It warns of the robots' own meshes. It is found as ``omni_asset_validate`` on the path
-  or by ``SIMFOUNDRY_OMNI``.
+- NVIDIA's asset validator on the same files, but with each robot once, all other stages without theirs, and what is the
+  same in many builds once. It warns of the robots' own meshes. It is found as ``omni_asset_validate`` on the path or by
+  ``SIMFOUNDRY_OMNI``.
 - ``check_urdf`` on each URDF. Capsules and ball joints, which only PyBullet knows, are other words to it.
 - MuJoCo: no warning on loading and in one second of steps.
 
@@ -19,7 +19,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from simfoundry.scene.lower import lower_file
@@ -29,6 +30,9 @@ from tests.specs.documents import SCENES, SPECS, name_of
 from tests.targets.everything import LIGHTS, write_everything
 
 TARGETS = ("usd", "isaaclab", "omnigibson", "urdf", "pybullet", "mjcf", "mjx")
+ALONE = "usd_without_robots"
+"""Where the stage without its robots goes, which the asset validator sees of every scene."""
+
 DESK = SPECS / "captures" / "desk" / "desk.scene.yaml"
 OMNI = "SIMFOUNDRY_OMNI"
 INSTALL = {
@@ -58,7 +62,7 @@ def main() -> int:
     }
     print(f"{'scene':<18}" + "".join(f"{name + ' (files)':>24}" for name in validators))
     failures: list[str] = []
-    seen: set[tuple[str, ...] | bytes] = set()
+    seen: set[tuple[str, ...] | bytes] = set()  # robots, and layers
     with tempfile.TemporaryDirectory() as folder:
         for path in (write_everything(Path(folder), *LIGHTS, "background_mesh"), DESK, *SCENES):
             if sys.argv[1:] and name_of(path) not in sys.argv[1:]:
@@ -71,14 +75,25 @@ def main() -> int:
                 for name, (validator, suffix) in validators.items():
                     files = sorted(file for file in Path(build).rglob(f"*{suffix}") if is_ours(file, Path(build)))
                     if name == "asset validator":
-                        files = [file for file in files if not (robots and file.name == "environment.usda")]
-                        files = [file for file in files if not (heavy and file.name == "scene.usda")]
-                        files = [file for file in files if file.read_bytes() not in seen]
-                        seen |= {file.read_bytes() for file in files if file.parent.name == "objects"}
+                        files = _unseen(files, bool(robots), heavy, seen)
                     cells.append(_run(validator, files, Path(build), failures, f"{name_of(path)}: {name}"))
             print(f"{name_of(path):<18}" + "".join(f"{cell:>24}" for cell in cells), flush=True)
     print("\n".join(failures) or "no error")
     return 1 if failures or None in tools.values() else 0
+
+
+def _unseen(files: Sequence[Path], robots: bool, known: bool, seen: set[tuple[str, ...] | bytes]) -> list[Path]:
+    """The stages that are unlike all before; of a scene with ``robots`` that are ``known`` only what has none."""
+    out = []
+    for file in files:
+        stage = file.name in ("scene.usda", "environment.usda") and file.parent.name != ALONE
+        if (stage and known) or (robots and file.name == "environment.usda"):
+            continue
+        data = file.read_bytes()
+        if data not in seen or file.name == "environment.usda":  # which says nothing but which stage it is over
+            out.append(file)
+        seen.add(data)
+    return out
 
 
 def _run(validator: Validator | None, files: Iterable[Path], build: Path, failures: list[str], what: str) -> str:
@@ -95,6 +110,9 @@ def built(path: Path, folder: Path) -> tuple[str, ...]:
     scene = lower_file(path)
     for name in TARGETS:
         compile_target(scene, find_target(name)).write(folder / name)
+    if scene.robots:
+        bare = replace(scene, robots=(), mounted=())
+        compile_target(bare, find_target("usd")).write(folder / ALONE)
     return tuple(sorted({str(model.file) for robot in scene.robots for model in robot.models.values()}))
 
 

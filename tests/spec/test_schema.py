@@ -138,7 +138,7 @@ KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
     *("grid", "count", "seed", "together", "names", "invalid", "background", "horizon", "least", "most"),
-    *("open", "closed", "threshold", "retries"),
+    *("open", "closed", "threshold", "retries", "index"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
 

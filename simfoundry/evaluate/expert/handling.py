@@ -69,7 +69,7 @@ def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) ->
     if plan is None:
         raise FailedError(f"{robot} finds no grasp of {name}")
     worker.share[robot] = plan.grasp.open
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
@@ -180,7 +180,7 @@ def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
     plan = plan_put(worker, robot, places)
     if plan is None:
         raise FailedError(f"{robot} finds no place for {held.name}")
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, corrected(worker, robot, plan), CAREFUL)
     yield from worker.settle(robot)

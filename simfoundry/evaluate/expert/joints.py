@@ -9,6 +9,7 @@ import numpy as np
 
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
+from simfoundry.evaluate.expert.jaws import Jaws
 from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import at_state
 from simfoundry.evaluate.expert.reach import Path, Reach
@@ -31,6 +32,9 @@ STEP = 0.02
 OUTER = 0.02
 """What of a link is this near [m] to its outermost point, the way that it opens, is looked at as its handle."""
 
+SLANTS = (0.0, 0.4, 0.8, 1.2)
+"""How far below the level a hand comes to a handle from its front [rad]."""
+
 TRIES = 80
 
 
@@ -43,6 +47,17 @@ class LeadPlan:
     down: Path
     along: Path
     back: Path
+
+
+@dataclass(frozen=True, eq=False)
+class _Leading:
+    """What is led: a joint of an item in a state, from ``now`` to ``goal`` [rad or m]."""
+
+    item: SceneObject
+    state: SceneState
+    joint: Joint
+    now: float
+    goal: float
 
 
 def joint_of(item: SceneObject, name: str) -> Joint:
@@ -73,7 +88,7 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
     if plan is None:
         raise FailedError(f"{robot} finds no way to lead {target} by a handle")
     worker.share[robot] = plan.grasp.open
-    yield from worker.follow(robot, plan.to)
+    yield from worker.go(robot, plan.to)
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
@@ -87,39 +102,49 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
 
 def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
     """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
-    reach, state, q = worker.reaches[robot], worker.now.state, worker.q[robot]
-    now = state.joints[f"{item.name}.{joint.name}"]
-    shape = solid(item, state, [joint.child])
-    closed, opened = ends(joint)
-    outward = _motion(item, state, joint, now, now + math.copysign(1e-3, opened - closed))
-    way = outward.apply(shape.corners) - shape.corners
-    fastest = np.linalg.norm(way, axis=1)
-    heading = way[int(fastest.argmax())] / fastest.max()
-    front = heading if joint.type is JointType.PRISMATIC else _away(item, state, joint, shape.corners)
-    along = shape.corners @ front
-    handle = shape.corners[along > along.max() - OUTER].mean(axis=0)
-    level = -front * [1.0, 1.0, 0.0]
-    level /= max(float(np.linalg.norm(level)), 1e-9)
-    slanted = [math.cos(t) * level - math.sin(t) * np.array([0.0, 0.0, 1.0]) for t in (0.0, 0.4, 0.8, 1.2)]
+    reach, state = worker.reaches[robot], worker.now.state
+    leading = _Leading(item, state, joint, state.joints[f"{item.name}.{joint.name}"], goal)
     tried = 0
-    outermost = float(along.max()) - OUTER
-    grip = solid(item, state, [joint.child], lambda corners: float((corners @ front).max()) > outermost)
-    for grasp in grasps(grip, handle, reach.jaws, [*slanted, *down()]):
+    for grasp in handle_grasps(item, state, joint, reach.jaws):
         reach.cell.pose(robot, reach.arm.home, grasp.open)
         if reach.cell.hand_clash(robot, grasp.X_WH, gap=0.001):
             continue
         tried += 1
         if tried > TRIES:
             return None
-        plan = _led(reach, q, grasp, item, state, joint, now, goal)
+        plan = _led(reach, worker.q[robot], grasp, leading)
         if plan is not None:
             return plan
     return None
 
 
-def _led(
-    reach: Reach, q: Array, grasp: Grasp, item: SceneObject, state: SceneState, joint: Joint, now: float, goal: float
-) -> LeadPlan | None:
+def handle_grasps(item: SceneObject, state: SceneState, joint: Joint, jaws: Jaws) -> list[Grasp]:
+    """Grasps of what stands out of a joint's child, from the front, slanted and from above, from the best."""
+    shape = solid(item, state, [joint.child])
+    front = _front(item, state, joint, shape.corners)
+    along = shape.corners @ front
+    outermost = float(along.max()) - OUTER
+    handle = shape.corners[along > outermost].mean(axis=0)
+    level = -front * [1.0, 1.0, 0.0]
+    level /= max(float(np.linalg.norm(level)), 1e-9)
+    slanted = [math.cos(t) * level - math.sin(t) * np.array([0.0, 0.0, 1.0]) for t in SLANTS]
+    grip = solid(item, state, [joint.child], lambda corners: float((corners @ front).max()) > outermost)
+    return grasps(grip, handle, jaws, [*slanted, *down()])
+
+
+def _front(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -> Array:
+    """The direction in which a handle stands out: that of a drawer's way, or away from a hinge."""
+    if joint.type is not JointType.PRISMATIC:
+        return _away(item, state, joint, corners)
+    now = state.joints[f"{item.name}.{joint.name}"]
+    closed, opened = ends(joint)
+    outward = _motion(item, state, joint, now, now + math.copysign(1e-3, opened - closed))
+    way = outward.apply(corners[:1])[0] - corners[0]
+    return np.asarray(way / np.linalg.norm(way))
+
+
+def _led(reach: Reach, q: Array, grasp: Grasp, leading: _Leading) -> LeadPlan | None:
+    """The ways of the arm from ``q`` to a grasp, along the joint, and back."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
     start = reach.arm.solve_any(before, q, reach.rng)
     if start is None or not reach.clear(start, grasp.open):
@@ -127,20 +152,29 @@ def _led(
     to = reach.line(start, grasp.X_WH, grasp.open, gap=0.001)
     if to is None:
         return None
-    held = reach.jaws.at_width(grasp.width)[0]
+    along = _along(reach, to[-1], grasp, leading)
+    if along is None:
+        return None
+    end, name = reach.arm.hand(along[-1]), leading.item.name
+    back = reach.line(along[-1], Pose.of(end.p - STANDOFF * end.rotation[:, 2], end.q), grasp.open, ignore=[name])
+    way = reach.way(q, start, grasp.open) if back is not None else None
+    return None if back is None or way is None else LeadPlan(grasp, way, to, along, back)
+
+
+def _along(reach: Reach, q: Array, grasp: Grasp, leading: _Leading) -> Path | None:
+    """Postures in which the hand goes with the joint, a little past its closed end; None where it cannot."""
+    item, joint, now, goal = leading.item, leading.joint, leading.now, leading.goal
     far = goal + math.copysign(BEYOND, goal - now) if abs(goal - ends(joint)[0]) < 1e-9 else goal
+    held = reach.jaws.at_width(grasp.width)[0]
     count = max(1, math.ceil(abs(far - now) / STEP))
-    along: Path = [to[-1]]
+    along: Path = [q]
     for k in range(1, count + 1):
-        X_WH = _motion(item, state, joint, now, now + (far - now) * k / count) @ grasp.X_WH
+        X_WH = _motion(item, leading.state, joint, now, now + (far - now) * k / count) @ grasp.X_WH
         part = reach.line(along[-1], X_WH, held, ignore=[item.name])
         if part is None:
             return None
         along += part[1:]
-    end = reach.arm.hand(along[-1])
-    back = reach.line(along[-1], Pose.of(end.p - STANDOFF * end.rotation[:, 2], end.q), grasp.open, ignore=[item.name])
-    way = reach.way(q, start, grasp.open) if back is not None else None
-    return None if back is None or way is None else LeadPlan(grasp, way, to, along, back)
+    return along
 
 
 def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:

@@ -82,12 +82,3 @@ def _of(condition: Condition) -> Iterator[Step]:
             yield from _of(item)
     elif kind == "any" and below:
         yield from _of(below[0])
-
-
-def hands_for(goal: Condition, subtasks: Mapping[str, Asked], thing: str) -> tuple[str, ...]:
-    """The robots that the task names as holding a thing, in its order."""
-    named: list[str] = []
-    for condition in (*(subtask.goal for subtask in subtasks.values()), goal):
-        picks = (step for step in _of(condition) if step.skill is Skill.PICK)
-        named += [step.args[1] for step in picks if step.args[0] == thing and len(step.args) > 1]
-    return tuple(dict.fromkeys(named))

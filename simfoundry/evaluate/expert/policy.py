@@ -24,6 +24,9 @@ CHUNK = 3
 ATTEMPTS = 4
 """How often a step is tried before the next is."""
 
+PAUSE = 1.0
+"""How long it waits after a failure before it looks again [s]."""
+
 
 class Expert:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
@@ -120,7 +123,7 @@ class Expert:
         return [place for place, good in zip(found, holds, strict=True) if good]
 
     def _recover(self) -> Script:
-        """Let go, and back to where the arm began."""
+        """Let go, and back to where the arm began; then a look at what has come to rest."""
         worker = self._worker
         for robot, reach in worker.reaches.items():
             worker.held.pop(robot, None)
@@ -128,3 +131,4 @@ class Expert:
             worker.sync()
             way = reach.way(worker.q[robot], reach.arm.home, 0.0)
             yield from worker.follow(robot, way or [worker.q[robot], reach.arm.home])
+        yield from worker.wait(PAUSE)

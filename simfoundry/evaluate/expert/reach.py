@@ -30,6 +30,9 @@ FINE = 0.08
 GAP = 0.004
 """What moves freely stays this far from everything [m]."""
 
+WIDE = 0.02
+"""And on its way this far where it can: the joints lag behind their targets, each in its own way, and cut corners."""
+
 NODES, STRIDE = 1500, 0.3
 """How many postures a search tries, and how far it steps [rad]."""
 
@@ -85,18 +88,21 @@ class Reach:
     def way(
         self, q: Array, goal: Array, share: float, held: Held | None = None, ignore: Iterable[str] = ()
     ) -> Path | None:
-        """Postures from ``q`` to ``goal`` around what is in between; None where none is found."""
+        """Postures from ``q`` to ``goal`` around what is in between, far from it if there is such a way; or None."""
         ignored = tuple(ignore)
+        for gap in (WIDE, GAP):
 
-        def free(posture: Array) -> bool:
-            return self.clear(posture, share, held, GAP, ignored)
+            def free(posture: Array, gap: float = gap) -> bool:
+                return self.clear(posture, share, held, gap, ignored)
 
-        if not free(goal):
-            return None
-        if _straight(q, goal, free):
-            return [q, goal]
-        found = _search(q, goal, free, self.arm.low, self.arm.high, self.rng)
-        return None if found is None else _shortened(found, free, self.rng)
+            if not free(goal):
+                continue
+            if _straight(q, goal, free):
+                return [q, goal]
+            found = _search(q, goal, free, self.arm.low, self.arm.high, self.rng)
+            if found is not None:
+                return _shortened(found, free, self.rng)
+        return None
 
 
 def blend(a: Pose, b: Pose, share: float) -> Pose:

@@ -10,7 +10,7 @@ from simfoundry.backends.robots import RobotModelError
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.cell import Cell
 from simfoundry.evaluate.expert.jaws import jaws
-from simfoundry.evaluate.expert.pace import HAND, paced
+from simfoundry.evaluate.expert.pace import AROUND, HAND, JOINT, paced
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
 from simfoundry.evaluate.policies.base import Observation
 from simfoundry.scene.frames import Array
@@ -90,9 +90,14 @@ class Worker:
         grippers = {name: self.now.robots[name].gripper for name in self._robots}
         self.cell.sync(self.now.state, self.q, grippers)
 
-    def follow(self, robot: str, path: Path, speed: float = HAND) -> Script:
-        """Go along a path."""
-        for q in paced(path, self.arms[robot].hand, self.hz, speed):
+    def go(self, robot: str, path: Path) -> Script:
+        """Go a way through free space: straight at full speed, around corners slower."""
+        share = 1.0 if len(path) <= 2 else AROUND
+        return self.follow(robot, path, share * HAND, share * JOINT)
+
+    def follow(self, robot: str, path: Path, speed: float = HAND, joint: float = JOINT) -> Script:
+        """Go along a path no faster than ``speed`` [m/s] of the hand and ``joint`` [rad/s]."""
+        for q in paced(path, self.arms[robot].hand, self.hz, speed, joint):
             self.q[robot] = q
             yield
             self.check(robot)
