@@ -20,8 +20,8 @@ LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
 It may end earlier only where the engine has put all things to sleep: nothing would ever move again.
 """
 
-SLEEP = 1e-4
-"""The engine puts to sleep what moves slower than this [m/s] for ten steps: less would creep 0.2 mm in two seconds."""
+SLEEP = 5e-4
+"""The engine puts to sleep what moves slower than this [m/s] for ten steps; awake, it then creeps some hundredths of a mm."""
 
 STILL_M, STILL_DEG = 1e-4, 0.1
 """What moves or turns no farther in a step is at rest. A ball may turn."""
