@@ -27,8 +27,8 @@ from simfoundry.backends.mjcf.guests import guests_of
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
-from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.mjcf.surfaces import resists
+from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
 from simfoundry.backends.stiffness import stiffness_losses

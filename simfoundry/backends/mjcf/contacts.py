@@ -1,24 +1,24 @@
 """Which MuJoCo geoms touch, and how, so that each contact is what its two surfaces mean together.
 
-MuJoCo takes the larger friction of two geoms where the scene means the geometric mean. Three ways make that right,
-of which the first that does is taken:
+MuJoCo takes the larger friction of two geoms where the scene means the geometric mean. What makes that right:
 
 - Two alike are right by MuJoCo's own rule.
 - What can never move gets a twin for each contact that its surface makes: a geom at the same place in a body of its
   own, ``table:touch1``, which feels as that contact does and decides alone. Masks let it meet only what it is for.
 - Of two that move, the priority of one may decide: see :mod:`simfoundry.backends.mjcf.priorities`.
-- An explicit ``<pair>`` for each two geoms. MuJoCo tests all of them in each step, so these are the slowest.
+- An explicit ``<pair>`` for each two geoms, where these are few or nothing else is left. MuJoCo tests them in each
+  step, hull by hull, even where their bodies are far apart: 14 ns each then, and 0.7 us near a table.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 
 from simfoundry.backends.mjcf.guests import Guests
-from simfoundry.backends.mjcf.priorities import ways
+from simfoundry.backends.mjcf.priorities import WORTH, ways
 from simfoundry.backends.mjcf.surfaces import (
     Felt,
     Surface,
@@ -118,28 +118,23 @@ def contacts_of(scene: Scene, guests: Guests) -> Contacts:
 
 
 def _add_twins(plan: Contacts, fixed: Groups, free: Sequence[int]) -> None:
-    """Twins for what does not move, with the ``free`` bits of masks; pairs for what there are no bits for."""
-    unlike = {
-        (a, b)
-        for a, b in product(fixed, plan.groups)
-        if not happens(Way(0, a), plan.ways[b], meant(a, b))
-    }
-    if unlike and len(free) > 1:
-        plan.shared = free[0]
-        largest = sorted(plan.groups, key=lambda surface: -len(plan.groups[surface]))
-        plan.bits = dict(zip(largest, free[1:], strict=False))
-    for a in dict.fromkeys(a for a, _ in product(fixed, plan.groups) if any(a == one for one, _ in unlike)):
-        told = plan.bits if plan.shared else {}
-        if told:
-            plan.native[a] = sum(bit for b, bit in told.items() if (a, b) not in unlike)
+    """Twins for what does not move, with the ``free`` bits of masks; pairs for few, and for what no bits are left."""
+    told = dict(zip(sorted(plan.groups, key=lambda s: -len(plan.groups[s])), free[1:], strict=False))
+    for a, standing in fixed.items():
+        unlike = [b for b in plan.groups if not happens(Way(0, a), plan.ways[b], meant(a, b))]
+        twinned = len(standing) * sum(len(plan.groups[b]) for b in unlike) >= WORTH and bool(told)
         masks: dict[Surface, int] = {}
-        for b, group in plan.groups.items():
-            if b in told and (a, b) in unlike:
-                masks[meant(a, b)] = masks.get(meant(a, b), 0) | told[b]
-            elif b not in told and ((a, b) in unlike or told):
-                plan.pairs.append((fixed[a], group, meant(a, b)))
-        if masks:
+        for b in plan.groups if twinned else unlike:
+            if twinned and b in told:
+                if b in unlike:
+                    masks[meant(a, b)] = masks.get(meant(a, b), 0) | told[b]
+            else:
+                plan.pairs.append((standing, plan.groups[b], meant(a, b)))
+        if twinned:
+            plan.native[a] = sum(bit for b, bit in told.items() if b not in unlike)
             plan.twins[a] = [Twin(contact, mask) for contact, mask in masks.items()]
+    if plan.twins:
+        plan.shared, plan.bits = free[0], told
 
 
 def add_contacts(root: ET.Element, scene: Scene, plan: Contacts) -> None:
@@ -155,23 +150,19 @@ def add_contacts(root: ET.Element, scene: Scene, plan: Contacts) -> None:
     unheard = {frozenset(pair) for pair in silent}
     for group_a, group_b, surface in plan.pairs:
         attributes = pair_attributes(surface)
-        for one, other in combinations(group_a, 2) if group_a is group_b else product(group_a, group_b):
-            if one.link == other.link:
+        for geom, other in combinations(group_a, 2) if group_a is group_b else product(group_a, group_b):
+            if geom.link == other.link:
                 continue
-            if not unheard or frozenset((one.link, other.link)) not in unheard:
-                ET.SubElement(contact, "pair", {"geom1": one.geom, "geom2": other.geom} | attributes)
+            if not unheard or frozenset((geom.link, other.link)) not in unheard:
+                ET.SubElement(contact, "pair", {"geom1": geom.geom, "geom2": other.geom} | attributes)
 
 
 def _bodies(scene: Scene, plan: Contacts) -> dict[str, list[str]]:
     """By link with twins, the bodies that its geoms are in."""
     out: dict[str, list[str]] = {}
-    for geom in _static(scene, plan):
+    for geom in (geom for item in scene.objects for geom in felt(item)):
         for twin in plan.twins_of(geom.surface, geom.link):
             names = out.setdefault(geom.link, [geom.link])
             if twin_body(geom.link, twin.mask) not in names:
                 names.append(twin_body(geom.link, twin.mask))
     return out
-
-
-def _static(scene: Scene, plan: Contacts) -> Iterator[Felt]:
-    return (geom for item in scene.objects for geom in felt(item) if geom.link in plan.static) if plan.twins else iter(())

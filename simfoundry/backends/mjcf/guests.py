@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bounce import solref
 from simfoundry.backends.mjcf.surfaces import Surface
 from simfoundry.backends.robots import mujoco_model, read_robot
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Scene
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 _SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 """MuJoCo's own impedance of a contact, which the scene's geoms have."""
@@ -25,11 +30,11 @@ class Guests:
     """Geoms by row: ``masks`` (contype and conaffinity), shape (n, 2); ``priority`` and ``condim``, shape (n,);
     ``friction``, shape (n, 3); whether the contact is as soft as the scene's (``usual``), shape (n,)."""
 
-    masks: Array = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    priority: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    condim: Array = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    masks: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    priority: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    condim: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     friction: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    usual: Array = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    usual: Bools = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
     def decide_over(self, surface: Surface) -> bool:
         """Whether all of them make the same contact with a surface of their own priority as with one of a lower.
@@ -54,12 +59,14 @@ class Guests:
 
 def guests_of(scene: Scene) -> Guests:
     """The geoms of all robots of a scene that touch anything."""
-    models = [read_robot(r, native, f"{r.name}.").model for r in scene.robots if (native := mujoco_model(r)) is not None]
+    models = [
+        read_robot(r, native, f"{r.name}.").model for r in scene.robots if (native := mujoco_model(r)) is not None
+    ]
     if not models:
         return Guests()
     felt = [(m.geom_contype != 0) | (m.geom_conaffinity != 0) for m in models]
 
-    def rows(values: Iterable[Array]) -> Array:
+    def rows(values: Iterable[Any]) -> Any:
         return np.concatenate([value[chosen] for value, chosen in zip(values, felt, strict=True)])
 
     return Guests(

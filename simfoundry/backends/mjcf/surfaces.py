@@ -47,9 +47,7 @@ class Felt:
 
 def surface_of(collider: Collider) -> Surface:
     """The surface of a collider."""
-    return Surface(
-        collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction
-    )
+    return Surface(collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction)
 
 
 def felt(item: SceneObject) -> Iterator[Felt]:

@@ -30,9 +30,7 @@ class Meetings:
         self._excluded = {int(k) for k in model.exclude_signature}
         frictions = (float(row[0]) for row in model.pair_friction)
         pairs = zip(model.pair_geom1, model.pair_geom2, strict=True)
-        self._explicit = {
-            frozenset((int(a), int(b))): mu for (a, b), mu in zip(pairs, frictions, strict=True)
-        }
+        self._explicit = {frozenset((int(a), int(b))): mu for (a, b), mu in zip(pairs, frictions, strict=True)}
         self._weld = [int(k) for k in model.body_weldid]
         self._above = [self._weld[int(model.body_parentid[w])] for w in self._weld]
         columns = (model.geom_contype, model.geom_conaffinity, model.geom_priority, model.geom_friction[:, 0])
