@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from simfoundry.verify.facts import (
     shape_bounds,
 )
 from simfoundry.verify.readers import Session, load_module
-from simfoundry.verify.readers.mujoco_contacts import TWIN, Meetings
+from simfoundry.verify.readers.mujoco_contacts import TWIN, Meetings, Slide
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -67,12 +68,12 @@ class MujocoSession:
     def facts(self) -> Facts:
         """Bodies, joints, pairs."""
         mujoco.mj_forward(self.model, self.data)
-        links = {name: self._link(name, k) for name, k in self._bodies.items()}
+        links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
         return Facts(
             links=links,
             joints={name: self._joint(k) for name, k in self._joints.items()},
             gravity=numbers(self.model.opt.gravity),
-            pairs=self._pairs(links),
+            pairs=pairs,
             silent=self._silent(),
             actuators=tuple(self.model.actuator(k).name for k in range(self.model.nu)),
         )
@@ -97,7 +98,7 @@ class MujocoSession:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
         felt, said = self._felt(body), self._own(name)
-        own = said * len(felt) if len(said) == 1 else said or [self._surface(geom) for geom in felt]
+        own = said * len(felt) if len(said) == 1 else said or [self._meetings.surface(geom) for geom in felt]
         return LinkFacts(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
@@ -107,7 +108,7 @@ class MujocoSession:
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
         )
 
-    def _collider(self, link: str, geom: int, surface: tuple[float, float, float]) -> ColliderFacts:
+    def _collider(self, link: str, geom: int, surface: Slide) -> ColliderFacts:
         model = self.model
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
@@ -122,11 +123,6 @@ class MujocoSession:
         name = model.geom(geom).name.removeprefix(f"{link}.")
         sliding, spinning, rolling = surface
         return ColliderFacts(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
-
-    def _surface(self, geom: int) -> tuple[float, float, float]:
-        """What a geom says of spinning and rolling counts in contacts of as many dimensions."""
-        friction, dimensions = self.model.geom_friction[geom], int(self.model.geom_condim[geom])
-        return float(friction[0]), float(friction[1]) * (dimensions > 3), float(friction[2]) * (dimensions > 4)
 
     def _joint(self, joint: int) -> JointFacts:
         model, dof = self.model, self.model.jnt_dofadr[joint]
@@ -177,21 +173,36 @@ class MujocoSession:
     def _felt(self, body: int) -> list[int]:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
 
-    def _own(self, link: str) -> list[tuple[float, float, float]]:
-        """Friction, and resistance against spinning and rolling, where the file says it apart from its geoms."""
+    def _own(self, link: str) -> list[Slide]:
+        """The surfaces of colliders where the file says them apart from its geoms."""
         model = self.model
         for k in range(model.nnumeric):
             if model.numeric(k).name == f"{link}:surface":
                 start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
                 rows = model.numeric_data[start : start + size].reshape(-1, 4)
-                return [(float(row[0]), float(row[2]), float(row[3])) for row in rows]
+                return [Slide(*row) for row in rows[:, [0, 2, 3]].tolist()]
         return []
 
-    def _pairs(self, links: Mapping[str, LinkFacts]) -> dict[str, float]:
-        """The friction of every two colliders that meet, but for those of which both have it themselves."""
-        own = {f"{name}.{c.name}": c.friction for name, link in links.items() for c in link.colliders or ()}
-        return {
-            pair_name(a, b): mu
-            for a, b, mu in self._meetings.frictions()
-            if own.get(a) != own.get(b) or mu != own.get(a)
-        }
+    def _contacts(self, links: Mapping[str, LinkFacts]) -> tuple[dict[str, LinkFacts], dict[str, float]]:
+        """The links, and the friction of every two colliders that meet, unless both have it themselves.
+
+        A collider of a link resists spinning and rolling as its contacts do, whatever it says.
+        """
+        own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
+        pairs, odd = {}, dict[str, ColliderFacts]()
+        for a, b, met in self._meetings.contacts():
+            if a not in own or b not in own:
+                continue
+            one, other = own[a], own[b]
+            if one.friction != other.friction or met.friction != one.friction:
+                pairs[pair_name(a, b)] = met.friction
+            for quantity in ("spinning", "rolling"):
+                meant = max(getattr(one, quantity), getattr(other, quantity))
+                if getattr(met, quantity) != meant:
+                    name = a if getattr(one, quantity) == meant else b
+                    odd[name] = replace(odd.get(name, own[name]), **{quantity: getattr(met, quantity)})
+        return {name: _with(name, link, odd) for name, link in links.items()}, pairs
+
+
+def _with(name: str, link: LinkFacts, odd: Mapping[str, ColliderFacts]) -> LinkFacts:
+    return replace(link, colliders=tuple(odd.get(f"{name}.{c.name}", c) for c in link.colliders or ())) if odd else link
