@@ -116,7 +116,7 @@ def guest(friction: float, priority: int = 0, masks: tuple[int, int] = (1, 1), s
 
 def test_what_a_robot_touches_stays_as_mujoco_has_it() -> None:
     """A geom of a robot is the larger friction of the two or its own; surfaces that this would change stay as is."""
-    scene = crowd(4, 1)
+    scene = crowd(7, 1)
     slippery = contacts_of(scene, guest(0.3))
     for surface, way in slippery.ways.items():
         assert (way.priority, way.surface) == (0, surface) or surface.friction <= 0.3

@@ -83,10 +83,10 @@ def plain(scene: Scene, text: str) -> ET.Element:
             for name in ("priority", "contype", "conaffinity"):
                 geom.attrib.pop(name, None)
             geom.attrib |= geom_attributes(own[geom.get("name", "")], resisting=False)
-    contact = root.find("contact")
-    for child in list(contact) if contact is not None else ():
-        if child.tag == "pair" or ":touch" in child.get("body1", "") + child.get("body2", ""):
-            contact.remove(child)
+    for contact in root.findall("contact"):
+        for child in list(contact):
+            if child.tag == "pair" or ":touch" in child.get("body1", "") + child.get("body2", ""):
+                contact.remove(child)
     return root
 
 

@@ -150,11 +150,11 @@ def add_contacts(root: ET.Element, scene: Scene, plan: Contacts) -> None:
     unheard = {frozenset(pair) for pair in silent}
     for group_a, group_b, surface in plan.pairs:
         attributes = pair_attributes(surface)
-        for geom, other in combinations(group_a, 2) if group_a is group_b else product(group_a, group_b):
-            if geom.link == other.link:
+        for this, that in combinations(group_a, 2) if group_a is group_b else product(group_a, group_b):
+            if this.link == that.link:
                 continue
-            if not unheard or frozenset((geom.link, other.link)) not in unheard:
-                ET.SubElement(contact, "pair", {"geom1": geom.geom, "geom2": other.geom} | attributes)
+            if not unheard or frozenset((this.link, that.link)) not in unheard:
+                ET.SubElement(contact, "pair", {"geom1": this.geom, "geom2": that.geom} | attributes)
 
 
 def _bodies(scene: Scene, plan: Contacts) -> dict[str, list[str]]:

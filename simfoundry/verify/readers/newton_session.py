@@ -125,7 +125,8 @@ class NewtonSession:
         """Pairs of bodies of whose shapes Newton filters every pair; shapes of the world have no body to name."""
         names = {k: name for name, k in self._bodies.items()}
         owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
-        whole = {k: self._bodies.get(self.names.link(b).partition(":")[0], k) for k, b in enumerate(self.model.body_label)}
+        links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
+        whole = {k: self._bodies.get(link, k) for k, link in enumerate(links)}
         felt = {
             k: whole.get(int(owners[k]), -1)
             for k in range(len(owners))
