@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import statistics
 import tempfile
 import time
@@ -118,9 +119,8 @@ def paired(scene: Scene, text: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def things(folder: Path) -> str:
-    """Ten decomposed things of the meshes below a folder on a table, of two materials other than the table's."""
-    found = sorted(folder.glob("**/*.obj"))[:10]
+def things(meshes: Path, folder: Path) -> str:
+    """Ten decomposed meshes, copied to ``folder``, on a table; they are of two materials other than the table's."""
     lines = [
         "simfoundry: scene/1",
         "name: things",
@@ -129,9 +129,11 @@ def things(folder: Path) -> str:
         "objects:",
         "  table: {fixed: true, shape: {box: [3, 2, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}",
     ]
-    for k, mesh in enumerate(found):
-        place = f"xyz: [{0.4 * (k % 5) - 0.8:.6g}, {0.4 * (k // 5) - 0.2:.6g}, 0.15]"
-        lines.append(f"  thing_{k}: {{shape: {{mesh: {mesh}}}, material: {'ab'[k % 2]}, pose: {{{place}}}}}")
+    for k, mesh in enumerate(sorted(meshes.glob("**/*.obj"))[:10]):
+        shutil.copy(mesh, folder / f"thing_{k}.obj")
+        how = f"collision: decompose, solid: hull, material: {'ab'[k % 2]}"
+        place = f"pose: {{xyz: [{0.4 * (k % 5) - 0.8:.6g}, {0.4 * (k // 5) - 0.2:.6g}, 0.15]}}"
+        lines.append(f"  thing_{k}: {{asset: thing_{k}.obj, {how}, {place}}}")
     return "\n".join([*lines, ""])
 
 
@@ -150,7 +152,7 @@ def scenes(folder: Path, meshes: Path | None) -> Iterator[tuple[str, dict[str, m
     yield "10 cups, one friction", models(lowered("cups", cups(MUG)), None)
     yield "10 cups, two frictions", models(lowered("cups", cups(WOOD)), None)
     if meshes is not None:
-        yield "10 decomposed meshes", models(lowered("things", things(meshes)), None)
+        yield "10 decomposed meshes", models(lowered("things", things(meshes, folder)), None)
     for name in ("serve_fruits", "cup_in_bowl", "stack_dishware", "clear_table", "cluttered"):
         yield f"specs: {name}", models(lower_file(SPECS / f"{name}.scene.yaml", Cache.default()), None)
 
