@@ -1,0 +1,1 @@
+"""Digital cousins: documents that rewrite documents, each variant placed, settled and checked."""
