@@ -76,7 +76,7 @@ def combine(parts: list[tuple[float, Solid]]) -> tuple[float, Array, Array]:
     if len(parts) == 1:  # its centre is its own, to the last digit
         density, solid = parts[0]
         return density * solid.volume, solid.com, density * solid.inertia
-    mass = sum(d * s.volume for d, s in parts)
+    mass = math.fsum(d * s.volume for d, s in parts)  # what `sum` gives differs between versions of Python
     com = sum((d * s.volume * s.com for d, s in parts), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
     for d, s in parts:

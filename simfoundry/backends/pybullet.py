@@ -188,7 +188,7 @@ def link_restitution(link: Link) -> float:
 def _geometric_mean(values: list[float]) -> float:
     if not values or min(values) <= 0:
         return 0.0
-    return values[0] if len(set(values)) == 1 else math.exp(sum(map(math.log, values)) / len(values))
+    return values[0] if len(set(values)) == 1 else math.exp(math.fsum(map(math.log, values)) / len(values))
 
 
 def _under_skin() -> Parts:
@@ -290,7 +290,7 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     """Arguments of ``getCameraImage``: the first light with a place or direction, and the sum of the domes; or none."""
     if not lights:
         return {}
-    dome = sum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
+    dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
     lighting: dict[str, object] = {"lightAmbientCoeff": _number(dome), "lightSpecularCoeff": 0.0}
     sun = _shining(lights)
     if sun is None:

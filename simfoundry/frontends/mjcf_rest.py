@@ -250,7 +250,7 @@ def _contact_details(draft: Draft, model: Any) -> None:
     counts = {
         "`solref` and `solimp` of geoms": sum(
             not (
-                any(np.allclose(model.geom_solref[g], (time, 1)) for time in (0.02, 0.008))  # MuJoCo's own, and ours
+                np.allclose(model.geom_solref[g], (0.02, 1))
                 and np.allclose(model.geom_solimp[g], (0.9, 0.95, 0.001, 0.5, 2))
             )
             for g in touching

@@ -48,7 +48,7 @@ def weigh(pxr: Any, draft: Draft, body: Body, colliders: list[Any], geoms: Geoms
         return
     masses = [float(m) for p in colliders if (m := physics.MassAPI(p).GetMassAttr().Get()) and m > 0]
     if masses and len(masses) == len(colliders):
-        link.mass = sum(masses) * to_kg
+        link.mass = math.fsum(masses) * to_kg
         if len(masses) > 1:
             draft.changed(f"masses of the colliders of `{link.name}`", "their sum is spread by volume")
         return

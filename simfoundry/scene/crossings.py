@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -55,8 +55,13 @@ class Span:
 _planes: WeakKeyDictionary[object, tuple[Array, Array, Array]] = WeakKeyDictionary()
 
 
-def solid(item: SceneObject, state: SceneState, links: Iterable[str] | None = None) -> Solid:
-    """The colliders of an object, or of some of its links, where it is now."""
+def solid(
+    item: SceneObject,
+    state: SceneState,
+    links: Iterable[str] | None = None,
+    keep: Callable[[Array], bool] = lambda corners: True,
+) -> Solid:
+    """The colliders of an object, or of some of its links, where it is now; those whose corners [m] are to ``keep``."""
     chosen = None if links is None else set(links)
     X_OL = link_poses(item, state.of_object(item))
     X_WO = state.poses[item.name]
@@ -69,6 +74,8 @@ def solid(item: SceneObject, state: SceneState, links: Iterable[str] | None = No
                 _planes[piece] = _half_spaces(piece.geometry)
             n, d, c = _planes[piece]
             X_WG = X_WO @ X_OL[link.name] @ piece.X_LG
+            if not keep(X_WG.apply(c)):
+                continue
             normals.append(n @ X_WG.rotation.T)
             offsets.append(d + normals[-1] @ X_WG.p)
             corners.append(X_WG.apply(c))
@@ -127,13 +134,15 @@ def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array)
         else:
             spans.append((float(entry[k]), float(leave[k]), int(k), int(k)))
     return [
-        Span(start, end, min(-_slope(shape, room, slope, a, start), _slope(shape, room, slope, b, end)))
+        Span(start, end, min(_facing(shape, room, slope, a, start, -1.0), _facing(shape, room, slope, b, end, 1.0)))
         for start, end, a, b in spans
     ]
 
 
-def _slope(shape: Solid, room: Array, slope: Array, part: int, at: float) -> float:
-    """The cosine between the line and the face of a part that it goes through at ``at`` [m]."""
+def _facing(shape: Solid, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
+    """How much the face of a part looks along a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
     end = shape.first[part + 1] if part + 1 < len(shape.first) else len(room)
     rows = slice(int(shape.first[part]), int(end))
-    return float(slope[rows][np.abs(room[rows] - slope[rows] * at).argmin()])
+    through = sign * slope[rows]
+    off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)
+    return float(through[off.argmin()])

@@ -109,7 +109,7 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
         "shape": _kind(written, item),
         "size": [round(float(v), 4) for v in high - low],
         "fixed": item.fixed,
-        "mass": float(sum(link.mass for link in item.links)),
+        "mass": math.fsum(link.mass for link in item.links),
         "mass_range": list(estimate.range) if estimate is not None and estimate.range is not None else None,
         "mass_by": estimate.by if estimate is not None else None,
         "xyz": [round(float(v), 4) for v in item.X_WO.p],

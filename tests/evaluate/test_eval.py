@@ -71,7 +71,16 @@ def test_a_second_run_does_nothing_and_a_lost_rollout_comes_back_the_same(bench:
     before = (done / "results.json").read_bytes()
     files = {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")}
     lost = done / "rollouts/push/push/002.json"
-    command = ("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done, "--no-video")
+    command: tuple[str | Path, ...] = (
+        "eval",
+        bench / "push.task.yaml",
+        *_policies(bench),
+        "-n",
+        "4",
+        "-o",
+        done,
+        "--no-video",
+    )
     assert run(*command).code == 0
     assert {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")} == files
     lost.unlink()
@@ -90,7 +99,16 @@ def test_shards_and_processes_give_what_one_run_gives(bench: Path, done: Path, t
 
 
 def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: Path) -> None:
-    command = ("eval", bench / "push.task.yaml", _policies(bench)[0], _policies(bench)[1], "-n", "1", "-o", tmp_path)
+    command: tuple[str | Path, ...] = (
+        "eval",
+        bench / "push.task.yaml",
+        _policies(bench)[0],
+        _policies(bench)[1],
+        "-n",
+        "1",
+        "-o",
+        tmp_path,
+    )
     assert run(*command, "--camera", "front", "--camera", "tip").code == 0
     record = _results(tmp_path)["rollouts"][0]
     video = cv2.VideoCapture(str(tmp_path / record["video"]))
@@ -108,7 +126,7 @@ def test_a_recorded_rollout_replays_to_the_same_trajectory(bench: Path, done: Pa
 
 
 def test_a_step_alone_and_the_rest_from_a_step(bench: Path, tmp_path: Path) -> None:
-    command = [
+    command: list[str | Path] = [
         "eval",
         bench / "push.task.yaml",
         _policies(bench)[0],
@@ -133,7 +151,7 @@ def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Pat
 
 
 def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, tmp_path: Path) -> None:
-    task = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
+    task: tuple[str | Path, ...] = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
     np.save(tmp_path / "wide.npy", np.zeros((1, 8)))
     one = f"one=replay:{tmp_path / 'wide.npy'}"
     result = run(*task, "-p", one, "-p", _policies(bench)[3])
@@ -165,7 +183,7 @@ def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: 
 
 
 def test_a_rate_can_be_required(bench: Path, done: Path) -> None:
-    command = ("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done)
+    command: tuple[str | Path, ...] = ("eval", bench / "push.task.yaml", *_policies(bench), "-n", "4", "-o", done)
     result = run(*command, "--require", "0.5")
     assert result.code == 1 and "push with still: 0% is below 50%" in result.err
 

@@ -46,7 +46,11 @@ def test_a_robot_is_as_its_own_file_has_it(
     _same_joints(native, model, robot)
     _same_actuators(native, model, robot)
     assert [native.geom_type[g] for g in range(native.ngeom)] == [model.geom_type[g] for g in _geoms(model, robot)]
-    for field in ("geom_friction", "geom_solref", "geom_solimp", "geom_contype", "geom_conaffinity", "geom_priority"):
+    fingers = model.geom_solmix[_geoms(model, robot)] > 1  # what they hold is to follow them within two steps
+    assert 0 < fingers.sum() < len(fingers)
+    expected = np.where(fingers[:, None], (2 * model.opt.timestep, 1.0), native.geom_solref)
+    assert model.geom_solref[_geoms(model, robot)] == pytest.approx(expected)
+    for field in ("geom_friction", "geom_solimp", "geom_contype", "geom_conaffinity", "geom_priority"):
         assert getattr(model, field)[_geoms(model, robot)] == pytest.approx(getattr(native, field)), field
     own = [k for k in range(model.neq) if _owner(model, int(model.eq_obj1id[k]), int(model.eq_type[k])) == robot]
     assert len(own) == native.neq > 0

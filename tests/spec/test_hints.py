@@ -43,8 +43,8 @@ def test_as_they_are_both_are_sound(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written", "instead", "message", "hint"),
     [
-        ("OnTop(mug", "On(mug", "`On` is not a predicate", "did you mean `OnTop`?"),
-        ("OnTop(mug", "In(mug", "`In` is not a predicate", "did you mean `Inside`?"),
+        ("OnTop(mug", "Onto(mug", "`Onto` is not a predicate", "did you mean `OnTop`?"),
+        ("OnTop(mug", "Insid(mug", "`Insid` is not a predicate", "did you mean `Inside`?"),
         ("on: desk, ", "in: desk, ", "unknown key `in`", "did you mean `inside`?"),
         ("{sphere: 0.04}", "{cup: 0.04}", "unknown key `cup`", "did you mean `lathe`?"),
         ("shape: {sphere: 0.04}", "sphere: 0.04", "unknown key `sphere`", "write `shape: {sphere: ...}`"),

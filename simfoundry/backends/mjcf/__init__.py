@@ -20,7 +20,7 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
-from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses, solref
+from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
@@ -68,7 +68,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     add_texts(root, scene)
     lost: list[Loss] = []
     for robot in scene.robots:
-        read = add_robot(root, robot, assets)
+        read = add_robot(root, robot, assets, timestep)
         if read is None:
             reason = "it has no model in MJCF or URDF, and USD is not converted"
             lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
@@ -126,4 +126,4 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     seen = ET.SubElement(default, "default", {"class": "visual"})
     ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
     felt = ET.SubElement(default, "default", {"class": "collider"})
-    ET.SubElement(felt, "geom", group="3", condim="3", solref=numbers(solref(0.0)), rgba="0.9 0.5 0.2 0.5")
+    ET.SubElement(felt, "geom", group="3", condim="3", rgba="0.9 0.5 0.2 0.5")

@@ -1,6 +1,7 @@
 """Robots in MJCF: their own model below a body of their name, and the cameras that ride on links.
 
-The scene's options stand, whatever the robot's file says; contacts of the robot are as its file has them.
+The scene's options stand, whatever the robot's file says; contacts of the robot are as its file has them,
+but for the stiffness of those of its fingers.
 """
 
 from __future__ import annotations
@@ -24,8 +25,15 @@ _JOINT_FRICTION = "0.9 0.95 0.001 0.5 2"
 """MuJoCo's own impedance of joint friction: the scene's default is stiffer, and classes inherit it."""
 
 
-def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | None:
-    """Add a robot with all that its file holds; None where it has no model that MuJoCo reads."""
+_FINGERS = "1000"
+"""The weight of a finger's stiffness in a contact, beside the 1 of anything else."""
+
+
+def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -> MujocoRobot | None:
+    """Add a robot with all that its file holds; None where it has no model that MuJoCo reads.
+
+    The contacts of its fingers are as firm as steps of ``timestep`` [s] allow.
+    """
     native = mujoco_model(robot)
     if native is None:
         return None
@@ -36,6 +44,7 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | N
     base = ET.SubElement(world, "body", {"name": robot.name} | pose_attributes(robot.X_WB))
     base.extend(source.findall("worldbody/*"))
     _write_exactly(base, read)
+    _firm_fingers(base, read, timestep)
     _add_defaults(root, source, robot.name)
     for tag in _SECTIONS:
         _section(root, tag).extend(source.findall(f"{tag}/*"))
@@ -44,6 +53,25 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets) -> MujocoRobot | N
         ET.SubElement(_body(base, body_name(read, name)), "site", site)
     assets.files.update(read.files)
     return read
+
+
+def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
+    """Let what the fingers hold follow them within two steps, the least that MuJoCo can.
+
+    The constraint solver takes the servos' damping as it is at the start of a step, the integrator at its end. What is
+    held feels the difference at each jerk of the arm and creeps by it times the contact's time constant: at MuJoCo's
+    20 ms a marker crept 8 mm in the hand on 10 cm of way, at 4 ms 2 mm. The weight makes the contact the fingers' own;
+    its friction stays the larger of the two.
+    """
+    gripper = read.native.gripper
+    if gripper is None:
+        return
+    moving = {read.prefix + name for name in (*gripper.joints, *gripper.follow)}
+    for body in base.iter("body"):
+        if any(joint.get("name") in moving for joint in body.findall("joint")):
+            for geom in body.iter("geom"):
+                geom.set("solref", f"{number(2 * timestep)} 1")
+                geom.set("solmix", _FINGERS)
 
 
 def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:

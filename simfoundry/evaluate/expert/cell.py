@@ -16,7 +16,7 @@ from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld
 
-FAR = 0.02
+FAR = 0.03
 """How far apart things are when they are still looked at [m]."""
 
 
@@ -94,21 +94,23 @@ class Cell:
         bodies, geoms, frame = self._hands[robot]
         link = Pose.of(data.xpos[bodies[0]], data.xquat[bodies[0]])
         moved = X_WH @ (link @ frame).inverse()
-        R = moved.rotation
+        turn = moved.rotation
         for points in (data.xpos, data.xipos):
-            points[bodies] = points[bodies] @ R.T + moved.p
+            points[bodies] = points[bodies] @ turn.T + moved.p
         for turns in (data.xmat, data.ximat):
-            turns[bodies] = (R @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
-        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ R.T + moved.p
-        data.geom_xmat[geoms] = (R @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
+            turns[bodies] = (turn @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
+        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ turn.T + moved.p
+        data.geom_xmat[geoms] = (turn @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
         mujoco.mj_collision(self._model, data)
         contact = data.contact
-        for k in np.flatnonzero(contact.dist[: data.ncon] < gap):
+        for k in np.flatnonzero(contact.dist[: data.ncon] < max(gap, 0.0)):
             pair = [int(g) for g in contact.geom[k]]
             owners = {str(self._owner[g]) for g in pair}
             if len(owners) < 2 or ignore in owners or owners == {robot, held}:
                 continue
-            if held in owners or any(g in self._hand_geoms[robot] for g in pair):
+            if held in owners and contact.dist[k] < 0.0:
+                return True
+            if held not in owners and any(g in self._hand_geoms[robot] for g in pair):
                 return True
         return False
 
@@ -137,9 +139,9 @@ class Cell:
             a, b = (int(g) for g in contact.geom[k])
             first, second = self._owner[a], self._owner[b]
             if first == second:
-                if first in self._robots and first in mine and (min(a, b), max(a, b)) not in self._own:
-                    if contact.dist[k] < 0:
-                        return f"{first} itself"
+                known = (min(a, b), max(a, b)) in self._own
+                if first in self._robots and first in mine and not known and contact.dist[k] < 0:
+                    return f"{first} itself"
                 continue
             if first in mine and second not in passed:
                 return str(second)

@@ -21,7 +21,7 @@ ACROSS, ALONG = 17, 12
 SPACING, FINE = 0.006, 0.0025
 """Least distance between lines across the hand, and along its approach [m]."""
 
-MOST = 600
+MOST = 300
 """The best so many are enough to choose from."""
 
 FACING = 0.92
@@ -67,14 +67,20 @@ def _tilted(tilt: float, angle: float) -> Array:
     return np.array([math.sin(tilt) * math.cos(angle), math.sin(tilt) * math.sin(angle), -math.cos(tilt)])
 
 
-def rotations(approach: Array) -> Iterator[Array]:
-    """Rotations of the hand whose z is ``approach``, with closing directions y all around."""
+def rotations(shape: Solid, approach: Array) -> Iterator[Array]:
+    """Rotations of the hand whose z is ``approach``, with closing directions y all around.
+
+    They start from the direction in which the shape is longest, seen along the approach: what is long is taken across.
+    """
     side = np.array([1.0, 0.0, 0.0]) if abs(approach[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     side = np.cross(approach, side)
     side /= np.linalg.norm(side)
     other = np.cross(approach, side)
+    flat = shape.corners @ np.column_stack([side, other])
+    _, axes = np.linalg.eigh(np.cov(flat.T))
+    start = math.atan2(axes[1, 1], axes[0, 1])
     for k in range(YAWS):
-        angle = k * math.pi / YAWS
+        angle = start + k * math.pi / YAWS
         y = math.cos(angle) * side + math.sin(angle) * other
         yield np.column_stack([np.cross(y, approach), y, approach])
 
@@ -83,41 +89,41 @@ def grasps(shape: Solid, center: Array, jaws: Jaws, approaches: list[Array]) -> 
     """All grasps of a shape whose mass is centred at ``center`` [m], from the best; both turns of the hand."""
     found: list[Grasp] = []
     for approach in approaches:
-        for R in rotations(approach):
-            found += _along(shape, center, jaws, R)
+        for R_WH in rotations(shape, approach):
+            found += _along(shape, center, jaws, R_WH)
     flip = Pose.of(q=[0.0, 0.0, 0.0, 1.0])
     both = [turned for g in found for turned in (g, Grasp(g.X_WH @ flip, g.width, g.open, g.cost + 1e-3))]
     return sorted(both, key=lambda g: g.cost)[:MOST]
 
 
-def _along(shape: Solid, center: Array, jaws: Jaws, R: Array) -> Iterator[Grasp]:
-    """Grasps with the hand turned by R."""
-    low, high = bounds(shape, R)
+def _along(shape: Solid, center: Array, jaws: Jaws, R_WH: Array) -> Iterator[Grasp]:
+    """Grasps with the hand turned by R_WH."""
+    low, high = bounds(shape, R_WH)
     across = _grid(low[0], high[0], ACROSS, SPACING)
     along = _grid(low[2], high[2], ALONG, FINE)
     a, h = np.meshgrid(across, along, indexing="ij")
     y = (low[1] + high[1]) / 2
-    starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R.T
-    lines = crossings(shape, starts, R[:, 1])
+    starts = np.column_stack([a.ravel(), np.full(a.size, y), h.ravel()]) @ R_WH.T
+    lines = crossings(shape, starts, R_WH[:, 1])
     spans = [
         [_holdable(spans, jaws) for spans in lines[k * len(along) : (k + 1) * len(along)]] for k in range(len(across))
     ]
-    tilt = math.acos(min(1.0, max(-1.0, -float(R[2, 2]))))
+    tilt = math.acos(min(1.0, max(-1.0, -float(R_WH[2, 2]))))
     for i in range(len(across)):
         for j in range(len(along)):
             for span in spans[i][j]:
-                middle = R @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
+                middle = R_WH @ np.array([across[i], y + (span.start + span.end) / 2, along[j]])
                 area = _area(spans, i, j, span)
-                share, first, tip = jaws.at_width(span.width)
+                _, first, tip = jaws.at_width(span.width)
                 opened = jaws.at_width(min(span.width + 2 * PRELOAD, jaws.opening))[0]
                 aside = middle - center
-                aside = aside - (aside @ R[:, 2]) * R[:, 2]
+                aside = aside - (aside @ R_WH[:, 2]) * R_WH[:, 2]
                 off = float(np.linalg.norm(aside))
                 tight = max(0.0, 0.008 - (jaws.opening - span.width) / 2) / 0.008
                 for depth in ((first + tip) / 2, tip - TIP):
                     shallow = 0.15 if depth > (first + tip) / 2 else 0.0
                     cost = (1 - area) + 5 * off + 0.5 * tilt + 0.5 * tight + shallow + 2 * (1 - span.facing)
-                    yield Grasp(_pose(R, middle - R[:, 2] * depth), span.width, opened, cost)
+                    yield Grasp(_pose(R_WH, middle - R_WH[:, 2] * depth), span.width, opened, cost)
 
 
 def _grid(low: float, high: float, most: int, spacing: float) -> Array:
@@ -149,7 +155,7 @@ def _area(spans: list[list[list[Span]]], i: int, j: int, span: Span) -> float:
     return alike / len(around)
 
 
-def _pose(R: Array, p: Array) -> Pose:
+def _pose(R_WH: Array, p: Array) -> Pose:
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = R, p
+    matrix[:3, :3], matrix[:3, 3] = R_WH, p
     return Pose.from_matrix(matrix)

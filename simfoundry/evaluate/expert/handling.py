@@ -22,14 +22,20 @@ STANDOFF = 0.09
 LIFT = 0.12
 """How high a thing is lifted before it is carried away [m]."""
 
-ABOVE = 0.08
-"""How far above its place a thing comes [m]."""
+ABOVE = 0.12
+"""How far above its place a thing comes [m]: what goes into a cup comes over its rim."""
 
 DROP = 0.006
 """How high above its place a thing is let go [m]."""
 
+SQUEEZE = 0.04
+"""How far beyond touching the fingers are to close, as a share of their travel: a servo pulls the harder for it."""
+
 RELEASE = 0.012
 """How far each finger opens to let go [m]."""
+
+SPARE = 0.012
+"""How far the hand stays from everything at a place chosen before the thing is grasped [m]: it may slip a little."""
 
 TRIES, CHECKED = 60, 6
 """How many grasps for which there is room, and how many places for each, are tried with the arm."""
@@ -49,6 +55,7 @@ class PickPlan:
 class PutPlan:
     """A place that can be reached: the way above it, down to it, and back."""
 
+    place: PlaceAt
     to: Path
     down: Path
     back: Path
@@ -66,11 +73,16 @@ def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) ->
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
-    yield from worker.grip(robot, 1.0)
+    yield from worker.grip(robot, firmly(worker.reaches[robot], plan.grasp.width))
     X_HO = worker.now.robots[robot].X_WH.inverse() @ worker.now.state.poses[name]
     worker.held[robot] = Held(name, X_HO)
     yield from worker.follow(robot, plan.up, CAREFUL)
     yield from worker.settle(robot)
+
+
+def firmly(reach: Reach, width: float) -> float:
+    """The share to close by so as to hold what is ``width`` [m] wide: all the force there is squashes light things."""
+    return min(1.0, reach.jaws.at_width(width)[0] + SQUEEZE)
 
 
 def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
@@ -80,14 +92,14 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
     item = worker.scene.object(name)
     center = center_of_mass(item, state.poses[name])
     q = worker.q[robot]
-    for tilts in ((0.0,), (0.35, 0.7)):
+    for spare, tilts in ((SPARE, (0.0,)), (0.002, (0.0,)), (0.002, (0.35, 0.7))):
         tried = 0
         for grasp in grasps(solid(item, state), center, reach.jaws, down(tilts)):
             held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
             worker.cell.put(name, state.poses[name])
             if not _hand_fits(reach, grasp, name):
                 continue
-            fitting = None if places is None else _fitting(reach, grasp, held, places)
+            fitting = None if places is None else _fitting(reach, grasp, held, places, spare)
             worker.cell.put(name, state.poses[name])
             plan = _reached(reach, q, grasp, name) if fitting is None or fitting else None
             if plan is None:
@@ -113,7 +125,7 @@ def _hand_fits(reach: Reach, grasp: Grasp, name: str) -> bool:
     return not cell.hand_clash(robot, grasp.X_WH, gap=0.001, ignore=name)
 
 
-def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt]) -> list[PlaceAt]:
+def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
     """The places at which the hand alone, with the thing in it, has room."""
     cell, robot = reach.cell, reach.name
     cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
@@ -121,7 +133,7 @@ def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt]) -> l
     for place in places:
         X_WO = _over(place.X_WO, DROP)
         cell.put(held.name, X_WO)
-        if not cell.hand_clash(robot, X_WO @ held.X_HO.inverse(), held.name, gap=0.001):
+        if not cell.hand_clash(robot, X_WO @ held.X_HO.inverse(), held.name, gap=spare):
             found.append(place)
             if len(found) >= CHECKED:
                 break
@@ -157,8 +169,8 @@ def _can_put(reach: Reach, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -
     return reach.arm.solve(_over(X_WH, ABOVE), posture) is not None
 
 
-def _over(X: Pose, height: float) -> Pose:
-    return Pose.of(X.p + np.array([0.0, 0.0, height]), X.q)
+def _over(pose: Pose, height: float) -> Pose:
+    return Pose.of(pose.p + np.array([0.0, 0.0, height]), pose.q)
 
 
 def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
@@ -170,12 +182,21 @@ def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
         raise FailedError(f"{robot} finds no place for {held.name}")
     yield from worker.follow(robot, plan.to)
     yield from worker.settle(robot)
-    yield from worker.follow(robot, plan.down, CAREFUL)
+    yield from worker.follow(robot, corrected(worker, robot, plan), CAREFUL)
     yield from worker.settle(robot)
     del worker.held[robot]
     yield from worker.grip(robot, plan.open)
     yield from worker.follow(robot, plan.back, CAREFUL)
     yield from worker.wait(0.4)
+
+
+def corrected(worker: Worker, robot: str, plan: PutPlan) -> Path:
+    """The way down to a place with the thing as it lies in the hand now, which may have slipped on the way."""
+    reach, held = worker.reaches[robot], worker.held[robot]
+    worker.sync()
+    goal = _over(plan.place.X_WO, DROP) @ held.X_HO.inverse()
+    share = worker.now.robots[robot].gripper
+    return reach.line(worker.q[robot], goal, share, held) or plan.down
 
 
 def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
@@ -205,5 +226,5 @@ def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan |
         worker.cell.put(held.name, place.X_WO)
         back = Pose.of(goal.p - STANDOFF * goal.rotation[:, 2], goal.q)
         leave = reach.line(posture, back, opened, ignore=[held.name]) or rise[::1]
-        return PutPlan(way, rise[::-1], leave, opened)
+        return PutPlan(place, way, rise[::-1], leave, opened)
     return None

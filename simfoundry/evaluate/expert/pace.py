@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def paced(path: Path, hand: Callable[[Array], Pose], hz: float, speed: float = H
 def _dense(path: Path) -> Array:
     """The path with postures close enough for the speed of the hand to be seen, shape (k, n)."""
     found = [path[0]]
-    for a, b in zip(path, path[1:], strict=False):
+    for a, b in pairwise(path):
         count = max(1, int(np.ceil(np.abs(b - a).max() / 0.05)))
         found += [a + (b - a) * k / count for k in range(1, count + 1)]
     return np.array(found)

@@ -29,13 +29,13 @@ SUNK = 0.008
 
 UP = np.array([0.0, 0.0, 1.0])
 
-ENOUGH = 60
-"""So many places are enough to choose from."""
+ENOUGH, LOOKED_AT = 24, 400
+"""So many places are enough to choose from, and so many are looked at for it at most."""
 
 LONG = 1.8
 """A thing is long whose greatest extent is this many times its next: it may also stand on its end."""
 
-LEANS = (0.0, 0.35, 0.7)
+LEANS = (0.0, 0.3, 0.6)
 """How far a long thing may lean [rad] when it goes into a hollow."""
 
 
@@ -82,17 +82,19 @@ def _places(scene: Scene, state: SceneState, name: str, target: str, inside: boo
         for k, (_, penalty, _) in enumerate(turned)
         for spot, off in _spots(part, X_WC, inside)
     ]
-    for cost, k, spot in sorted(tried, key=lambda t: t[0]):
-        R, _, shape = turned[k]
+    for cost, k, spot in sorted(tried, key=lambda t: t[0])[:LOOKED_AT]:
+        X_turn, _, shape = turned[k]
         at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
         held = shape.moved(at)
-        lift = _rest(held, whole, number, others)
+        lift = _rest(held, whole, number)
         if lift is None:
             continue
         foot = lift + shape.extent(UP)[0]
         if inside and not (foot < top - SUNK and _walled(walls, np.array([*spot, foot]))):
             continue
-        yield PlaceAt(Pose.of(at + [0.0, 0.0, lift], R.q), cost)
+        if any(float(heights(held, other).max()) > lift for other in others):
+            continue
+        yield PlaceAt(Pose.of(at + lift * UP, X_turn.q), cost)
 
 
 def _walled(walls: Solid, foot: Array) -> bool:
@@ -147,14 +149,12 @@ def _long_axis(item: SceneObject) -> int | None:
     return axis if size[axis] > LONG * float(np.delete(size, axis).max()) else None
 
 
-def _rest(held: Hulls, whole: Hulls, link: int | None, others: list[Hulls]) -> float | None:
-    """How far a thing is lifted when it comes down on the target [m]; None where it meets something else first."""
+def _rest(held: Hulls, whole: Hulls, link: int | None) -> float | None:
+    """How far a thing is lifted when it comes down on the target [m]; None where it meets another part first."""
     touching = heights(held, whole)
     lift = float(touching.max())
     if not math.isfinite(lift):
         return None
     if link is not None and whole.link[np.unravel_index(int(touching.argmax()), touching.shape)[1]] != link:
-        return None
-    if any(float(heights(held, other).max()) > lift for other in others):
         return None
     return lift

@@ -88,7 +88,6 @@ def hands_for(goal: Condition, subtasks: Mapping[str, Asked], thing: str) -> tup
     """The robots that the task names as holding a thing, in its order."""
     named: list[str] = []
     for condition in (*(subtask.goal for subtask in subtasks.values()), goal):
-        for step in _of(condition):
-            if step.skill is Skill.PICK and step.args[0] == thing and len(step.args) > 1:
-                named.append(step.args[1])
+        picks = (step for step in _of(condition) if step.skill is Skill.PICK)
+        named += [step.args[1] for step in picks if step.args[0] == thing and len(step.args) > 1]
     return tuple(dict.fromkeys(named))

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.evaluate.expert.handling import pick, put
+from simfoundry.evaluate.expert.joints import lead
 from simfoundry.evaluate.expert.places import PlaceAt, places
 from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
@@ -96,6 +97,8 @@ class Expert:
         match step.skill:
             case Skill.PICK:
                 yield from pick(worker, robot, step.args[0], None)
+            case Skill.OPEN | Skill.CLOSE:
+                yield from lead(worker, robot, step.args[0], step.skill is Skill.OPEN)
             case Skill.PUT_ON | Skill.PUT_IN:
                 thing, target = step.args
                 inside = step.skill is Skill.PUT_IN

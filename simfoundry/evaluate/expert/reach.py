@@ -71,7 +71,7 @@ class Reach:
     ) -> Path | None:
         """Postures that take the hand from ``q`` straight to ``X_WH``; None where it cannot go so."""
         start = self.arm.hand(q)
-        count = max(1, int(np.ceil(max(np.linalg.norm(X_WH.p - start.p) / LINE, start.angle_to(X_WH) / TURN))))
+        count = max(1, int(np.ceil(max(float(np.linalg.norm(X_WH.p - start.p)) / LINE, start.angle_to(X_WH) / TURN))))
         path = [q]
         for k in range(1, count + 1):
             between = self.arm.solve(blend(start, X_WH, k / count), path[-1])
@@ -104,9 +104,8 @@ def blend(a: Pose, b: Pose, share: float) -> Pose:
     qb = b.q if float(a.q @ b.q) >= 0 else -b.q
     angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
     if angle < 1e-6:
-        q = qb
-    else:
-        q = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle)
+        return Pose.of(a.p + share * (b.p - a.p), b.q)
+    q = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle)
     return Pose.of(a.p + share * (b.p - a.p), q)
 
 

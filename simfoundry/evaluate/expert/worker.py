@@ -20,7 +20,7 @@ Script = Generator[None, None, None]
 """Something done with the arms; each ``yield`` is a control step with the present commands."""
 
 LOST = 0.03
-"""A held thing that has moved further than this in the hand [m] is lost."""
+"""A held thing that moves further than this in the hand between two looks [m] is lost; it may creep."""
 
 ARRIVED = 0.003
 """A joint this close to its target is there [rad]."""
@@ -131,3 +131,4 @@ class Worker:
         if np.linalg.norm(X_HO.p - held.X_HO.p) > LOST:
             del self.held[robot]
             raise FailedError(f"{held.name} slipped out of the hand of {robot}")
+        self.held[robot] = Held(held.name, X_HO)

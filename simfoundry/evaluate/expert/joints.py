@@ -1,0 +1,159 @@
+"""Opening and closing: a handle is taken and led along the way of its joint."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.handling import STANDOFF, firmly
+from simfoundry.evaluate.expert.pace import CAREFUL
+from simfoundry.evaluate.expert.places import at_state
+from simfoundry.evaluate.expert.reach import Path, Reach
+from simfoundry.evaluate.expert.solids import solid
+from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Joint, JointType, SceneObject
+from simfoundry.scene.state import SceneState
+
+WIDE = (0.94, 0.75, 0.5)
+"""Shares of its range to which a joint is opened, the first that the arm can lead it to."""
+
+BEYOND = 0.003
+"""How far past its closed end a handle is led [m or rad], so that the joint gets there."""
+
+STEP = 0.02
+"""Between the poses of the hand on the way of a joint [m or rad]."""
+
+OUTER = 0.02
+"""What of a link is this near [m] to its outermost point, the way that it opens, is looked at as its handle."""
+
+TRIES = 80
+
+
+@dataclass(frozen=True, eq=False)
+class LeadPlan:
+    """A handle's grasp: ways to stop before it, to it, along its joint, and back."""
+
+    grasp: Grasp
+    to: Path
+    down: Path
+    along: Path
+    back: Path
+
+
+def joint_of(item: SceneObject, name: str) -> Joint:
+    """The joint that a predicate names, or that moves the link it names; of an object alone its first that moves."""
+    for joint in item.joints:
+        if joint.has_axis and name in ("", joint.name, joint.child):
+            return joint
+    raise FailedError(f"{item.name} has no joint {name} that moves")
+
+
+def ends(joint: Joint) -> tuple[float, float]:
+    """Where a joint is closed, the end nearer to zero, and where it is as open as it gets [rad or m]."""
+    if joint.limits is None:
+        raise FailedError(f"joint {joint.name} has no end, so it neither opens nor closes")
+    low, high = joint.limits
+    return (low, high) if abs(low) <= abs(high) else (high, low)
+
+
+def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
+    """Open or close a joint by its handle."""
+    owner, _, name = target.partition(".")
+    item = worker.scene.object(owner)
+    joint = joint_of(item, name)
+    closed, opened = ends(joint)
+    goals = [closed + share * (opened - closed) for share in WIDE] if opening else [closed]
+    worker.sync()
+    plan = next((p for goal in goals if (p := plan_lead(worker, robot, item, joint, goal)) is not None), None)
+    if plan is None:
+        raise FailedError(f"{robot} finds no way to lead {target} by a handle")
+    worker.share[robot] = plan.grasp.open
+    yield from worker.follow(robot, plan.to)
+    yield from worker.settle(robot)
+    yield from worker.follow(robot, plan.down, CAREFUL)
+    yield from worker.settle(robot)
+    yield from worker.grip(robot, firmly(worker.reaches[robot], plan.grasp.width))
+    yield from worker.follow(robot, plan.along, CAREFUL)
+    yield from worker.settle(robot)
+    yield from worker.grip(robot, plan.grasp.open)
+    yield from worker.follow(robot, plan.back, CAREFUL)
+    yield from worker.wait(0.3)
+
+
+def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
+    """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
+    reach, state, q = worker.reaches[robot], worker.now.state, worker.q[robot]
+    now = state.joints[f"{item.name}.{joint.name}"]
+    shape = solid(item, state, [joint.child])
+    closed, opened = ends(joint)
+    outward = _motion(item, state, joint, now, now + math.copysign(1e-3, opened - closed))
+    way = outward.apply(shape.corners) - shape.corners
+    fastest = np.linalg.norm(way, axis=1)
+    heading = way[int(fastest.argmax())] / fastest.max()
+    front = heading if joint.type is JointType.PRISMATIC else _away(item, state, joint, shape.corners)
+    along = shape.corners @ front
+    handle = shape.corners[along > along.max() - OUTER].mean(axis=0)
+    level = -front * [1.0, 1.0, 0.0]
+    level /= max(float(np.linalg.norm(level)), 1e-9)
+    slanted = [math.cos(t) * level - math.sin(t) * np.array([0.0, 0.0, 1.0]) for t in (0.0, 0.4, 0.8, 1.2)]
+    tried = 0
+    outermost = float(along.max()) - OUTER
+    grip = solid(item, state, [joint.child], lambda corners: float((corners @ front).max()) > outermost)
+    for grasp in grasps(grip, handle, reach.jaws, [*slanted, *down()]):
+        reach.cell.pose(robot, reach.arm.home, grasp.open)
+        if reach.cell.hand_clash(robot, grasp.X_WH, gap=0.001):
+            continue
+        tried += 1
+        if tried > TRIES:
+            return None
+        plan = _led(reach, q, grasp, item, state, joint, now, goal)
+        if plan is not None:
+            return plan
+    return None
+
+
+def _led(
+    reach: Reach, q: Array, grasp: Grasp, item: SceneObject, state: SceneState, joint: Joint, now: float, goal: float
+) -> LeadPlan | None:
+    before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
+    start = reach.arm.solve_any(before, q, reach.rng)
+    if start is None or not reach.clear(start, grasp.open):
+        return None
+    to = reach.line(start, grasp.X_WH, grasp.open, gap=0.001)
+    if to is None:
+        return None
+    held = reach.jaws.at_width(grasp.width)[0]
+    far = goal + math.copysign(BEYOND, goal - now) if abs(goal - ends(joint)[0]) < 1e-9 else goal
+    count = max(1, math.ceil(abs(far - now) / STEP))
+    along: Path = [to[-1]]
+    for k in range(1, count + 1):
+        X_WH = _motion(item, state, joint, now, now + (far - now) * k / count) @ grasp.X_WH
+        part = reach.line(along[-1], X_WH, held, ignore=[item.name])
+        if part is None:
+            return None
+        along += part[1:]
+    end = reach.arm.hand(along[-1])
+    back = reach.line(along[-1], Pose.of(end.p - STANDOFF * end.rotation[:, 2], end.q), grasp.open, ignore=[item.name])
+    way = reach.way(q, start, grasp.open) if back is not None else None
+    return None if back is None or way is None else LeadPlan(grasp, way, to, along, back)
+
+
+def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:
+    """How what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
+    here = at_state(item, state)
+    X_OC = link_poses(here, {**state.of_object(item), joint.name: now})[joint.child]
+    X_OD = link_poses(here, {**state.of_object(item), joint.name: then})[joint.child]
+    return here.X_WO @ X_OD @ X_OC.inverse() @ here.X_WO.inverse()
+
+
+def _away(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -> Array:
+    """The level direction from a hinge to the middle of what it turns."""
+    here = at_state(item, state)
+    hinge = (here.X_WO @ link_poses(here)[joint.child]).p
+    away = (corners.mean(axis=0) - hinge) * [1.0, 1.0, 0.0]
+    return np.asarray(away / max(float(np.linalg.norm(away)), 1e-9))

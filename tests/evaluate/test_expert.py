@@ -1,0 +1,77 @@
+"""The scripted expert's parts that need no robot: lines through solids, the pace of paths, the plan of a task."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from simfoundry.evaluate.expert.pace import HAND, JOINT, paced
+from simfoundry.evaluate.expert.plan import Skill, steps
+from simfoundry.evaluate.expert.solids import crossings, met, solid
+from simfoundry.evaluate.task import load_task
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.lower import lower_file
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState
+from tests.conftest import REPOSITORY
+
+X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return lower_file(REPOSITORY / "specs" / "scenes" / "marker_in_cup.scene.yaml")
+
+
+def test_a_line_through_a_cup_meets_two_walls(scene: Scene) -> None:
+    state = SceneState.initial(scene)
+    cup = solid(scene.object("cup"), state)
+    middle = state.poses["cup"].p
+    (spans,) = crossings(cup, np.array([middle + [0.0, 0.0, 0.08]]), X)
+    assert len(spans) == 2
+    left, right = spans
+    assert left.width == pytest.approx(0.0032, abs=3e-4) and right.width == pytest.approx(0.0032, abs=3e-4)
+    outer = 0.03 + 0.08 / 0.095 * 0.01  # the wall of the asset leans outwards by 1 cm
+    assert right.end == pytest.approx(outer, rel=0.03) and left.start == pytest.approx(-outer, rel=0.03)
+    assert right.facing > 0.95
+
+
+def test_rays_meet_the_walls_of_a_cup_from_within_and_leave_by_its_mouth(scene: Scene) -> None:
+    state = SceneState.initial(scene)
+    cup = solid(scene.object("cup"), state)
+    inside = state.poses["cup"].p + [0.0, 0.0, 0.05]
+    assert met(cup, inside, np.array([X, -X, -Z, Z])).tolist() == [True, True, True, False]
+
+
+def test_a_path_is_gone_from_rest_to_rest_within_the_speeds() -> None:
+    def hand(q: Array) -> Pose:
+        return Pose.of([0.5 * q[0], 0.0, 0.0])
+
+    hz = 15.0
+    path = [np.array([0.0, 0.0]), np.array([1.0, -0.4]), np.array([1.2, 1.5])]
+    gone = np.array([path[0], *paced(path, hand, hz)])
+    assert gone[-1] == pytest.approx(path[-1])
+    steps_taken = np.diff(gone, axis=0)
+    assert np.abs(steps_taken).max() <= JOINT / hz * 1.01
+    assert np.abs(0.5 * steps_taken[:, 0]).max() <= HAND / hz * 1.01
+    assert np.abs(steps_taken[[0, -1]]).max() < 0.25 * np.abs(steps_taken).max()
+
+
+@pytest.mark.parametrize(
+    ("task", "expected"),
+    [
+        ("cup_in_bowl", [(Skill.PUT_IN, "Inside(cup, bowl)")]),
+        ("serve_fruits", [(Skill.PUT_ON, "OnTop(banana, green_plate)"), (Skill.PUT_ON, "OnTop(apple, green_plate)")]),
+        (
+            "store_marker",
+            [
+                (Skill.OPEN, "Open(cabinet.drawer)"),
+                (Skill.PUT_IN, "Inside(marker, cabinet.drawer)"),
+                (Skill.CLOSE, "Closed(cabinet.drawer)"),
+            ],
+        ),
+    ],
+)
+def test_a_task_becomes_skills_in_its_order(task: str, expected: list[tuple[Skill, str]]) -> None:
+    loaded = load_task(REPOSITORY / "specs" / "tasks" / f"{task}.task.yaml")
+    assert [(step.skill, step.until) for step in steps(loaded.goal, loaded.subtasks)] == expected
