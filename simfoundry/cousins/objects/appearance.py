@@ -38,7 +38,9 @@ def restuff(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         return None
     name = choices[int(rng.integers(0, len(choices)))]
     stuff = STUFFS[name]
-    color = varied(_other(color_of(spec, component.parts[0]), stuff.colors or (sort.colors if sort else PAINTS), rng), rng)
+    color = varied(
+        _other(color_of(spec, component.parts[0]), stuff.colors or (sort.colors if sort else PAINTS), rng), rng
+    )
     made = recolored(spec, component, color)
     return _remade(made, old, name, stuff), f"of {name}, {_shown(color)}"
 
@@ -121,9 +123,7 @@ def _remade(spec: AssetSpec, old: str, name: str, stuff: Stuff) -> AssetSpec:
     materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}
     links = {}
     for own, body in spec.links.items():
-        parts = {
-            n: p.model_copy(update={"material": name}) if p.material == old else p for n, p in body.parts.items()
-        }
+        parts = {n: p.model_copy(update={"material": name}) if p.material == old else p for n, p in body.parts.items()}
         changes: dict[str, object] = {"parts": parts}
         if body.material == old:
             changes["material"] = name

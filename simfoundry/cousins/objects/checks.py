@@ -15,7 +15,7 @@ from simfoundry.cousins.objects.stuff import Sort, sort_of
 from simfoundry.cousins.objects.trials import Outcome, moves, rests, stands
 from simfoundry.cousins.reasons import Reason
 from simfoundry.lint.report import length
-from simfoundry.scene.model import SceneObject
+from simfoundry.scene.model import Collider, SceneObject, Visual
 from simfoundry.scene.summary import bounds
 from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.expressions import Call
@@ -96,7 +96,7 @@ def _rests(call: Call, item: SceneObject, needs: Needs) -> Outcome:
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
     """Every surface, seen or touched, is closed and encloses a volume."""
     for link in item.links:
-        pieces = [*link.colliders, *(v for v in link.visuals if not _is_paint(v.name))]
+        pieces: list[Collider | Visual] = [*link.colliders, *(v for v in link.visuals if not _is_paint(v.name))]
         for piece in pieces:
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)

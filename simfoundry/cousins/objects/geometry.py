@@ -22,7 +22,7 @@ from simfoundry.cousins.objects.profiles import Profile, flared, swelled, thicke
 from simfoundry.cousins.objects.stretch import allowed, stretched, stretched_part
 from simfoundry.scene.frames import Array
 from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import LatheShape
+from simfoundry.spec.base import LatheShape, SphereShape
 
 Edit = tuple[AssetSpec, str]
 """The changed asset, and what was changed, for people."""
@@ -38,7 +38,11 @@ ATTACHED = 0.6
 
 def stretch(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """The whole thing longer, wider, higher; of the loose links too, so that they fit."""
-    factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
+    parts = list(parts_of(spec).values())
+    if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls for one game differ little
+        factor = np.full(3, rng.uniform(0.94, 1.06))
+    else:
+        factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
     sizes = ", ".join(f"{axis} x {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
     return stretched(spec, factor), f"stretched: {sizes}"
 

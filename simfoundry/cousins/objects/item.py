@@ -8,8 +8,10 @@ from pathlib import Path
 from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
+from simfoundry.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.robot_files import companions
 from simfoundry.spec.asset import AssetSpec, LinkSpec, Part
 from simfoundry.spec.base import Body, Material
 from simfoundry.spec.diagnostics import SpecError
@@ -112,3 +114,14 @@ def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None
     scene = Loaded(path, folder.resolve(), written, (), uses={})
     scene.uses[str(scene.file(file))] = asset
     return lower(scene, cache).object(name)
+
+
+def lay(files: Mapping[str, Path], folder: Path) -> None:
+    """Lay copies of mesh files into a folder by their names there, each with the materials and textures that it names."""
+    for name, path in files.items():
+        target = folder / name
+        if target.exists():
+            continue
+        write_atomically(target, path.read_bytes())
+        for other in companions(path):
+            write_atomically(target.with_name(other.name), other.read_bytes())

@@ -6,6 +6,7 @@ Shape Distributions, ACM ToG 2002), colour by CIE 1976 L*a*b*.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +57,10 @@ class Apart:
     @property
     def distance(self) -> float:
         """The largest of the three in units of what makes things distinct: from 1 on they are."""
-        return max(self.size / np.log(1 + SIZE), self.shape / SHAPE, self.color / COLOR)
+        return max(self.size / math.log1p(SIZE), self.shape / SHAPE, self.color / COLOR)
 
     def __str__(self) -> str:
-        return f"size {np.expm1(self.size):.1%}, shape {self.shape:.3f}, colour {self.color:.1f}"
+        return f"size {math.expm1(self.size):.1%}, shape {self.shape:.3f}, colour {self.color:.1f}"
 
 
 def likeness(item: SceneObject, seed: int = 0) -> Likeness:

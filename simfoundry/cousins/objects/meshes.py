@@ -20,9 +20,7 @@ FOLDER = "meshes"
 """Where the meshes of variants lie, beside their documents."""
 
 
-def deformed(
-    spec: AssetSpec, files: Mapping[str, Path], rng: Rng
-) -> tuple[AssetSpec, dict[str, bytes], str]:
+def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
     """The asset with all its meshes deformed alike: the new spec, the new files by name, and what was changed.
 
     Raises :class:`MeshError` for a mesh with several textures, which one OBJ cannot hold.
@@ -44,9 +42,7 @@ def deformed(
         written = obj_with_material(mesh)
         new |= {f"{FOLDER}/{name}": data for name, data in written.items()}
         color = part.color if part.color is not None else None if read.texture is not None else _rgb(read)
-        changed[key] = part.model_copy(
-            update={"mesh": f"{FOLDER}/{next(iter(written))}", "scale": 1.0, "color": color}
-        )
+        changed[key] = part.model_copy(update={"mesh": f"{FOLDER}/{next(iter(written))}", "scale": 1.0, "color": color})
     return with_parts(spec, parts | changed), new, words
 
 

@@ -27,6 +27,9 @@ RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
 SHARES = MappingProxyType({"geometry": 0.85, "topology": 0.5, "appearance": 0.75})
 """How often a variant differs in each way that is allowed; in one it does always."""
 
+ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
+"""Of these a thing has several that are the same, and stay so: what is done to one is done to all."""
+
 TRIES = 8
 """Rules that do not apply to a thing are passed over so often."""
 
@@ -63,21 +66,33 @@ def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> 
                 spec, words, rule = edit
                 said.append(words)
                 done.add(rule)
+    for change in changes if not said else ():
+        edit = _edit(spec, RULES[change], only, rng)
+        if edit is not None:
+            spec, words, _ = edit
+            said.append(words)
     return Draft(spec, tuple(said), MappingProxyType(files), MappingProxyType(kept))
 
 
 def _edit(
     spec: AssetSpec, rules: Sequence[tuple[Rule, tuple[Kind, ...]]], only: Sequence[str], rng: Rng
 ) -> tuple[AssetSpec, str, Rule] | None:
-    """One rule applied to one component, both drawn; None where none of those drawn applies."""
+    """One rule applied to one component, both drawn, and to those that are like it; None where none drawn applies."""
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]
     order = rng.permutation(len(choices))[:TRIES]
     for k in order:
         rule, component = choices[int(k)]
-        edit = rule(spec, component, rng)
-        if edit is not None:
-            return *edit, rule
+        seed = int(rng.integers(0, 2**62))
+        edit = rule(spec, component, np.random.default_rng(seed))
+        if edit is None:
+            continue
+        made, words = edit
+        for other in found:
+            if other.kind in ALIKE and other.kind is component.kind and other != component:
+                again = rule(made, other, np.random.default_rng(seed))
+                made = made if again is None else again[0]
+        return made, words, rule
     return None
 
 

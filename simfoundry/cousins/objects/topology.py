@@ -110,11 +110,12 @@ def foot_ring(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """One or two round knobs in the place of a bar handle on a front."""
+    """One or two round knobs in the place of the bar handle of a drawer."""
     parts = parts_of(spec)
     body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
     out = outward(body, [parts[k] for k in component.parts])
-    if out is None or component.link == next(iter(spec.links)) or abs(out[2]) > 0.5:
+    drawers = {joint.child for joint in spec.joints.values() if joint.type == "prismatic"}
+    if out is None or component.link not in drawers or abs(out[2]) > 0.5:
         return None
     low, high = bounds([parts[k] for k in component.parts])
     wide = high - low
@@ -215,7 +216,9 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         key: moved(part, at(part) + [0.0, 0.0, up]) if key[0] == component.link else part for key, part in parts.items()
     }
     inset = 1.4 * radius
-    for n, (x, y) in enumerate((x, y) for x in (low[0] + inset, high[0] - inset) for y in (low[1] + inset, high[1] - inset)):
+    for n, (x, y) in enumerate(
+        (x, y) for x in (low[0] + inset, high[0] - inset) for y in (low[1] + inset, high[1] - inset)
+    ):
         pose = _upright(np.array([x, y, low[2] + up / 2]))
         lifted[_free(lifted, component.link, f"foot_{n}")] = Part(shape=_cylinder(radius, up), pose=pose)
     joints = {
@@ -264,7 +267,9 @@ def berry(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 
 
 def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """A leaf at the stem of a fruit."""
+    """A leaf at the stem of a round fruit."""
+    if not any(c.kind is Kind.TURNED for c in components(spec)):
+        return None
     parts = parts_of(spec)
     key = component.parts[0]
     if any(k[1] == "leaf" for k in parts) or rod(parts[key]) is None:

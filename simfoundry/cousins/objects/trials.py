@@ -188,5 +188,12 @@ def _table() -> SceneObject:
     box = Box(frozen_array([3.0, 3.0, 0.1]))
     rgba = frozen_array([0.7, 0.7, 0.7, 1.0])
     inertia = frozen_array(np.eye(3))
-    link = Link("base", 100.0, frozen_array(np.zeros(3)), inertia, (Visual("top", box, rgba),), (Collider("top", box, 0.5, 0.1),))
+    link = Link(
+        "base",
+        100.0,
+        frozen_array(np.zeros(3)),
+        inertia,
+        (Visual("top", box, rgba),),
+        (Collider("top", box, 0.5, 0.1),),
+    )
     return SceneObject(TABLE, "table", True, Pose.of([0.0, 0.0, -0.05]), (link,))

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
 from simfoundry.cousins.objects.checks import Twin, faults
-from simfoundry.cousins.objects.item import Item, lowered
+from simfoundry.cousins.objects.item import Item, lay, lowered
 from simfoundry.cousins.objects.likeness import Likeness, likeness
 from simfoundry.cousins.objects.needs import Needs
 from simfoundry.cousins.objects.parts import parts_of
@@ -137,7 +137,7 @@ def variants(
     refused: list[Refused] = []
     with TemporaryDirectory(prefix="simfoundry-variants-") as scratch:
         folder = Path(scratch)
-        _keep(item.files, folder)
+        lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
         twin, first = Twin.of(base, needs), likeness(base)
         for k in range(MOST_TRIES * axis.count):
@@ -181,7 +181,7 @@ def _examined(
     """A draft weighed, named, lowered and checked."""
     for name, data in made.files.items():
         write_atomically(folder / name, data)
-    _keep(made.kept, folder)
+    lay(made.kept, folder)
     try:
         used = {name: folder / name for name in (*made.files, *made.kept)}
         volumes, before = _volumes(made.spec, used), _volumes(item.spec, item.files)
@@ -240,15 +240,3 @@ def _checked(spec: AssetSpec, item: Item) -> AssetSpec:
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
     return {p.mesh: mesh_volume(files[p.mesh]) for p in parts_of(spec).values() if p.mesh is not None}
-
-
-def _keep(files: Mapping[str, Path], folder: Path) -> None:
-    """Lay copies of files, with what they name, into a folder."""
-    from simfoundry.scene.robot_files import companions
-
-    for name, path in files.items():
-        target = folder / name
-        if not target.exists():
-            write_atomically(target, path.read_bytes())
-            for other in companions(path):
-                write_atomically(target.with_name(other.name), other.read_bytes())
