@@ -69,8 +69,8 @@ def multipart(fields: Mapping[str, str], files: Sequence[tuple[str, str, str, by
     for name, value in fields.items():
         rows.append(f'--{mark}\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n{value}\r\n'.encode())
     for name, file, kind, data in files:
-        head = f'--{mark}\r\nContent-Disposition: form-data; name="{name}"; filename="{file}"\r\nContent-Type: {kind}\r\n\r\n'
-        rows += [head.encode(), data, b"\r\n"]
+        head = f'--{mark}\r\nContent-Disposition: form-data; name="{name}"; filename="{file}"\r\n'
+        rows += [f"{head}Content-Type: {kind}\r\n\r\n".encode(), data, b"\r\n"]
     return b"".join([*rows, f"--{mark}--\r\n".encode()]), f"multipart/form-data; boundary={mark}"
 
 

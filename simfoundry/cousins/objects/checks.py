@@ -1,4 +1,4 @@
-"""Whether a candidate can take the twin's place: as meshes, in size and mass, in the gripper, on the table, in its task."""
+"""Whether a candidate can take the twin's place: its meshes, size and mass, the gripper, a table, and its task."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ MARGIN = 0.003
 class Twin:
     """The thing that varies, lowered, and what it can do itself: only that is asked of its variants.
 
-    ``rests`` are the calls that hold in its own trials, ``lacks`` those that do not, with why; ``opening`` [m] is that of
-    the gripper, None where the twin itself cannot be taken.
+    ``rests`` are the calls that hold in its own trials, ``lacks`` those that do not, with why; ``opening`` [m] is that
+    of the gripper, None where the twin itself cannot be taken.
     """
 
     item: SceneObject

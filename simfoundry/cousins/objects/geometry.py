@@ -36,7 +36,7 @@ ATTACHED = 0.6
 """What is farther from the axis than this share of the body's radius hangs on its wall."""
 
 
-def stretch(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
     """The whole thing longer, wider, higher; of the loose links too, so that they fit."""
     parts = list(parts_of(spec).values())
     if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls for one game differ little

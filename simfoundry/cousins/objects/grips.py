@@ -46,7 +46,7 @@ def grip_width(item: SceneObject) -> float:
 
 
 def _grid(low: Array, high: Array) -> Array:
-    """Starts of the lines in the axes of the hand, shape (n, 3); those in the lowest part of a thing are out of reach."""
+    """Starts of the lines in the axes of the hand, shape (n, 3); the lowest part of a thing is out of reach."""
     across = low[0] + (np.arange(ACROSS) + 0.5) * (high[0] - low[0]) / ACROSS
     up = low[2] + (np.arange(ALONG) + 0.5) * (high[2] - low[2]) / ALONG
     a, h = np.meshgrid(across, up[ALONG // 3 :], indexing="ij")

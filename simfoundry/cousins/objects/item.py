@@ -32,8 +32,8 @@ _OF_BODY = tuple(Body.model_fields)
 class Item:
     """A thing: its ``spec``, flat, with every file it names absolute in ``files`` by the name that the spec has for it.
 
-    ``name`` is that of the object in its scene, or of the asset; ``category`` says what it is; ``source`` names where it
-    comes from, for people.
+    ``name`` is that of the object in its scene, or of the asset; ``category`` says what it is; ``source`` names where
+    it comes from, for people.
     """
 
     name: str
@@ -117,7 +117,7 @@ def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None
 
 
 def lay(files: Mapping[str, Path], folder: Path) -> None:
-    """Lay copies of mesh files into a folder by their names there, each with the materials and textures that it names."""
+    """Lay copies of mesh files into a folder by their names there, each with the materials and textures it names."""
     for name, path in files.items():
         target = folder / name
         if target.exists():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Profile:
     def shape(self) -> LatheShape:
         """As a document has it."""
         rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
-        kept = [rings[0], *(b for a, b in zip(rings[:-1], rings[1:], strict=True) if np.abs(a - b).max() > 1e-6)]
+        kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
         return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
 
     @property
@@ -93,7 +94,7 @@ def finer(profile: Profile, levels: int = LEVELS) -> Profile:
 
 def _finer(chain: Array, gap: float) -> Array:
     out = [chain[0]]
-    for a, b in zip(chain[:-1], chain[1:], strict=True):
+    for a, b in pairwise(chain):
         steps = max(1, round(abs(b[1] - a[1]) / gap))
         out += [a + (b - a) * (k / steps) for k in range(1, steps + 1)]
     return np.array(out)
@@ -160,7 +161,7 @@ def _shifted(profile: Profile, outer: Array, inner: Array) -> Profile:
 def _ring_at(chain: Array, height: float) -> Array:
     """The chain with a ring at a height [m] where it passes through it."""
     out = [chain[0]]
-    for a, b in zip(chain[:-1], chain[1:], strict=True):
+    for a, b in pairwise(chain):
         if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
             out.append(a + (b - a) * ((height - a[1]) / (b[1] - a[1])))
         out.append(b)

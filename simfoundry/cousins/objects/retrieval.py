@@ -1,4 +1,4 @@
-"""Variants from a library: assets and meshes of a folder that are like the twin in kind, size and shape, scaled to it."""
+"""Variants from a library: assets and meshes of a folder, like the twin in kind, size and shape, scaled to it."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Entry:
 class Library:
     """What a folder offers: asset documents, and mesh files, whose category is the name of the folder that they are in.
 
-    ``left_out`` are files that cannot be used, with why. Raises :class:`SimfoundryError` for a folder that is not there.
+    ``left_out`` are files that cannot be used, with why. Raises :class:`SimfoundryError` where there is no folder.
     """
 
     def __init__(self, folder: Path, cache: Cache | None = None, scale: float = 1.0) -> None:

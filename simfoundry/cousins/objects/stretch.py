@@ -46,13 +46,13 @@ def stretched_part(part: Part, f: Array) -> Part:
     if part.mesh is not None:
         return there.model_copy(update={"scale": part.scale * float(np.cbrt(f.prod()))})
     assert part.shape is not None
-    R = pose(part.pose).rotation
-    local = np.abs(R.T) @ f
-    if not _is_square(R):
+    turn = pose(part.pose).rotation
+    local = np.abs(turn.T) @ f
+    if not _is_square(turn):
         size = rod(part)
         if size is not None:
-            return _leaning_rod(there, size, R[:, 2], f)
-        upright = abs(R[2, 2]) > 1 - SQUARE and abs(f[0] - f[1]) < SQUARE
+            return _leaning_rod(there, size, turn[:, 2], f)
+        upright = abs(turn[2, 2]) > 1 - SQUARE and abs(f[0] - f[1]) < SQUARE
         local = np.array([f[0], f[1], f[2]]) if upright else np.full(3, float(np.cbrt(f.prod())))
     return shaped(there, _scaled(there.shape, local))
 
@@ -111,10 +111,10 @@ def _is_ball(spec: AssetSpec) -> bool:
 
 def _round_about_z(part: Part) -> bool:
     """Whether it would no longer be what it is with another factor in x than in y."""
-    R = pose(part.pose).rotation
-    if not _is_square(R):
+    turn = pose(part.pose).rotation
+    if not _is_square(turn):
         return rod(part) is None
-    upright = abs(R[2, 2]) > 1 - SQUARE
+    upright = abs(turn[2, 2]) > 1 - SQUARE
     return (isinstance(part.shape, LatheShape) or rod(part) is not None) and upright
 
 

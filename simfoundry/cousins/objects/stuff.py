@@ -29,7 +29,7 @@ class Stuff:
 
 @dataclass(frozen=True)
 class Sort:
-    """Things of one kind: the longest side [m] and the mass [kg] from least to most, colours, and materials of the body.
+    """Things of one kind: the longest side [m] and the mass [kg] from least to most, colours, materials of the body.
 
     Densities from Ashby, Materials Selection in Mechanical Design (4th ed., appendix A); sizes and masses from shops.
     """
@@ -79,22 +79,89 @@ SORTS = MappingProxyType(
         "plate": Sort((0.14, 0.34), (0.05, 1.8), PAINTS, _TABLEWARE),
         "organizer": Sort((0.15, 0.5), (0.1, 2.5), PAINTS, ("plastic", "bamboo", "board")),
         "bottle": Sort((0.1, 0.34), (0.05, 1.8), PAINTS, ()),
-        "pot": Sort((0.12, 0.45), (0.3, 4.5), (RED, WHITE, NAVY, SAGE, ORANGE, BLACK, STEEL, COPPER), ("enamel", "aluminium")),
+        "pot": Sort(
+            (0.12, 0.45), (0.3, 4.5), (RED, WHITE, NAVY, SAGE, ORANGE, BLACK, STEEL, COPPER), ("enamel", "aluminium")
+        ),
         "stove": Sort((0.25, 0.8), (1.5, 30.0), (STEEL, BLACK, WHITE, CREAM, RED, GREY), ()),
-        "cabinet": Sort((0.18, 0.8), (1.0, 25.0), (*WOODS, WHITE, CREAM, GREY, SAGE, NAVY), ("wood", "board", "bamboo")),
+        "cabinet": Sort(
+            (0.18, 0.8), (1.0, 25.0), (*WOODS, WHITE, CREAM, GREY, SAGE, NAVY), ("wood", "board", "bamboo")
+        ),
         "can": Sort((0.14, 0.6), (0.2, 5.0), PAINTS, ("plastic",)),
-        "box": Sort((0.1, 0.7), (0.04, 3.5), ((0.62, 0.44, 0.27), SAND, BROWN, WHITE, CREAM, GREY, SAGE, NAVY), ("carton", "board")),
-        "marker": Sort((0.09, 0.17), (0.005, 0.07), (BLACK, RED, BLUE, GREEN, ORANGE, PURPLE, PINK, BROWN), ("plastic",)),
+        "box": Sort(
+            (0.1, 0.7),
+            (0.04, 3.5),
+            ((0.62, 0.44, 0.27), SAND, BROWN, WHITE, CREAM, GREY, SAGE, NAVY),
+            ("carton", "board"),
+        ),
+        "marker": Sort(
+            (0.09, 0.17), (0.005, 0.07), (BLACK, RED, BLUE, GREEN, ORANGE, PURPLE, PINK, BROWN), ("plastic",)
+        ),
         "eraser": Sort((0.06, 0.2), (0.01, 0.25), (BLACK, BLUE, GREY, NAVY, GREEN, RED, YELLOW), ("plastic",)),
         "cube": Sort((0.02, 0.12), (0.005, 0.8), PAINTS, ("wood", "plastic", "foam")),
-        "apple": Sort((0.055, 0.12), (0.06, 0.4), (RED, (0.86, 0.22, 0.2), (0.6, 0.1, 0.12), (0.55, 0.7, 0.2), (0.82, 0.76, 0.3), (0.87, 0.45, 0.25)), ()),
-        "banana": Sort((0.11, 0.28), (0.05, 0.35), ((0.96, 0.82, 0.2), (0.62, 0.72, 0.22), (0.45, 0.62, 0.2), (0.86, 0.7, 0.16), (0.98, 0.88, 0.42), (0.78, 0.58, 0.14)), ()),
-        "grapes": Sort((0.05, 0.25), (0.02, 0.9), ((0.42, 0.2, 0.52), (0.55, 0.68, 0.28), (0.3, 0.12, 0.2), (0.62, 0.22, 0.3), (0.2, 0.16, 0.34)), ()),
-        "baseball": Sort((0.068, 0.0765), (0.11, 0.19), ((0.94, 0.93, 0.89), (0.86, 0.82, 0.7), (0.9, 0.86, 0.3), (0.92, 0.55, 0.2), (0.75, 0.62, 0.48), (0.6, 0.78, 0.9), RED, NAVY, BLACK, PINK, GREEN), ()),
-        "tennis_ball": Sort((0.061, 0.0725), (0.04, 0.08), ((0.8, 0.9, 0.22), (0.7, 0.84, 0.3), (0.95, 0.55, 0.2), (0.94, 0.5, 0.66), (0.35, 0.62, 0.85), (0.92, 0.28, 0.24)), ()),
-        "burger": Sort((0.05, 0.16), (0.02, 0.5), ((0.84, 0.57, 0.27), (0.72, 0.43, 0.2), (0.9, 0.68, 0.4), (0.6, 0.36, 0.18), (0.25, 0.2, 0.17)), ()),
+        "apple": Sort(
+            (0.055, 0.12),
+            (0.06, 0.4),
+            (RED, (0.86, 0.22, 0.2), (0.6, 0.1, 0.12), (0.55, 0.7, 0.2), (0.82, 0.76, 0.3), (0.87, 0.45, 0.25)),
+            (),
+        ),
+        "banana": Sort(
+            (0.11, 0.28),
+            (0.05, 0.35),
+            (
+                (0.96, 0.82, 0.2),
+                (0.62, 0.72, 0.22),
+                (0.45, 0.62, 0.2),
+                (0.86, 0.7, 0.16),
+                (0.98, 0.88, 0.42),
+                (0.78, 0.58, 0.14),
+            ),
+            (),
+        ),
+        "grapes": Sort(
+            (0.05, 0.25),
+            (0.02, 0.9),
+            ((0.42, 0.2, 0.52), (0.55, 0.68, 0.28), (0.3, 0.12, 0.2), (0.62, 0.22, 0.3), (0.2, 0.16, 0.34)),
+            (),
+        ),
+        "baseball": Sort(
+            (0.068, 0.0765),
+            (0.11, 0.19),
+            (
+                (0.94, 0.93, 0.89),
+                (0.86, 0.82, 0.7),
+                (0.9, 0.86, 0.3),
+                (0.92, 0.55, 0.2),
+                (0.75, 0.62, 0.48),
+                (0.6, 0.78, 0.9),
+                RED,
+                NAVY,
+                BLACK,
+                PINK,
+                GREEN,
+            ),
+            (),
+        ),
+        "tennis_ball": Sort(
+            (0.061, 0.0725),
+            (0.04, 0.08),
+            (
+                (0.8, 0.9, 0.22),
+                (0.7, 0.84, 0.3),
+                (0.95, 0.55, 0.2),
+                (0.94, 0.5, 0.66),
+                (0.35, 0.62, 0.85),
+                (0.92, 0.28, 0.24),
+            ),
+            (),
+        ),
+        "burger": Sort(
+            (0.05, 0.16),
+            (0.02, 0.5),
+            ((0.84, 0.57, 0.27), (0.72, 0.43, 0.2), (0.9, 0.68, 0.4), (0.6, 0.36, 0.18), (0.25, 0.2, 0.17)),
+            (),
+        ),
     }
-)  # fmt: skip
+)
 """By the last word of a category that is here: a `blue_cup` is a cup."""
 
 WORDS = MappingProxyType({"carton": "box", "tumbler": "cup", "cooking_pot": "pot", "trash_can": "can", "block": "cube"})

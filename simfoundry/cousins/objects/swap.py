@@ -117,7 +117,8 @@ def variant_set(name: str, assets: Mapping[str, str]) -> dict[str, Any]:
 def _key(item: Item, wanted: ObjectVariants, needs: Needs, seed: int) -> str:
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
-    return key_of(VERSION, item.name, item.category, to_yaml(item.spec), wanted.model_dump_json(), calls, str(seed), *meshes)
+    said = (item.name, item.category, to_yaml(item.spec), wanted.model_dump_json(), calls, str(seed))
+    return key_of(VERSION, *said, *meshes)
 
 
 def _read(path: Path, key: str, folder: Path) -> dict[str, Any] | None:

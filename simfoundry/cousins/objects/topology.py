@@ -35,7 +35,7 @@ SHALLOW = 0.6
 """A vessel lower than this share of its width has no loop handle: bowls and plates have lugs or a foot."""
 
 
-def remove(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """A handle, divider, band or stem less; of two handles none goes alone."""
     if component.kind is Kind.HANDLE and sum(c.kind is Kind.HANDLE for c in components(spec)) > 1:
         return None
@@ -43,7 +43,7 @@ def remove(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     return with_parts(spec, parts), f"without its {component.name}"
 
 
-def mirror(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+def mirror(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """The handle once more, on the other side of a turned body."""
     body = next((c for c in components(spec) if c.kind is Kind.VESSEL and c.link == component.link), None)
     handles = [c for c in components(spec) if c.kind is Kind.HANDLE and c.link == component.link]
@@ -140,7 +140,7 @@ def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     return with_parts(spec, kept | added), f"{count} knob{'s' * (count > 1)} in place of its {component.name}"
 
 
-def another_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+def another_knob(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
     """One knob more, in the middle between two."""
     peers = [c for c in components(spec) if c.kind is Kind.KNOB and c.link == component.link]
     if len(peers) != 2:
@@ -212,9 +212,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     if min(size[:2]) < 0.08 or low[2] < -1e-6:
         return None
     up, radius = float(rng.uniform(0.006, 0.014)), 0.05 * float(min(size[:2])) + 0.003
-    lifted = {
-        key: moved(part, at(part) + [0.0, 0.0, up]) if key[0] == component.link else part for key, part in parts.items()
-    }
+    lifted = {key: moved(part, at(part) + up * UP) if key[0] == component.link else part for key, part in parts.items()}
     inset = 1.4 * radius
     for n, (x, y) in enumerate(
         (x, y) for x in (low[0] + inset, high[0] - inset) for y in (low[1] + inset, high[1] - inset)
@@ -243,9 +241,9 @@ def layer(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         above = key in component.parts and bounds([part])[0][2] > low[2] + 1e-6
         if key == chosen and not more:
             continue
-        changed[key] = moved(part, at(part) + [0.0, 0.0, thick if more else -thick]) if above else part
+        changed[key] = moved(part, at(part) + (thick if more else -thick) * UP) if above else part
     if more:
-        changed[_free(parts, chosen[0], f"{chosen[1]}_more")] = moved(parts[chosen], at(parts[chosen]) + [0, 0, thick])
+        changed[_free(parts, chosen[0], f"{chosen[1]}_more")] = moved(parts[chosen], at(parts[chosen]) + thick * UP)
     return with_parts(spec, changed), f"{'a second' if more else 'without'} {chosen[1]}"
 
 
