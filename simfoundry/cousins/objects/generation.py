@@ -186,7 +186,7 @@ def picture_of(item: Item, side: int = SIDE) -> bytes:
     f = 0.9 * side * far / float(np.linalg.norm(high - low))
     c = (side - 1) / 2
     camera = Camera("alone", side, side, f, f, c, c, look_at(eye, middle))
-    seen = raycast(Scene("alone", frozen_array([0.0, 0.0, -9.81]), (thing,)), camera, samples=3)
+    seen = raycast(Scene("alone", frozen_array([0.0, 0.0, -9.81]), (thing,)), camera, samples=2)
     alpha = np.where(seen.objects > 0, 255, 0).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(np.dstack([seen.color, alpha]), "RGBA").save(stream, format="PNG")

@@ -74,7 +74,7 @@ def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """A thicker or thinner wall and floor."""
     more = rng.uniform(-0.35, 0.6)
     return _reprofiled(
-        spec, component, lambda p: thickened(p, more * p.wall), f"wall {'+' if more > 0 else ''}{more:.0%}"
+        spec, component, lambda p: thickened(p, more * p.thinnest), f"wall {'+' if more > 0 else ''}{more:.0%}"
     )
 
 

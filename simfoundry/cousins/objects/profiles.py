@@ -75,6 +75,16 @@ class Profile:
         """The thickness of its wall at the rim [m], 0 for a solid body."""
         return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
 
+    @property
+    def thinnest(self) -> float:
+        """The least distance of a corner of its inside from its outside [m]; that of a plate is not at its rim."""
+        a, b = self.outer[:-1], self.outer[1:]
+        way = b - a
+        points = self.inner[:, None, :] - a
+        along = np.einsum("ijk,jk->ij", points, way) / np.einsum("jk,jk->j", way, way)
+        apart = points - np.clip(along, 0.0, 1.0)[..., None] * way
+        return float(np.linalg.norm(apart, axis=2).min())
+
     def radius(self, height: Array | float) -> Array:
         """The outer radius [m] at heights [m]."""
         rings = self.outer[1:] if len(self.outer) > 1 else self.outer
