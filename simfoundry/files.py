@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 BYSTANDERS = ("__pycache__", ".DS_Store", "MUJOCO_LOG.TXT")
 """What programs leave in a folder by the way; nobody misses it."""
@@ -21,11 +22,18 @@ STALE_S = 3600.0
 
 def write_atomically(path: Path, data: bytes) -> None:
     """Write a file in one step."""
+    with writing_atomically(path) as stream:
+        stream.write(data)
+
+
+@contextmanager
+def writing_atomically(path: Path) -> Iterator[IO[bytes]]:
+    """A stream to a file that takes its place in one step when the block ends well: for more than fits in memory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, staging = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as stream:
-            stream.write(data)
+            yield stream
         Path(staging).chmod(0o644)
         os.replace(staging, path)
     except BaseException:

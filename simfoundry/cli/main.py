@@ -53,6 +53,7 @@ COMMANDS = {
     "capture": "Turn a capture folder into a scene.",
     "check": "Check documents; every finding with its place.",
     "compile": "Compile a scene for simulators.",
+    "cousins": "Make variants of a scene or task that keep what can be done in it.",
     "correlate": "Compare simulated success rates with real ones.",
     "demo": "Capture, compile and run, from the project's own picture or yours.",
     "diff": "Say what changed between two documents or revisions.",

@@ -68,11 +68,12 @@ def _rate(rate: Rate | None) -> str:
     if rate is None:
         return "–"
     low, high = rate.interval
+    x0, x1, x = (5 + 90 * share for share in (low, high, rate.share))
     bar = (
-        "<svg width='90' height='10' aria-hidden='true'>"
-        "<rect y='4' width='90' height='2' fill='#9aa4af' opacity='.4'/>"
-        f"<rect y='3' x='{90 * low:.1f}' width='{90 * (high - low):.1f}' height='4' fill='#2f6fde' opacity='.35'/>"
-        f"<circle cx='{90 * rate.share:.1f}' cy='5' r='4' fill='#2f6fde'/></svg>"
+        "<svg width='100' height='10' aria-hidden='true'>"
+        "<rect x='5' y='4' width='90' height='2' fill='#9aa4af' opacity='.4'/>"
+        f"<rect x='{x0:.1f}' y='3' width='{x1 - x0:.1f}' height='4' fill='#2f6fde' opacity='.35'/>"
+        f"<circle cx='{x:.1f}' cy='5' r='4' fill='#2f6fde'/></svg>"
     )
     return f"{bar} {rate.done}/{rate.of} <small>{rate.share:.0%} ({low:.0%} to {high:.0%})</small>"
 
@@ -92,9 +93,13 @@ def _details(cell: Cell, records: Sequence[Mapping[str, Any]]) -> str:
 def _grid(name: str, records: Sequence[Mapping[str, Any]]) -> str:
     """The cells of an object's region, x up and y to the left as the arm sees them; each with its rollout."""
     here = [record for record in records if name in record["cells"]]
-    rows = max(r["cells"][name][0] for r in here) + 1
-    columns = max(r["cells"][name][1] for r in here) + 1
-    side, shapes = 20, []
+    rows, columns = (max(record["grid"][k] for record in here) for k in (0, 1))
+    side = 20
+    shapes = [
+        f"<rect x='{side * k}' y='{side * i}' width='{side - 1}' height='{side - 1}' rx='3' fill='#9aa4af33'/>"
+        for i in range(rows)
+        for k in range(columns)
+    ]
     for record in here:
         row, column = record["cells"][name]
         x, y = (columns - 1 - column) * side, (rows - 1 - row) * side

@@ -160,7 +160,11 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
     video = _video(plan, setting.task)
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
     slot = _slot(plan, job, setting.task)
-    about = {**_conditions(plan, job, setting.task, start), "cells": {n: list(c) for n, c in start.cells.items()}}
+    about = {
+        **_conditions(plan, job, setting.task, start),
+        "grid": list(setting.task.reset.grid),
+        "cells": {name: list(cell) for name, cell in start.cells.items()},
+    }
     if video is not None and result.frames:
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
         _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)

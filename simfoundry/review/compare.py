@@ -14,6 +14,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.diff.changes import Change, diff
 from simfoundry.spec.diff.words import Entry, describe, summary, text
 from simfoundry.spec.files import FileError
+from simfoundry.spec.flatten import relocated
 from simfoundry.spec.kinds import model_of
 from simfoundry.spec.load import kind_of, load
 from simfoundry.spec.loaded import Loaded
@@ -122,11 +123,20 @@ def compare(name: str, old: Side | None, new: Side | None, verbose: bool = False
     if type(old.spec) is not type(new.spec):
         kinds = [str(s.data["simfoundry"]) for s in present]
         return Comparison(name, old, new, (), (), f"it was `{kinds[0]}` and is `{kinds[1]}`")
-    changes = diff(old.data, new.data)
-    entries = describe(old.data, new.data, type(new.spec), _joint_units(new), verbose, changes)
+    before = _named_alike(old, new)
+    changes = diff(before, new.data)
+    entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
     if files:
         entries += tuple(_changed_files(old, new, verbose))
     return Comparison(name, old, new, changes, entries)
+
+
+def _named_alike(old: Side, new: Side) -> dict[str, Any]:
+    """The old data with its files named from the folder of the new, where both lie in one project."""
+    assert old.spec is not None
+    if old.loaded.root != new.loaded.root:
+        return old.data
+    return relocated(old.data, type(old.spec), old.loaded.path.parent, new.loaded.path.parent)
 
 
 def _sound(loaded: Loaded) -> DocumentSpec | None:

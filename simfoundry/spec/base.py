@@ -200,6 +200,15 @@ Shape = Annotated[
 ]
 
 
+class CousinOf(Model):
+    """Which cousin of its twin a document is: the same recipe, seed and index give the same again."""
+
+    recipe: Name = Field(description="The recipe by name.")
+    seed: Annotated[int, Field(ge=0)] = Field(description="What the recipe's random choices started from.")
+    index: Annotated[int, Field(ge=1)] = Field(description="Which of the recipe's candidates it is, from 1 on.")
+    by: str = Field("simfoundry", max_length=64, description="The program that made it.")
+
+
 class Origin(Model):
     """Where a description comes from, and how well it fits what was seen."""
 
@@ -207,6 +216,7 @@ class Origin(Model):
     fit: NonNegative | None = Field(None, description="Median distance of the seen points from the fitted surface [m].")
     confidence: Fraction | None = Field(None, description="How far to trust it, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="What was assumed.")
+    cousin: CousinOf | None = Field(None, description="Which cousin it is, where a recipe made it.")
 
 
 class Material(Model):

@@ -77,8 +77,11 @@ class DistractorAxis(Model):
     """Things beside the task: taken from a library, placed without collision."""
 
     count: tuple[Count, Count] = Field((1, 4), description="Fewest and most of them in a scene.")
-    library: Folder | None = Field(None, description="A folder of assets; default: those of the project.")
-    categories: tuple[Name, ...] = Field((), description="Categories to choose from; default: every one.")
+    library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
+    shipped: bool = Field(True, description="Whether to choose from the assets that come with the project, too.")
+    categories: tuple[Name, ...] = Field(
+        (), description="Categories to choose from; default: every one that nothing in the twin has."
+    )
     without: tuple[Name, ...] = Field((), description="Categories to leave out.")
     mass: Between = Field(Between(), description="Mass [kg].")
     volume: Between = Field(Between(), description="Volume [m^3].")
@@ -88,6 +91,8 @@ class DistractorAxis(Model):
     def _ordered(self) -> Self:
         if self.count[0] > self.count[1]:
             raise PydanticCustomError("sf104", "the fewest are more than the most", {"at": "count"})
+        if self.library is None and not self.shipped:
+            raise PydanticCustomError("sf107", "without what is shipped a `library` is needed", {"at": "shipped"})
         return self
 
 

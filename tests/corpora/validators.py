@@ -1,8 +1,8 @@
 """Every build of ``specs/`` before the validators of others: ``python -m tests.corpora.validators``.
 
 - USD's own (``UsdValidation``, all that are registered) on each stage and on each object of OmniGibson.
-- NVIDIA's asset validator on the same files, but for stages with a robot once for each robot, and for objects that are
-  the same in many scenes once. It warns of the robots' own meshes. It is found as ``omni_asset_validate`` on the path
+- NVIDIA's asset validator on the same files, but with each robot once, all other stages without theirs, and objects that
+  are the same in many scenes once. It warns of the robots' own meshes. It is found as ``omni_asset_validate`` on the path
   or by ``SIMFOUNDRY_OMNI``.
 - ``check_urdf`` on each URDF. Capsules and ball joints, which only PyBullet knows, are other words to it.
 - MuJoCo: no warning on loading and in one second of steps.
@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from simfoundry.scene.lower import lower_file
@@ -29,6 +30,9 @@ from tests.specs.documents import SCENES, SPECS, name_of
 from tests.targets.everything import LIGHTS, write_everything
 
 TARGETS = ("usd", "isaaclab", "omnigibson", "urdf", "pybullet", "mjcf", "mjx")
+ALONE = "usd_without_robots"
+"""Where the stage without its robots goes, which the asset validator sees of every scene."""
+
 DESK = SPECS / "captures" / "desk" / "desk.scene.yaml"
 OMNI = "SIMFOUNDRY_OMNI"
 INSTALL = {
@@ -72,7 +76,7 @@ def main() -> int:
                     files = sorted(file for file in Path(build).rglob(f"*{suffix}") if is_ours(file, Path(build)))
                     if name == "asset validator":
                         files = [file for file in files if not (robots and file.name == "environment.usda")]
-                        files = [file for file in files if not (heavy and file.name == "scene.usda")]
+                        files = [file for file in files if not (heavy and file.parent.name == "usd")]
                         files = [file for file in files if file.read_bytes() not in seen]
                         seen |= {file.read_bytes() for file in files if file.parent.name == "objects"}
                     cells.append(_run(validator, files, Path(build), failures, f"{name_of(path)}: {name}"))
@@ -95,6 +99,9 @@ def built(path: Path, folder: Path) -> tuple[str, ...]:
     scene = lower_file(path)
     for name in TARGETS:
         compile_target(scene, find_target(name)).write(folder / name)
+    if scene.robots:
+        bare = replace(scene, robots=(), mounted=())
+        compile_target(bare, find_target("usd")).write(folder / ALONE)
     return tuple(sorted({str(model.file) for robot in scene.robots for model in robot.models.values()}))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -152,3 +153,14 @@ def test_tables_with_nothing_in_common_are_an_error_and_strangers_are_named(tmp_
     assert result.code == 2 and "no task and policy stand in both tables" in result.err
     other.write_text("task,policy,rate\nstack_dishware,pi0,50%\nstack_dishware,pi05,60%\n")
     assert "not in both tables" in run("correlate", RESULTS / "real.csv", other).out
+
+
+def test_the_example_of_the_documentation(tmp_path: Path) -> None:
+    text = (RESULTS.parents[1] / "docs" / "evaluation.md").read_text()
+    (command,) = [line for line in text.splitlines() if line.startswith("simfoundry correlate")]
+    words = [word.replace("build/", f"{tmp_path}/") for word in command.split()[1:]]
+    with contextlib.chdir(RESULTS.parents[1]):
+        result = run(*words)
+    assert result.code == 0 and (tmp_path / "correlation.svg").exists()
+    for line in ("stack_dishware    3         0.883 (0.693 to 0.998)   0.000 (0.000 to 0.000)", "0.911"):
+        assert line in result.out and line in text

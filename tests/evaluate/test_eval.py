@@ -196,7 +196,8 @@ def test_labels_come_from_what_was_asked_for() -> None:
 def test_the_page_escapes_what_it_is_told() -> None:
     record = {
         "task": "<script>", "part": "whole", "step": "", "policy": "p&q", "index": 0, "success": False, "end": "fell",
-        "reason": "<b>", "steps": 3, "subtasks": {"<i>": None}, "cells": {"x": [0, 0]}, "video": "a'b.webm",
+        "reason": "<b>", "steps": 3, "subtasks": {"<i>": None}, "cells": {"x": [0, 0]}, "grid": [5, 5],
+        "video": "a'b.webm",
     }  # fmt: skip
     text = page([record])
     assert "<script>" not in text and "<b>" not in text and "<i>" not in text and "a'b" not in text

@@ -174,6 +174,7 @@ def test_what_a_target_cannot_keep_of_a_robot_is_said(lift: Scene) -> None:
     assert "converted from its MJCF" in losses["pybullet"]["arm"]
     assert losses["usd"]["arm.loops"].startswith("2 closed loops are cut")
     assert "arm" not in losses["mjcf"]
+    assert "contacts of its fingers take up a load within 4 ms" in losses["mjcf"]["arm.gripper.contacts"]
     assert "stand still" in losses["pybullet"]["wrist"]
     assert "wrist" not in losses["mjcf"] | losses["usd"]
 

@@ -75,7 +75,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
             continue
         qpos.extend(read.qpos)
         ctrl.extend(read.ctrl)
-        lost.extend(robot_losses(robot, read))
+        lost.extend(robot_losses(robot, read, timestep))
     add_mounted_cameras(world, scene)
     keyframe = ET.SubElement(root, "keyframe")
     state = {name: numbers(values) for name, values in (("qpos", qpos), ("ctrl", ctrl)) if values}

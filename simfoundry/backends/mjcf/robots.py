@@ -56,7 +56,7 @@ def add_robot(root: ET.Element, robot: Robot, assets: Assets, timestep: float) -
 
 
 def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
-    """Let what the fingers hold follow them within two steps, the least that MuJoCo can.
+    """Let what the fingers hold follow them as firmly as MuJoCo can.
 
     The constraint solver takes the servos' damping as it is at the start of a step, the integrator at its end. What is
     held feels the difference at each jerk of the arm and creeps by it times the contact's time constant: at MuJoCo's
@@ -70,8 +70,13 @@ def _firm_fingers(base: ET.Element, read: MujocoRobot, timestep: float) -> None:
     for body in base.iter("body"):
         if any(joint.get("name") in moving for joint in body.findall("joint")):
             for geom in body.iter("geom"):
-                geom.set("solref", f"{number(2 * timestep)} 1")
+                geom.set("solref", f"{number(_firm(timestep))} 1")
                 geom.set("solmix", _FINGERS)
+
+
+def _firm(timestep: float) -> float:
+    """The time constant of the fingers' contacts [s]: two steps, the least that MuJoCo can."""
+    return 2 * timestep
 
 
 def _write_exactly(base: ET.Element, read: MujocoRobot) -> None:
@@ -145,8 +150,8 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
         add_camera(body, camera)
 
 
-def robot_losses(robot: Robot, read: MujocoRobot) -> Iterator[Loss]:
-    """What becomes of a robot in MuJoCo."""
+def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
+    """What becomes of a robot in MuJoCo at steps of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
         reason = "no MJCF of it is known: its URDF is read by MuJoCo, with the convex hulls of its meshes as colliders"
         yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
@@ -155,3 +160,9 @@ def robot_losses(robot: Robot, read: MujocoRobot) -> Iterator[Loss]:
         yield Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason)
     reason = "its surfaces are as its file has them: against the scene's, MuJoCo takes the larger friction"
     yield Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason)
+    if read.native.gripper is not None:
+        reason = (
+            f"contacts of its fingers take up a load within {1000 * _firm(timestep):g} ms, whatever its file says: "
+            "at MuJoCo's usual 20 ms what is held creeps"
+        )
+        yield Loss(f"{robot.name}.gripper.contacts", Fidelity.APPROXIMATED, reason)

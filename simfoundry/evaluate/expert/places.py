@@ -29,8 +29,11 @@ SUNK = 0.008
 
 UP = np.array([0.0, 0.0, 1.0])
 
-ENOUGH, LOOKED_AT = 24, 400
-"""So many places are enough to choose from, and so many are looked at for it at most."""
+ENOUGH, LOOKED_AT = 48, 400
+"""So many places of a kind are enough to choose from, and so many on end are looked at for it at most."""
+
+FAR = 10.0
+"""Cost of a place for each metre from the middle."""
 
 LONG = 1.8
 """A thing is long whose greatest extent is this many times its next: it may also stand on its end."""
@@ -60,41 +63,89 @@ def at_state(item: SceneObject, state: SceneState) -> SceneObject:
     return replace(item, X_WO=state.poses[item.name], joints=tuple(joints))
 
 
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """What is to carry a thing: an object, or its link of index ``link``, among what else moves.
+
+    ``part`` is what carries, up to the height ``top`` [m]; ``walls`` are its colliders.
+    """
+
+    whole: Hulls
+    link: int | None
+    part: Hulls
+    X_WC: Pose
+    top: float
+    walls: Solid
+    others: tuple[Hulls, ...]
+    inside: bool
+
+
 def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> list[PlaceAt]:
-    """Poses of ``name`` on or inside ``target`` (an object or a link of one), from the best."""
-    return list(islice(_places(scene, state, name, target, inside), ENOUGH))
+    """Poses of ``name`` on or inside ``target`` (an object or a link of one), from the best.
+
+    First as it lies, in the middle of where there is room for it so; a long thing also on its end.
+    """
+    item, carrier = scene.object(name), _target(scene, state, name, target, inside)
+    spots = _spots(carrier)
+    lying = [(turn, 0.0) for turn in _turned(state.poses[name])]
+    found = _central([p for place in _tried(item, lying, spots) if (p := _placed(carrier, *place)) is not None])
+    if inside:
+        on_end = _tried(item, list(_on_end(item, state)), spots)[:LOOKED_AT]
+        found += islice((p for place in on_end if (p := _placed(carrier, *place)) is not None), ENOUGH)
+    return sorted(found, key=lambda p: p.cost)
 
 
-def _places(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> Iterator[PlaceAt]:
-    item = scene.object(name)
+def _target(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> _Target:
     owner, _, link = target.partition(".")
-    carrier = at_state(scene.object(owner), state)
-    whole = hulls(carrier)
-    number = [each.name for each in carrier.links].index(link) if link else None
+    item = at_state(scene.object(owner), state)
+    whole = hulls(item)
+    number = [each.name for each in item.links].index(link) if link else None
     part = whole if number is None else whole.of_link(number)
-    X_WC = carrier.X_WO @ link_poses(carrier)[link] if link else carrier.X_WO
-    others = [hulls(at_state(o, state)) for o in scene.objects if o.name not in (name, owner) and not o.fixed]
-    walls = solid(scene.object(owner), state, [link] if link else None)
-    top = part.extent(UP)[1]
-    turned = [(R, penalty, hulls(replace(item, X_WO=R))) for R, penalty in _turns(item, state, inside)]
-    tried = [
-        (penalty + 10 * off, k, spot)
-        for k, (_, penalty, _) in enumerate(turned)
-        for spot, off in _spots(part, X_WC, inside)
-    ]
-    for cost, k, spot in sorted(tried, key=lambda t: t[0])[:LOOKED_AT]:
-        X_turn, _, shape = turned[k]
-        at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
-        held = shape.moved(at)
-        lift = _rest(held, whole, number)
-        if lift is None:
-            continue
-        foot = lift + shape.extent(UP)[0]
-        if inside and not (foot < top - SUNK and _walled(walls, np.array([*spot, foot]))):
-            continue
-        if any(float(heights(held, other).max()) > lift for other in others):
-            continue
-        yield PlaceAt(Pose.of(at + lift * UP, X_turn.q), cost)
+    others = (o for o in scene.objects if o.name not in (name, owner) and not o.fixed)
+    return _Target(
+        whole=whole,
+        link=number,
+        part=part,
+        X_WC=item.X_WO @ link_poses(item)[link] if link else item.X_WO,
+        top=part.extent(UP)[1],
+        walls=solid(item, state, [link] if link else None),
+        others=tuple(hulls(at_state(o, state)) for o in others),
+        inside=inside,
+    )
+
+
+def _tried(
+    item: SceneObject, turns: list[tuple[Pose, float]], spots: list[tuple[Array, float]]
+) -> list[tuple[Pose, Hulls, Array, float]]:
+    """Every turn at every spot with its shape and what is to say against it, from the least."""
+    turned = [(turn, hulls(replace(item, X_WO=turn)), penalty) for turn, penalty in turns]
+    every = [(turn, shape, spot, penalty + FAR * off) for turn, shape, penalty in turned for spot, off in spots]
+    return sorted(every, key=lambda each: each[3])
+
+
+def _placed(target: _Target, turn: Pose, shape: Hulls, spot: Array, cost: float) -> PlaceAt | None:
+    """A thing let down over a spot; None where it meets something else first, or is not inside as it should be."""
+    at = np.array([*(spot - shape.middle(np.eye(3))[:2]), 0.0])
+    held = shape.moved(at)
+    lift = _rest(held, target.whole, target.link)
+    if lift is None:
+        return None
+    foot = lift + shape.extent(UP)[0]
+    if target.inside and not (foot < target.top - SUNK and _walled(target.walls, np.array([*spot, foot]))):
+        return None
+    if any(float(heights(held, other).max()) > lift for other in target.others):
+        return None
+    return PlaceAt(Pose.of(at + lift * UP, turn.q), cost)
+
+
+def _central(found: list[PlaceAt]) -> list[PlaceAt]:
+    """The places nearest to the middle of them all: what lies half under a lid has its room in the other half."""
+    if not found:
+        return []
+    middle = np.mean([place.X_WO.p[:2] for place in found], axis=0)
+    off = [float(np.linalg.norm(place.X_WO.p[:2] - middle)) for place in found]
+    central = [PlaceAt(place.X_WO, FAR * distance) for place, distance in zip(found, off, strict=True)]
+    return sorted(central, key=lambda place: place.cost)[:ENOUGH]
 
 
 def _walled(walls: Solid, foot: Array) -> bool:
@@ -104,36 +155,44 @@ def _walled(walls: Solid, foot: Array) -> bool:
     return any(met(walls, foot + height * UP, rays).sum() >= WALLED for height in (0.001, 0.01, 0.02))
 
 
-def _spots(part: Hulls, X_WC: Pose, inside: bool) -> list[tuple[Array, float]]:
+def _spots(target: _Target) -> list[tuple[Array, float]]:
     """Positions in the plane [m] over a target, from its middle outwards, and how far from the middle they are."""
-    middle = part.middle(X_WC.rotation)
-    if inside:
-        middle = hollow(part, middle, X_WC.rotation)
-    axes = X_WC.rotation[:, :2]
+    part, R_WC = target.part, target.X_WC.rotation
+    middle = part.middle(R_WC)
+    if target.inside:
+        middle = hollow(part, middle, R_WC)
+    axes = R_WC[:, :2]
     half = [(high - low) / 2 for low, high in (part.extent(axes[:, k]) for k in range(2))]
-    rows, columns = (np.linspace(-0.8, 0.8, int(np.clip(1.6 * h / SPACING, 2, GRID))) * h for h in half)
-    offsets = [(0.0, 0.0), *((a, b) for a in rows for b in columns)]
-    spots = [((middle + axes @ np.array(offset))[:2], math.hypot(*offset)) for offset in offsets]
+    rows, columns = (np.linspace(-0.8, 0.8, _odd(1.6 * h / SPACING)) * h for h in half)
+    spots = [((middle + axes @ np.array([a, b]))[:2], math.hypot(a, b)) for a in rows for b in columns]
     return sorted(spots, key=lambda s: s[1])
 
 
-def _turns(item: SceneObject, state: SceneState, inside: bool) -> Iterator[tuple[Pose, float]]:
-    """Rotations of the thing and what is to say against them: as it stands, turned about the vertical; then on end."""
-    now = Pose.of(q=state.poses[item.name].q)
-    for k in range(TURNS):
-        yield Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now, 0.0
+def _odd(count: float) -> int:
+    """An odd number of positions up to :data:`GRID`, so that the middle is one of them."""
+    return 2 * (int(np.clip(count, 3, GRID)) // 2) + 1
+
+
+def _turned(pose: Pose) -> list[Pose]:
+    """The rotation of a pose, turned about the vertical."""
+    now = Pose.of(q=pose.q)
+    return [Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS)) @ now for k in range(TURNS)]
+
+
+def _on_end(item: SceneObject, state: SceneState) -> Iterator[tuple[Pose, float]]:
+    """Rotations of a long thing on its ends, leaning as far as :data:`LEANS`, and what is to say against them."""
     axis = _long_axis(item)
-    if axis is None or not inside:
+    if axis is None:
         return
+    now = Pose.of(q=state.poses[item.name].q)
     level = now.rotation[:, axis]
     heading = math.atan2(level[1], level[0])
     for lean in LEANS:
         for sign in (1, -1):
             # Turned about the level axis across it, until it points down or up.
             upend = Pose.of(q=_about(heading + math.pi / 2, sign * (math.pi / 2 - lean))) @ now
-            for k in range(TURNS):
-                turn = Pose.of(q=quat_from_rpy(0.0, 0.0, 2 * math.pi * k / TURNS))
-                yield turn @ upend, 0.3 + 0.1 * lean
+            for turn in _turned(upend):
+                yield turn, 0.3 + 0.1 * lean
 
 
 def _about(heading: float, angle: float) -> Array:

@@ -61,6 +61,8 @@ class Describing:
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
             return [_shape(old, new)]
+        if path == ("origin", "cousin") and isinstance(new, dict) and {"recipe", "index", "seed"} <= new.keys():
+            return [f"origin: cousin {new['index']} of recipe {new['recipe']}, seed {new['seed']}"]
         whole = isinstance(old or {}, dict) and isinstance(new or {}, dict) and path[-2:-1] != ("start",)
         if key == "pose" and whole:
             return self._pose(path, old or {}, new or {})

@@ -1,0 +1,165 @@
+"""``simfoundry cousins``."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.ledger import Ledger
+    from simfoundry.cousins.reasons import ImpossibleError
+    from simfoundry.cousins.run import Plan
+
+
+def _shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    if value is None:
+        return None
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
+    return int(match[1]), int(match[2])
+
+
+@click.command()
+@click.argument("recipe", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-n", "--count", type=click.IntRange(1, 1_000_000), help="How many cousins. Default: the recipe's.")
+@click.option(
+    "-o", "--out", type=click.Path(path_type=Path, file_okay=False),
+    help="A folder in the project of the twin. Default: build/NAME in it.",
+)  # fmt: skip
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Processes. Default: one for each core.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="In place of the recipe's.")
+@click.option("--shard", callback=_shard, metavar="I/N", help="Examine every N-th candidate from the I-th on.")
+@click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
+@click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
+@click.option("--no-gallery", is_flag=True, help="Draw nothing.")
+@click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
+@json_option
+@reporting
+def command(
+    recipe: Path,
+    count: int | None,
+    out: Path | None,
+    jobs: int | None,
+    seed: int | None,
+    shard: tuple[int, int] | None,
+    where: str,
+    gallery: int,
+    no_gallery: bool,
+    stage: Path | None,
+    as_json: bool,
+) -> int:
+    """Make variants of a scene or task that keep what can be done in it.
+
+    Each cousin is a document in OUT that extends the twin with what differs; OUT/manifest.json lists them, and every
+    candidate that was rejected, with the reasons; OUT/gallery.html shows the first. The same recipe and seed give the
+    same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
+    are united by a run without --shard.
+
+    Exit code 1 where there are fewer cousins than asked for, with the reasons.
+    """
+    from simfoundry.cousins.pools import Work, open_pool
+    from simfoundry.cousins.reasons import ImpossibleError
+    from simfoundry.cousins.recipe import need_same_project, read_recipe
+    from simfoundry.cousins.run import Plan, begin, run
+    from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
+
+    read = read_recipe(recipe, seed)
+    folder = (out or read.scene.root / "build" / read.spec.name).absolute()
+    need_same_project(read, folder)
+    setup = Setup(str(recipe.absolute()), str(folder), read.seed)
+    with progress_bar(as_json) as progress, _interruptible(folder):
+        progress("the twin", 0.0)
+        try:
+            plan = Plan(folder, count or read.spec.count, read.about(), shard)
+            begin(plan)
+            shared = prepared(setup)
+            see_possible(shared)
+        except ImpossibleError as error:
+            return _impossible(error, as_json)
+        plan = replace(plan, most=shared.stock.most)
+
+        def heard(ledger: Ledger) -> None:
+            from simfoundry.cousins.manifest import told
+
+            progress(told(ledger), len(ledger.accepted) / ledger.wanted)
+
+        ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
+        if shard is None:
+            _write(plan, ledger, 0 if no_gallery else gallery, stage, progress)
+    return _report(plan, ledger, as_json)
+
+
+@contextmanager
+def _interruptible(out: Path) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"stopped; what is known is in {out}, and the same command goes on from there", err=True)
+        sys.exit(130)
+
+
+def _write(
+    plan: Plan, ledger: Ledger, pictures: int, stage: Path | None, progress: Callable[[str, float], None]
+) -> None:
+    """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
+    from simfoundry.cousins.gallery import write_gallery
+    from simfoundry.cousins.manifest import write_manifest
+    from simfoundry.cousins.run import finish
+
+    write_manifest(plan, ledger)
+    if pictures:
+        write_gallery(plan, ledger, pictures, lambda done, of: progress("pictures", done / of))
+    if stage is not None:
+        from simfoundry.cousins.stage import write_stage
+
+        write_stage(plan, ledger, stage)
+    finish(plan, ledger)
+
+
+def _impossible(error: ImpossibleError, as_json: bool) -> int:
+    if as_json:
+        print_json({"end": "impossible", "accepted": 0, "reasons": [reason.to_json() for reason in error.reasons]})
+    for reason in error.reasons if not as_json else ():
+        click.echo(f"impossible: {reason.text}", err=True)
+    return FINDINGS
+
+
+def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
+    from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE
+    from simfoundry.cousins.manifest import FILE, examples, summary
+
+    facts = {**summary(plan, ledger), "out": str(plan.out)}
+    short = len(ledger.accepted) < ledger.wanted
+    if as_json:
+        print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
+        return FINDINGS if short else DONE
+    share = "" if plan.shard is None else f" of shard {plan.shard[0]}/{plan.shard[1]}"
+    click.echo(
+        f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}; {ledger.examined} candidates examined, "
+        f"{ledger.rate:.1%} accepted"
+    )
+    for code, text in examples(ledger).items():
+        click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
+    for text in ledger.unchecked:
+        click.echo(f"not checked: {text}", err=True)
+    if ledger.end == "hopeless":
+        click.echo(
+            f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "
+            "above say what to ask for less strictly",
+            err=True,
+        )
+    elif short:
+        click.echo(f"there are no more than these {ledger.examined} candidates", err=True)
+    where = plan.out / FILE if plan.shard is None else plan.out
+    click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
+    return FINDINGS if short else DONE

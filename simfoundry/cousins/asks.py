@@ -1,0 +1,187 @@
+"""What a recipe asks of a twin, and what of that can never be: found before anything is tried."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.cousins.reasons import ImpossibleError, Reason
+from simfoundry.cousins.sides import DROPPED, SIDES, sets_of, side_axis
+from simfoundry.cousins.support import Support
+from simfoundry.cousins.table import Thing
+from simfoundry.cousins.twin import Twin
+from simfoundry.predicates import PredicateError
+from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.expressions import parse_call, texts
+
+
+@dataclass(frozen=True, eq=False)
+class Asks:
+    """An axis made ready: the anchor, on what things stand around it, in which ``order`` they are placed, and the
+    ``sets`` of predicates that each may have at once."""
+
+    anchor: str
+    support: Support | None
+    order: tuple[str, ...]
+    sets: Mapping[str, tuple[tuple[str, ...], ...]]
+
+
+def asks_of(twin: Twin, axis: SceneAxis) -> Asks:
+    """What an axis asks; raises :class:`ImpossibleError` with every reason that is certain. Found once for a twin."""
+    key = ("asks", axis.model_dump_json())
+    if key not in twin.kept:
+        twin.kept[key] = _asks(twin, axis)
+    found = twin.kept[key]
+    if isinstance(found, ImpossibleError):
+        raise ImpossibleError(found.reasons)
+    assert isinstance(found, Asks)
+    return found
+
+
+def anchor_of(twin: Twin, axis: SceneAxis) -> str:
+    """The anchor: the one that is given, or what the goal is about and stays; empty where there is none."""
+    if axis.anchor is not None:
+        return axis.anchor
+    about: list[str] = []
+    for text, _ in texts(twin.goal) if twin.goal is not None else ():
+        args = [a.partition(".")[0] for a in parse_call(text).args]
+        about += args[1:2] + args[:1]
+    names = {o.name for o in twin.scene.objects}
+    return next((n for n in about if n in names and n not in axis.objects), "")
+
+
+def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
+    reasons = list(_wrong_names(twin, axis))
+    if reasons:
+        return ImpossibleError(tuple(reasons))
+    anchor = anchor_of(twin, axis)
+    sets = {name: sets_of(words, axis.together) for name, words in axis.objects.items()}
+    beside = any(word in SIDES for words in axis.objects.values() for word in words)
+    support = _support(twin, anchor, axis) if beside else None
+    if beside and support is None:
+        text = f"nothing level carries `{anchor}`, so nothing can stand beside it; it rests on "
+        text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
+        return ImpossibleError((Reason("no_support", text),))
+    for name, words in axis.objects.items():
+        for word in dict.fromkeys(words):
+            reasons += _never(twin, axis, anchor, support, name, word)
+    if support is not None and not reasons:
+        reasons += _too_full(twin, axis, support)
+    if reasons:
+        return ImpossibleError(tuple(reasons))
+    on = support.name if support is not None else anchor
+    areas = {name: twin.outline(name, twin.upright(name, on)).area for name in axis.objects}
+    order = tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
+    return Asks(anchor, support, order, MappingProxyType(sets))
+
+
+def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
+    names = {o.name for o in twin.scene.objects}
+    anchor = anchor_of(twin, axis)
+    if not anchor:
+        yield Reason("no_anchor", "there is no anchor: no goal says what the task is about; name one as `anchor`")
+    elif anchor not in names:
+        hint = nearest(anchor, names) or f"there are {', '.join(sorted(names))}"
+        yield Reason("no_anchor", f"the anchor `{anchor}` does not exist; {hint}")
+    for name, words in axis.objects.items():
+        if name not in names:
+            hint = nearest(name, names) or f"there are {', '.join(sorted(names))}"
+            yield Reason("no_object", f"`{name}` does not exist; {hint}")
+        elif name == anchor:
+            yield Reason("is_anchor", f"`{name}` is the anchor, which stays; it cannot move as well")
+        elif twin.scene.object(name).fixed:
+            yield Reason("fixed", f"`{name}` is fixed to the world, so it cannot move")
+        elif anchor in twin.riders(name):
+            yield Reason("carries_anchor", f"`{name}` carries the anchor `{anchor}`, so it cannot move around it")
+        elif not words:
+            yield Reason("no_predicate", f"`{name}` has no predicate that it may have to `{anchor}`")
+
+
+def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
+    """What things stand on around an anchor: the level under it; under one that is fixed, that of the things."""
+    low = float(twin.shape(anchor, twin.state.poses[anchor]).extent(np.array([0.0, 0.0, 1.0]))[0])
+    seen = [anchor]
+    for name in seen:
+        for below in twin.carried.get(name, ()):
+            found = twin.support(below, low)
+            if found is not None and abs(found.height - low) < 0.005:
+                return found
+    counts: dict[str, int] = {}
+    for name in axis.objects:
+        for below in twin.carried.get(name, ()):
+            if below != anchor and below not in axis.objects:
+                counts[below] = counts.get(below, 0) + 1
+    if twin.scene.object(anchor).fixed and (counts or twin.absent):
+        return twin.support(max(counts, key=lambda n: counts[n])) if counts else twin.support(twin.ground)
+    return None
+
+
+def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, name: str, word: str) -> Iterator[Reason]:
+    """Why a predicate can never hold between an object and the anchor."""
+    if word in DROPPED:
+        try:
+            twin.judge(f"{word}({name}, {anchor})", twin.state)
+        except PredicateError as error:
+            yield Reason("impossible", f"{word}({name}, {anchor}) can never hold: {error}")
+            return
+        if word == "Inside":
+            yield from _too_large(twin, name, anchor)
+        return
+    assert support is not None
+    thing = Thing.of(twin, name, support.name, axis.objects)
+    side = side_axis(twin.scene.viewer, word)
+    shape = twin.shape(anchor, twin.state.poses[anchor])
+    corners = np.column_stack([support.corners, np.zeros(len(support.corners))])
+    wide = thing.outline.width
+    if side is not None:
+        low, high = shape.extent(side)
+        end = float((corners @ side).max())
+        needed = max((high - low) / 2, wide / 2) + wide / 2
+        if end - (low + high) / 2 < needed:
+            text = (
+                f"nothing as large as `{name}` can be {SIDES[word]} `{anchor}`: `{support.name}` ends "
+                f"{max(0.0, end - high):.3f} m beyond it there, and `{name}` is {wide:.3f} m wide"
+            )
+            numbers = {"strip_deep_m": max(0.0, end - high), "width_m": wide}
+            yield Reason("no_room", text, MappingProxyType(numbers))
+            return
+    points = shape.corners[:, :2]
+    farthest = float(np.linalg.norm(support.corners[:, None] - points.mean(axis=0), axis=2).max())
+    if axis.gap[0] > farthest:
+        text = (
+            f"no place on `{support.name}` is {axis.gap[0]:g} m from `{anchor}`, as the least gap asks: its farthest "
+            f"corner is {farthest:.3f} m away"
+        )
+        yield Reason("gap", text, MappingProxyType({"gap_m": axis.gap[0], "farthest_m": farthest}))
+
+
+def _too_large(twin: Twin, name: str, anchor: str) -> Iterator[Reason]:
+    """Whether a thing is thicker than the cavity is wide, however it is turned."""
+    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.voxels import cavity
+
+    shape = twin.shape(name)
+    thinnest = float(shape.size().min())
+    forms = [form for form in Bodies(twin.scene)[anchor].forms if form is not None]
+    widest = max((2 * hole.size for form in forms if (hole := cavity(form)) is not None), default=0.0)
+    if thinnest > widest:
+        text = f"`{name}` cannot be inside `{anchor}`: it is at least {thinnest:.3f} m thick, the cavity {widest:.3f} m"
+        yield Reason("too_large", text, MappingProxyType({"thickness_m": thinnest, "cavity_m": widest}))
+
+
+def _too_full(twin: Twin, axis: SceneAxis, support: Support) -> Iterator[Reason]:
+    """Whether the shadows of what must stand on a support are larger than it."""
+    moving = [n for n, words in axis.objects.items() if not set(words) & set(DROPPED)]
+    staying = [n for n, below in twin.carried.items() if below == (support.name,) and n not in axis.objects]
+    areas = {n: twin.outline(n, twin.upright(n, support.name)).area for n in (*moving, *staying)}
+    total = sum(areas.values())
+    if total > support.area:
+        text = (
+            f"`{support.name}` is too full: the shadows of {len(areas)} things take {total:.3f} m^2, "
+            f"it has {support.area:.3f} m^2"
+        )
+        yield Reason("too_full", text, MappingProxyType({"needed_m2": total, "support_m2": support.area}))

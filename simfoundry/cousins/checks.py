@@ -1,0 +1,166 @@
+"""A layout examined: settled, and accepted only if it is what was asked for and can be worked with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from simfoundry.cousins.layout import Layout
+from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.settling import MOST_S, Settled, settle_layout
+from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.views import SEEN, best_view
+from simfoundry.predicates import Verdict
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.expressions import Condition, parse_call, parts
+
+PENETRATION = 0.001
+"""Nothing overlaps deeper than this at rest [m]."""
+
+DRIFT, TILT_DEG = 0.01, 5.0
+"""Nothing moves or tilts farther than this as it settles, but for what is dropped onto or into the anchor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Whether a layout is accepted, and why not; ``poses`` X_WO at rest of what it moved; ``state`` of everything.
+
+    ``unchecked`` says what could not be looked at. ``seconds`` of each part are not part of the result.
+    """
+
+    accepted: bool
+    reasons: tuple[Reason, ...]
+    poses: Mapping[str, Pose]
+    state: SceneState
+    unchecked: tuple[str, ...]
+    seconds: Mapping[str, float]
+
+
+def examine(twin: Twin, layout: Layout) -> Examined:
+    """Settle a layout and check everything; the cheap checks first, and none after physics has failed."""
+    clock = _Clock()
+    absent = twin.absent - set(layout.poses)
+    settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
+    clock.lap("settling")
+    reasons = list(_at_rest(layout, settled))
+    unchecked: list[str] = []
+    if not reasons:
+        reasons += _as_asked(twin, layout, settled.state)
+        clock.lap("predicates")
+        reasons += _seen(twin, layout, settled.state, unchecked)
+        clock.lap("view")
+    if not reasons:
+        reasons += _reached(twin, settled.state, unchecked)
+        clock.lap("reach")
+    poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
+    return Examined(
+        not reasons, tuple(reasons), poses, settled.state, tuple(dict.fromkeys(unchecked)), MappingProxyType(clock.laps)
+    )
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now
+
+
+def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
+    for name in settled.restless:
+        yield Reason("restless", f"`{name}` does not come to rest in {MOST_S:g} s")
+    if settled.deepest > PENETRATION:
+        a, b = settled.between
+        text = f"`{a}` and `{b}` overlap by {1000 * settled.deepest:.1f} mm at rest"
+        yield Reason("penetrates", text, _numbers(depth_m=settled.deepest))
+    for name, far in settled.moved.items():
+        if name not in layout.dropped and far > DRIFT:
+            yield Reason("moved", f"`{name}` moves {100 * far:.1f} cm as it settles", _numbers(moved_m=far))
+    for name, tilt in settled.tilted.items():
+        if name not in layout.dropped and tilt > TILT_DEG:
+            yield Reason("tilted", f"`{name}` tilts by {tilt:.1f} deg as it settles", _numbers(tilted_deg=tilt))
+
+
+def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
+    """What is asked holds, the other relations still do, and the goal is still to be reached."""
+    for text in layout.asked:
+        verdict = twin.judge(text, state)
+        if not verdict.value:
+            yield Reason(
+                "not_as_asked", f"{text} does not hold at rest: {verdict.why}", _numbers(margin=verdict.margin)
+            )
+    for text in kept_relations(twin, layout.poses):
+        verdict = twin.judge(text, state)
+        if not verdict.value:
+            yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
+    if twin.goal is not None and (goal := _true(twin, twin.goal, state)) is not None:
+        yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
+
+
+def _true(twin: Twin, condition: Condition, state: SceneState) -> Verdict | None:
+    """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
+    tag, below = parts(condition)
+    if tag == "all" and any(not twin.judge(one, state).value for one in below[:-1]):
+        return None
+    verdict = twin.judge(condition, state)
+    return verdict if verdict.value else None
+
+
+def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
+    """The relations of the twin that must still hold: about nothing that moved, or about what rides and its carrier."""
+    gone = set(moved)
+    found = []
+    for text in twin.relations:
+        call = parse_call(text)
+        names = [a.partition(".")[0] for a in call.args]
+        about = gone & set(names)
+        rides = len(names) == 2 and set(names) <= gone and names[0] in twin.riders(names[1])
+        if not about or rides or call.predicate in ("Open", "Closed", "Upright"):
+            found.append(text)
+    return tuple(found)
+
+
+def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+    """What the task is about, or what was moved, is in the picture of a camera."""
+    cameras = twin.scene.cameras
+    if not cameras:
+        unchecked.append("view: the scene has no camera that stands still")
+        return
+    for name in twin.task_objects or tuple(layout.poses):
+        camera, share = best_view(cameras, twin.corners(name, state.poses[name])[0])
+        if share < SEEN:
+            text = f"only {share:.0%} of `{name}` is in the picture of `{camera}`, which has most; {SEEN:.0%} must be"
+            yield Reason("out_of_view", text, _numbers(share=share))
+
+
+def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+    """What the task is about is within reach of an arm, by inverse kinematics."""
+    if twin.reach.missing:
+        unchecked.append(f"reach: {twin.reach.missing}")
+        return
+    if twin.goal is None:
+        unchecked.append("reach: no task says which objects must be reached")
+        return
+    for name in twin.task_objects:
+        if twin.scene.object(name).fixed:
+            continue
+        result = twin.reach(*twin.box(name, state.poses[name]))
+        if not result.reached:
+            text = (
+                f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"
+            )
+            yield Reason("out_of_reach", text, _numbers(away_m=result.away))
+
+
+def _margin(verdict: Verdict) -> Mapping[str, float]:
+    return _numbers(margin=verdict.margin)
+
+
+def _numbers(**values: float) -> Mapping[str, float]:
+    return MappingProxyType({name: float(value) for name, value in values.items()})

@@ -1,0 +1,74 @@
+"""Things that the anchor carries: dropped onto its real shapes, from places over all of it."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.table import Table, Thing
+from simfoundry.cousins.twin import Twin
+from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.place import PlaceError, solve
+from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.place import Place
+
+DROPS = 64
+"""How often a thing is dropped until it counts as not fitting there."""
+
+
+def drop(
+    table: Table, anchor: str, thing: Thing, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
+) -> Reason | None:
+    """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
+
+    Why not, where there is none. It is judged where it touches first; it may slide from there as it settles.
+    """
+    twin, X_WA = table.twin, table.poses[anchor]
+    asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
+    shape = twin.shape(anchor, X_WA)
+    spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
+    low, high = (math.radians(v) for v in axis.yaw_deg)
+    others = [name for name in table.solid if name != anchor]
+    counts, why = {"did not fit": 0, "did not lie as asked": 0, "met another thing": 0}, ""
+    for _ in range(DROPS):
+        table.tries += 1
+        x, y, turn = rng.random(3)
+        x, y = spans[:, 0] + np.array([x, y]) * (spans[:, 1] - spans[:, 0])
+        yaw = low + turn * (high - low)
+        try:
+            X_WO = dropped(twin, thing, anchor, X_WA, "Inside" in words, (float(x), float(y)), float(yaw))
+        except PlaceError as error:
+            counts["did not fit"] += 1
+            why = why or error.message
+            continue
+        verdict = twin.judge(asked, twin.posed({anchor: X_WA, thing.name: X_WO}))
+        if not verdict.value:
+            counts["did not lie as asked"] += 1
+            why = why or verdict.why
+            continue
+        table.pose(thing, X_WO)
+        if table.clashes(thing, others, anchor):
+            counts["met another thing"] += 1
+            continue
+        table.put(thing, float(X_WO.p[2]), (float(X_WO.p[0]), float(X_WO.p[1]), float(yaw)), dropped=True)
+        return None
+    said = ", ".join(f"{count} times it {what}" for what, count in counts.items() if count)
+    word = "inside" if "Inside" in words else "on"
+    text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
+    numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
+    return Reason("no_place", text, MappingProxyType(numbers))
+
+
+def dropped(
+    twin: Twin, thing: Thing, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
+) -> Pose:
+    """Where a thing first touches an anchor that it comes down on; raises :class:`PlaceError` where it misses it."""
+    turned = thing.pose(0.0, 0.0, 0.0, yaw)
+    rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
+    place = Place(on=None if inside else anchor, inside=anchor if inside else None, xy=xy, rpy_deg=rpy)
+    placed = {anchor: twin.item_at(anchor, X_WA)}
+    found = solve(twin.item(thing.name), place, placed, twin.scene.viewer)
+    return Pose.of(found.p, turned.q)

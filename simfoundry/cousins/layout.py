@@ -1,0 +1,169 @@
+"""Scene cousins: other layouts, in which objects stand to an anchor as a recipe allows.
+
+Predicates are chosen first, evenly over all that an object may have. Then the things take their places one after
+another, the largest first, each uniformly over all places that are allowed and free. Where one finds none, all begin
+anew, a few times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.cousins.asks import Asks, asks_of
+from simfoundry.cousins.drops import drop
+from simfoundry.cousins.placing import Mask, Region
+from simfoundry.cousins.reasons import Reason, Rejected
+from simfoundry.cousins.shortage import no_room
+from simfoundry.cousins.sides import DROPPED
+from simfoundry.cousins.support import Support
+from simfoundry.cousins.table import Table, Thing
+from simfoundry.cousins.twin import Twin, TwinError
+from simfoundry.predicates.batch import Poses, StateBatch, rotations
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.spec.cousins import SceneAxis
+
+STARTS = 4
+"""How often all things are placed anew where one finds no place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where things go: ``poses`` X_WO by name of all that move, riders too.
+
+    ``asked`` are the conditions that must hold at rest; ``dropped`` may move as they come to rest on or in the anchor;
+    ``tries`` counts candidates.
+    """
+
+    anchor: str
+    asked: tuple[str, ...]
+    poses: Mapping[str, Pose]
+    dropped: frozenset[str] = frozenset()
+    tries: int = 0
+
+    def and_then(self, table: Table, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
+        """This with what was placed on a table on top of it."""
+        return Layout(
+            self.anchor or anchor,
+            (*self.asked, *asked),
+            MappingProxyType({**self.poses, **table.moved}),
+            self.dropped | table.dropped,
+            self.tries + tries,
+        )
+
+
+NOTHING = Layout("", (), MappingProxyType({}))
+"""The twin as it is."""
+
+
+def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layout = NOTHING) -> Layout | Rejected:
+    """Place the objects of an axis around its anchor, on top of a ``layout`` that was found before.
+
+    Raises :class:`ImpossibleError` for what can never be, before anything is tried.
+    """
+    asks = asks_of(twin, axis)
+    chosen = {name: asks.sets[name][int(rng.integers(len(asks.sets[name])))] for name in asks.order}
+    reason: Reason | None = None
+    tries = 0
+    for _ in range(STARTS):
+        table = Table(twin, layout.poses, asks.order, asks.support)
+        for name in asks.order:
+            reason = _place(table, asks, axis, name, chosen[name], rng)
+            if reason is not None:
+                break
+        tries += table.tries
+        if reason is None:
+            asked = tuple(f"{word}({name}, {asks.anchor})" for name in sorted(chosen) for word in chosen[name])
+            return layout.and_then(table, asks.anchor, asked, tries)
+    assert reason is not None
+    return Rejected((reason,))
+
+
+def scatter(
+    twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
+) -> Layout | Rejected:
+    """Put things anywhere on ``on``, by default what carries most, each uniformly over what is free; no predicates.
+
+    Raises :class:`TwinError` where there is nothing level to stand on.
+    """
+    support = twin.support(on or twin.ground)
+    if support is None:
+        raise TwinError(f"nothing of `{on or twin.ground}` is level, so nothing can be put on it")
+    order = by_size(twin, names, support.name)
+    things = [Thing.of(twin, name, support.name, order) for name in order]
+    reason: Reason | None = None
+    tries = 0
+    for _ in range(STARTS):
+        table = Table(twin, layout.poses, order, support)
+        failed = table.put_all(things, support, rng)
+        reason = None if failed is None else no_room(table, failed[0], support, failed[1])
+        tries += table.tries
+        if reason is None:
+            return layout.and_then(table, "", (), tries)
+    assert reason is not None
+    return Rejected((reason,))
+
+
+def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
+    """The largest shadow first; equal ones by name."""
+    areas = {name: Thing.of(twin, name, on).outline.area for name in names}
+    return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
+
+
+def _place(
+    table: Table, asks: Asks, axis: SceneAxis, name: str, words: tuple[str, ...], rng: np.random.Generator
+) -> Reason | None:
+    """Place one object; why not, where it finds no place."""
+    if set(words) & set(DROPPED):
+        return drop(table, asks.anchor, Thing.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
+    support, solids = asks.support, table.twin.solids
+    assert support is not None
+    thing = Thing.of(table.twin, name, support.name, asks.order)
+    region = _region(table, thing, asks.anchor, support, axis)
+    least, most = axis.gap
+
+    def at_gap() -> bool:
+        return least <= solids.distance(name, asks.anchor, most + 1e-3) <= most
+
+    found = table.find(thing, region, rng, _judged(table, thing, asks.anchor, words, region.z), at_gap)
+    if found.spot is None:
+        return no_room(table, thing, support, found, asks.anchor, words, axis)
+    table.put(thing, region.z, found.spot)
+    return None
+
+
+def _region(table: Table, thing: Thing, anchor: str, support: Support, axis: SceneAxis) -> Region:
+    """Where a thing can be so that it is no farther from the anchor than it may."""
+    shape = table.twin.shape(anchor, table.poses[anchor])
+    spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
+    reach = axis.gap[1] + thing.outline.radius
+    low = np.maximum(support.bounds[0], spans[:, 0] - reach)
+    high = np.minimum(support.bounds[1], spans[:, 1] + reach)
+    turn = (math.radians(axis.yaw_deg[0]), math.radians(axis.yaw_deg[1]))
+    return Region(low, np.maximum(low, high), turn, support, thing.height(support))
+
+
+def _judged(
+    table: Table, thing: Thing, anchor: str, words: tuple[str, ...], z: float
+) -> Callable[[Array, Array, Array], Mask]:
+    """Which candidates satisfy predicates, by the judge itself, all at once."""
+    twin, X_WA = table.twin, table.poses[anchor]
+    condition = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
+    upright = thing.upright.rotation
+    joints = {k: v for k, v in twin.state.joints.items() if k.partition(".")[0] in (thing.name, anchor)}
+
+    def allowed(x: Array, y: Array, yaw: Array) -> Mask:
+        n = len(x)
+        turn = rotations(np.column_stack([np.cos(yaw / 2), np.zeros((n, 2)), np.sin(yaw / 2)]))
+        poses = {
+            thing.name: Poses(np.column_stack([x, y, np.full(n, z)]), turn @ upright),
+            anchor: Poses.constant(X_WA, n),
+        }
+        batch = StateBatch(n, poses, {k: np.full(n, v) for k, v in joints.items()})
+        return twin.judge.batch(condition, batch)[0]
+
+    return allowed

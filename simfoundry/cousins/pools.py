@@ -1,0 +1,217 @@
+"""Who examines candidates: this process, processes of this machine, or a Ray cluster. All give the same candidates.
+
+A pool is handed indices and gives back candidates in whatever order they are done.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+from simfoundry.contain import FailedError, Limits, Worker
+from simfoundry.cousins.candidate import Candidate
+from simfoundry.cousins.reasons import Reason
+from simfoundry.errors import MissingEngineError
+
+SILENT_S = 600.0
+"""More than a candidate may take, with all that its process has to prepare before the first [s]."""
+
+LEAST_MEMORY = 6 * 2**30
+"""Bytes of address space that a process has at least; of a large machine it has its share."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is done for each candidate: ``function`` (``module:name``) is called with ``arguments`` and the index."""
+
+    function: str
+    arguments: tuple[Any, ...] = ()
+
+    def __call__(self, index: int) -> Candidate:
+        """The candidate of an index, made in this process."""
+        module, _, name = self.function.partition(":")
+        candidate: Candidate = getattr(import_module(module), name)(*self.arguments, index)
+        return candidate
+
+
+def line_of(work: Work, index: int) -> str:
+    """The line of a candidate: what travels between processes."""
+    return work(index).line()
+
+
+class Pool(Protocol):
+    """Examines candidates, ``size`` of them at a time."""
+
+    size: int
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        ...
+
+    def next(self) -> Candidate:
+        """The next that is done, of those that were asked for."""
+        ...
+
+    def close(self) -> None:
+        """Stop, whatever is going on."""
+        ...
+
+
+@dataclass
+class Here:
+    """This process, one candidate after the other."""
+
+    work: Work
+    size: int = 1
+    _asked: list[int] = field(default_factory=list)
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._asked.append(index)
+
+    def next(self) -> Candidate:
+        """Make the next."""
+        return self.work(self._asked.pop(0))
+
+    def close(self) -> None:
+        """Nothing is going on."""
+
+
+class Local:
+    """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
+
+    def __init__(self, work: Work, size: int) -> None:
+        self.work, self.size = work, size
+        self._asked: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        self._done: queue.SimpleQueue[Candidate] = queue.SimpleQueue()
+        self._workers = [Worker(_limits(size)) for _ in range(size)]
+        for worker in self._workers:
+            threading.Thread(target=self._serve, args=(worker,), daemon=True).start()
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._asked.put(index)
+
+    def next(self) -> Candidate:
+        """Wait for the next."""
+        return self._done.get()
+
+    def close(self) -> None:
+        """End the processes."""
+        for worker in self._workers:
+            self._asked.put(None)
+            worker.close()
+
+    def _serve(self, worker: Worker) -> None:
+        while (index := self._asked.get()) is not None:
+            self._done.put(_contained(worker, self.work, index))
+
+
+def _contained(worker: Worker, work: Work, index: int) -> Candidate:
+    for attempt in (1, 2):
+        try:
+            return Candidate.of(worker.call("simfoundry.cousins.pools:line_of", work, index))
+        except FailedError as error:
+            if attempt == 2:
+                return failed(index, error.how)
+    raise AssertionError
+
+
+def failed(index: int, how: str) -> Candidate:
+    """A candidate of which no more is known than how its process failed."""
+    return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
+
+
+def _limits(workers: int) -> Limits:
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return Limits(SILENT_S, max(LEAST_MEMORY, memory // workers))
+    return Limits(SILENT_S, LEAST_MEMORY)
+
+
+class OnRay:
+    """Actors of a Ray cluster: the one that ``RAY_ADDRESS`` names, or one that is started on this machine.
+
+    Every node sees the recipe and the output under the same paths, as on a shared file system.
+    """
+
+    def __init__(self, work: Work, size: int | None) -> None:
+        try:
+            import ray as module
+        except ModuleNotFoundError:
+            raise MissingEngineError("Ray is not installed: pip install 'simfoundry[ray]'") from None
+        ray: Any = module
+        self._ray, self._owns = ray, not ray.is_initialized()
+        if self._owns:
+            _connect(ray, size)
+        self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
+        remote = ray.remote(num_cpus=1, max_restarts=2, max_task_retries=1)(_Actor)
+        self._idle: list[Any] = [remote.remote(work) for _ in range(self.size)]
+        self._waiting: list[int] = []
+        self._running: dict[Any, tuple[int, Any]] = {}
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._waiting.append(index)
+        self._hand_out()
+
+    def next(self) -> Candidate:
+        """Wait for the next."""
+        done, _ = self._ray.wait(list(self._running), num_returns=1)
+        index, actor = self._running.pop(done[0])
+        self._idle.append(actor)
+        self._hand_out()
+        try:
+            return Candidate.of(self._ray.get(done[0]))
+        except self._ray.exceptions.RayError as error:
+            return failed(index, f"broke ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
+
+    def close(self) -> None:
+        """End the actors, and the cluster if it was started here."""
+        for actor in [*self._idle, *(actor for _, actor in self._running.values())]:
+            self._ray.kill(actor)
+        if self._owns:
+            self._ray.shutdown()
+
+    def _hand_out(self) -> None:
+        while self._idle and self._waiting:
+            actor, index = self._idle.pop(), self._waiting.pop(0)
+            self._running[actor.line.remote(index)] = (index, actor)
+
+
+class _Actor:
+    """A process of a cluster."""
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+
+    def line(self, index: int) -> str:
+        return line_of(self.work, index)
+
+
+def _connect(ray: Any, size: int | None) -> None:
+    """The cluster of ``RAY_ADDRESS``, or one of this machine whose processes import what this one does."""
+    import logging
+    import sys
+
+    quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False}
+    paths = os.pathsep.join(str(Path(p).absolute()) for p in sys.path if p)
+    environment = {"env_vars": {"PYTHONPATH": paths}}
+    if os.environ.get("RAY_ADDRESS"):
+        ray.init(log_to_driver=False, logging_level=logging.ERROR)
+    else:
+        ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
+
+
+def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> Pool:
+    """``local`` processes, actors on ``ray``, or ``here``; ``jobs`` of them, by default one for each core."""
+    if where == "ray":
+        return OnRay(work, jobs)
+    if where == "here":
+        return Here(work)
+    return Local(work, jobs or os.cpu_count() or 1)

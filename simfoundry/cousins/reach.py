@@ -1,0 +1,124 @@
+"""Whether an arm can take a thing from above: inverse kinematics of the hand over it and at it.
+
+This is about the arm alone: its fingers may not fit the thing, and something may be in the way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from simfoundry.evaluate.expert.arm import Arm
+from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.model import Scene
+
+OVER = 0.10
+"""How far above its grasp the hand comes down from [m]."""
+
+YAWS = 6
+"""Turns of the hand about z that are tried."""
+
+DEEP = 0.03
+"""How far below the top of a thing fingers take it [m], or at its middle where it is lower."""
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Whether any arm reaches; ``robot`` that does, or the nearest; ``away`` [m] from its base, along the ground.
+
+    ``checked`` is False where no arm has a model or the solver is not installed; ``why`` says so.
+    """
+
+    reached: bool
+    checked: bool
+    robot: str = ""
+    away: float = 0.0
+    why: str = ""
+
+
+class Reach:
+    """The arms of a scene."""
+
+    def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
+        self._scene, self._names = scene, robots
+        self._known: dict[tuple[float, ...], Reached] = {}
+
+    @cached_property
+    def _arms(self) -> list[tuple[Arm, float]]:
+        """Arms with the distance [m] along the hand from its frame to between its finger tips."""
+        found = []
+        there = {robot.name: robot for robot in self._scene.robots}
+        for name in self._names:
+            if name in there:
+                arm = Arm(there[name])
+                fingers = jaws(there[name])
+                found.append((arm, float(fingers.tip[0] + fingers.low[0]) / 2 if fingers is not None else 0.0))
+        return found
+
+    @cached_property
+    def missing(self) -> str:
+        """Why nothing can be checked; empty where it can."""
+        try:
+            import daqp  # type: ignore[import-not-found, import-untyped, unused-ignore]  # noqa: F401
+            import mink  # type: ignore[import-not-found, import-untyped, unused-ignore]  # noqa: F401
+        except ImportError:
+            return "inverse kinematics needs mink: `pip install 'simfoundry[expert]'`"
+        if not self._names:
+            return "no robot acts here"
+        if not any(robot.name in self._names for robot in self._scene.robots):
+            return f"no model of {', '.join(self._names)} is here; see docs/robots.md"
+        return ""
+
+    def __call__(self, low: Array, high: Array) -> Reached:
+        """Whether an arm can take from above what is between two corners in the world [m], shape (3,) each."""
+        if self.missing:
+            return Reached(False, False, why=self.missing)
+        key = tuple(np.round([*low, *high], 4).tolist())
+        if key not in self._known:
+            self._known[key] = self._solved(low, high)
+        return self._known[key]
+
+    def _solved(self, low: Array, high: Array) -> Reached:
+        x, y = ((low + high) / 2)[:2]
+        z = max(float(high[2]) - DEEP, float(low[2] + high[2]) / 2)
+        nearest = Reached(False, True, away=math.inf)
+        for arm, tip in self._arms:
+            base = arm.robot.X_WB.p
+            away = math.hypot(float(x - base[0]), float(y - base[1]))
+            if away < nearest.away:
+                nearest = Reached(False, True, arm.robot.name, away)
+            if arm.robot.reach is not None and away > arm.robot.reach + 0.1:
+                continue
+            if self._takes(arm, np.array([x, y, z + tip])):
+                return Reached(True, True, arm.robot.name, away)
+        return nearest
+
+    def _takes(self, arm: Arm, hand: Array) -> bool:
+        """Whether the hand, which looks down, gets over its place and straight down to it."""
+        starts = (_towards(arm, hand), arm.home)
+        for k in range(YAWS):
+            yaw = 2 * math.pi * k / YAWS
+            c, s = math.cos(yaw), math.sin(yaw)
+            down = Pose.from_matrix(np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]))
+            over = Pose.of(hand + np.array([0.0, 0.0, OVER]), down.q)
+            for start in starts:
+                q = arm.solve(over, start)
+                if q is not None and arm.solve(Pose.of(hand, down.q), q) is not None:
+                    return True
+        return False
+
+
+def _towards(arm: Arm, hand: Array) -> Array:
+    """The home posture with the first joint turned so that the hand is on the side where it should go.
+
+    A good start where that joint stands upright, as it does in most arms, and no bad one elsewhere.
+    """
+    base, now = arm.robot.X_WB.p, arm.hand(arm.home).p
+    turn = math.atan2(hand[1] - base[1], hand[0] - base[0]) - math.atan2(now[1] - base[1], now[0] - base[0])
+    turned = np.array(arm.home)
+    turned[0] += math.remainder(turn, 2 * math.pi)
+    return np.asarray(np.clip(turned, arm.low, arm.high))

@@ -1,0 +1,136 @@
+"""A run: candidates are examined by a pool, logged, and written as cousins once it is sure that they count."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simfoundry.cousins.candidate import Candidate
+from simfoundry.cousins.ledger import End, Ledger
+from simfoundry.cousins.log import WORK, Log, Reader, log_file, logs, read_places, replace_logs
+from simfoundry.cousins.pools import Pool
+from simfoundry.errors import OutputError
+from simfoundry.files import write_atomically
+
+AHEAD = 32
+"""So many candidates for each worker may be known before one of lower index is."""
+
+Heard = Callable[[Ledger], None]
+"""Hears the ledger after each candidate."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be made: ``wanted`` cousins in ``out``; ``about`` says of what, and is the same for the same bytes.
+
+    ``shard`` (i, n), i from 1, examines every n-th candidate from the i-th on, and writes no cousins. ``most`` is how
+    many candidates there are, None without end.
+    """
+
+    out: Path
+    wanted: int
+    about: dict[str, Any]
+    shard: tuple[int, int] | None = None
+    most: int | None = None
+
+    def ledger(self) -> Ledger:
+        """An empty ledger of the run; a shard takes its share of what is wanted."""
+        if self.shard is None:
+            return Ledger(self.wanted, most=self.most)
+        first, step = self.shard
+        return Ledger(-(-self.wanted // step), first, step, self.most)
+
+
+def begin(plan: Plan) -> None:
+    """Make the folder of a run, or see that the one that is there is of the same; raises :class:`OutputError`."""
+    path = plan.out / WORK / "run.json"
+    if path.is_file():
+        found = _read(path)
+        for key, value in plan.about.items():
+            if found.get(key) != value:
+                raise OutputError(
+                    f"{plan.out} holds cousins of another run: its {key} is {found.get(key)!r}, not {value!r}; "
+                    "write to another folder, or remove that one"
+                )
+        return
+    strange = [p.name for p in plan.out.iterdir() if p.name != WORK] if plan.out.is_dir() else []
+    if strange:
+        raise OutputError(f"{plan.out} holds {sorted(strange)[0]}, which is of no run of cousins; give an empty folder")
+    write_atomically(path, (json.dumps(plan.about, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError):
+        raise OutputError(f"{path} is damaged; remove it, and the run goes on from its logs") from None
+
+
+def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None) -> Ledger:
+    """Examine candidates until the plan is met or cannot be; what the logs know already is not examined again."""
+    begin(plan)
+    with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
+        ledger = plan.ledger()
+        for file in logs(plan.out):
+            ledger.known.update(read_places(file))
+        settled = _nothing if plan.shard is not None else lambda candidate: write_documents(plan.out, candidate)
+        ledger.advance(reader, settled)
+        heard(ledger)
+        if ledger.end is not End.OPEN:
+            _see_no_more(plan, ledger)
+            return ledger
+        with closing(pool()) as workers:
+            for candidate in _examined(ledger, workers):
+                ledger.known[candidate.index] = log.add(candidate)
+                ledger.advance(reader, settled)
+                heard(ledger)
+    return ledger
+
+
+def _see_no_more(plan: Plan, ledger: Ledger) -> None:
+    """Raise :class:`OutputError` where cousins of a longer run would be left over."""
+    beyond = [p.name for p in plan.out.glob("[0-9]*.*.yaml") if int(p.name.partition(".")[0]) > ledger.last]
+    if beyond and plan.shard is None:
+        raise OutputError(
+            f"{plan.out} holds {len(beyond)} documents of more cousins than the {plan.wanted} that are asked for; write "
+            "to another folder, or ask for as many as before"
+        )
+
+
+def _examined(ledger: Ledger, pool: Pool) -> Iterator[Candidate]:
+    """Candidates that were not known, as they are done; the pool is kept busy until the ledger is at its end."""
+    todo, running = ledger.unknown(), 0
+    index = next(todo, None)
+    while ledger.end is End.OPEN:
+        while index is not None and running < 2 * pool.size and _is_near(index, ledger, pool):
+            pool.submit(index)
+            running += 1
+            index = next(todo, None)
+        yield pool.next()
+        running -= 1
+
+
+def _is_near(index: int, ledger: Ledger, pool: Pool) -> bool:
+    """Whether a candidate is not too far ahead of those that count, so that memory and work in vain stay bounded."""
+    return index - ledger.next_index < AHEAD * ledger.step * pool.size
+
+
+def _nothing(candidate: Candidate) -> None:
+    """A shard does not know which of its candidates will count."""
+
+
+def write_documents(out: Path, candidate: Candidate) -> None:
+    """Write the documents of a cousin, unless they are there as they should be."""
+    for kind, name in candidate.files().items():
+        path, data = out / name, candidate.documents[kind].encode()
+        if not (path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data):
+            write_atomically(path, data)
+
+
+def finish(plan: Plan, ledger: Ledger) -> None:
+    """Leave one log, of the candidates that count and nothing else, in their order."""
+    ledger.known = replace_logs(plan.out, ((k, ledger.known[k]) for k in ledger.indices()))

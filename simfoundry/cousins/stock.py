@@ -1,0 +1,117 @@
+"""What the axes of a recipe choose from, found once for all its candidates: other objects, distractors, tasks.
+
+Files that the cousins need and that lie outside the twin's project are copied below ``OUT/assets``, by content.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Protocol
+
+from simfoundry.cousins.library import Item
+from simfoundry.cousins.overlay import relative
+from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.recipe import Recipe
+from simfoundry.files import write_atomically
+from simfoundry.spec.files import ASSET_SUFFIX
+from simfoundry.spec.task import TaskSpec
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.twin import Twin
+    from simfoundry.scene.state import SceneState
+
+ASSETS = "assets"
+"""The folder below the output for what the cousins bring along."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Another thing for an object: its document, and how cousins name it."""
+
+    file: Path
+    reference: str
+
+
+class TaskChoice(Protocol):
+    """A task that cousins may have."""
+
+    spec: TaskSpec
+    goal: str
+
+    def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
+        """Why it is no task in a scene as it stands; empty where it is one."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stock:
+    """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
+
+    ``most`` is how many candidates differ, None where there is no end of them.
+    """
+
+    choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    references: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    tasks: tuple[TaskChoice, ...] = ()
+    most: int | None = None
+
+
+def stock_of(recipe: Recipe, out: Path, twin: Twin) -> Stock:
+    """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
+    return Stock(references=references(recipe.distractors, recipe.scene.root, out))
+
+
+def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
+    """How cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
+    return {item.name: _reference(item, root, out) for item in items}
+
+
+def _reference(item: Item, root: Path, out: Path) -> str:
+    if item.file.resolve().is_relative_to(root):
+        return relative(item.file, out)
+    return relative(copied(item.file, out / ASSETS / f"{item.name}_{item.digest[:8]}"), out)
+
+
+def copied(file: Path, folder: Path) -> Path:
+    """A copy in ``folder`` of a mesh, or of an asset document whole, with the files that they name."""
+    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.tree import plain_tree
+    from simfoundry.spec.write import to_data, write_tree
+
+    if not file.name.endswith(ASSET_SUFFIX):
+        _copy_mesh(file, folder)
+        return folder / file.name
+    loaded = load_kind(file, "asset/1")
+    assert isinstance(loaded.spec, AssetSpec)
+    meshes = {p.mesh for link in loaded.spec.links.values() for p in link.parts.values() if p.mesh is not None}
+    names = {mesh: f"{k}/{Path(mesh).name}" for k, mesh in enumerate(sorted(meshes))}
+    for mesh, name in names.items():
+        _copy_mesh(loaded.file(mesh), (folder / name).parent)
+    data = to_data(loaded.spec)
+    data.pop("extends", None)
+    for link in data["links"].values():
+        for part in link.get("parts", {}).values():
+            if "mesh" in part:
+                part["mesh"] = names[part["mesh"]]
+    write_atomically(folder / file.name, write_tree(plain_tree(data), AssetSpec).encode())
+    return folder / file.name
+
+
+def _copy_mesh(mesh: Path, folder: Path) -> None:
+    """Copy a mesh with its materials and textures, as far as they lie beside it."""
+    from simfoundry.scene.robot_files import companions
+
+    beside = mesh.parent.resolve()
+    for path in (mesh.resolve(), *companions(mesh)):
+        if path.is_relative_to(beside):
+            _copy(path, folder / path.relative_to(beside))
+
+
+def _copy(source: Path, target: Path) -> None:
+    data = source.read_bytes()
+    if not (target.is_file() and target.read_bytes() == data):
+        write_atomically(target, data)

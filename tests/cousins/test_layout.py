@@ -1,0 +1,99 @@
+"""Layouts: what is asked holds, each word comes up, the same seed gives the same, what cannot be is said with numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simfoundry.cousins.checks import examine
+from simfoundry.cousins.layout import Layout, propose
+from simfoundry.cousins.reasons import ImpossibleError, Rejected
+from simfoundry.cousins.twin import Twin
+from simfoundry.spec.cousins import SceneAxis
+
+SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
+
+
+def axis(anchor: str, together: int = 1, gap: tuple[float, float] = (0.02, 0.2), **objects: Any) -> SceneAxis:
+    return SceneAxis.model_validate({"anchor": anchor, "objects": objects, "together": together, "gap": gap})
+
+
+def proposed(twin: Twin, asked: SceneAxis, k: int) -> Layout:
+    found = propose(twin, asked, np.random.default_rng([0, k]))
+    assert isinstance(found, Layout), found
+    return found
+
+
+def test_every_word_comes_up_holds_at_rest_and_is_where_it_says(table: Twin) -> None:
+    words, toppled = set(), 0
+    asked = axis("post", brick=SIDES, can=(*SIDES, "OnTop"))
+    for k in range(50):
+        layout = proposed(table, asked, k)
+        result = examine(table, layout)
+        if not result.accepted:  # a can on the edge of the post falls off
+            assert "OnTop(can, post)" in layout.asked, result.reasons
+            toppled += 1
+            continue
+        words |= set(layout.asked)
+        p = {name: pose.p - table.state.poses["post"].p for name, pose in result.state.poses.items()}
+        for text in layout.asked:
+            word, name = text.split("(")[0], text.split("(")[1].split(",")[0]
+            x, y, z = p[name]
+            far = {"LeftOf": y, "RightOf": -y, "Behind": x, "InFrontOf": -x, "OnTop": z}.get(word, 1.0)
+            assert far > 0.05 - 1e-3
+        assert abs(p["chip"][2] - (0.035 - 0.05)) < 1e-3  # it rides along
+    assert toppled < 10
+    assert words == {f"{w}(brick, post)" for w in SIDES} | {f"{w}(can, post)" for w in (*SIDES, "OnTop")}
+
+
+def test_several_words_hold_at_once(table: Twin) -> None:
+    for k in range(10):
+        layout = proposed(table, axis("post", 2, brick=("LeftOf", "InFrontOf", "RightOf")), k)
+        assert len(layout.asked) == 2 and "InFrontOf(brick, post)" in layout.asked
+        assert examine(table, layout).accepted
+
+
+def test_the_same_seed_gives_the_same_layout_whatever_came_before(table: Twin) -> None:
+    asked = axis("post", brick=SIDES, can=SIDES)
+    first = [proposed(table, asked, k) for k in range(4)]
+    again = {k: proposed(table, asked, k) for k in (3, 1, 0, 2)}
+    for k, layout in enumerate(first):
+        assert {n: (x.p.tolist(), x.q.tolist()) for n, x in layout.poses.items()} == {
+            n: (x.p.tolist(), x.q.tolist()) for n, x in again[k].poses.items()
+        }
+        states = [examine(table, one).poses for one in (layout, again[k])]
+        assert all(states[0][n].p.tolist() == states[1][n].p.tolist() for n in states[0])
+
+
+@pytest.mark.parametrize(
+    ("asked", "text"),
+    [
+        (axis("pots", brick=("LeftOf",)), "the anchor `pots` does not exist; did you mean `post`?"),
+        (axis("post", brick=("Inside",)), "Inside(brick, post) can never hold: `post` has no cavity"),
+        (axis("post", table=("LeftOf",)), "`table` is fixed to the world, so it cannot move"),
+        (axis("chip", brick=("LeftOf",)), "`brick` carries the anchor `chip`, so it cannot move around it"),
+        (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "no place on `table` is 2 m from `post`"),
+        (axis("post", post=("LeftOf",)), "`post` is the anchor"),
+        (axis("can", post=("LeftOf",)), "nothing as large as `post` can be left of `can`: `table` ends 0.050 m beyond"),
+    ],
+)
+def test_what_can_never_be_is_said_before_anything_is_tried(table: Twin, asked: SceneAxis, text: str) -> None:
+    with pytest.raises(ImpossibleError) as caught:
+        propose(table, asked, np.random.default_rng(0))
+    assert text in str(caught.value)
+
+
+def test_no_room_is_rejected_with_numbers(table: Twin) -> None:
+    asked = axis("can", brick=("NextTo",), gap=(0.06, 0.08))  # so far apart is not next to
+    found = propose(table, asked, np.random.default_rng(0))
+    assert isinstance(found, Rejected)
+    (reason,) = found.reasons
+    assert reason.code == "no_room" and "`brick` is 0.04 m wide" in reason.text and reason.numbers["tries"] >= 4096
+
+
+def test_a_goal_that_is_true_already_is_no_cousin(cup_in_bowl: Twin) -> None:
+    asked = axis("bowl", cup=("Inside",))
+    results = [examine(cup_in_bowl, proposed(cup_in_bowl, asked, k)) for k in range(3)]
+    assert {reason.code for result in results for reason in result.reasons} == {"goal_true"}

@@ -1,0 +1,180 @@
+"""Cousins as documents: small, sound, true after reading, and the same from whatever process."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from simfoundry.cousins.candidate import Candidate
+from simfoundry.cousins.overlay import dependents, relative
+from simfoundry.cousins.recipe import need_same_project, read_recipe
+from simfoundry.cousins.vary import Setup, candidate, prepared
+from simfoundry.errors import OutputError
+from simfoundry.predicates import Judge
+from simfoundry.scene.lower import lower
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.load import load, load_scene
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.task import TaskSpec
+from tests.cli.command import run
+from tests.conftest import REPOSITORY
+from tests.cousins.conftest import TABLE
+from tests.cousins.test_library import BALL, BRICK
+
+TASK = """\
+simfoundry: task/1
+name: chip_on_post
+scene: table.scene.yaml
+instruction: Put the chip on the post.
+goal: OnTop(chip, post)
+start: {place: {can: {on: table, xy: [-0.2, 0.1]}}}
+reset:
+  objects: {can: {x: [-0.25, -0.15], y: [0.05, 0.15]}}
+"""
+RECIPE = """\
+simfoundry: cousins/1
+name: tables
+twin: {twin}
+seed: 11
+scene:
+  anchor: post
+  objects: {{brick: [LeftOf, RightOf], can: [InFrontOf, Behind]}}
+  gap: [0.02, 0.15]
+distractors: {{count: [1, 2], library: things, shipped: false}}
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A project with a table, a task on it, a library of two things and recipes over the scene and the task."""
+    (tmp_path / "simfoundry.yaml").write_text("")
+    (tmp_path / "table.scene.yaml").write_text(TABLE)
+    (tmp_path / "chip.task.yaml").write_text(TASK)
+    (tmp_path / "things").mkdir()
+    (tmp_path / "things" / "ball.asset.yaml").write_text(BALL)
+    (tmp_path / "things" / "brick.asset.yaml").write_text(BRICK)
+    for name, twin in (("scenes", "table.scene.yaml"), ("tasks", "chip.task.yaml")):
+        (tmp_path / f"{name}.cousins.yaml").write_text(RECIPE.format(twin=twin))
+    prepared.cache_clear()
+    return tmp_path
+
+
+def setup(project: Path, name: str, seed: int = 11) -> Setup:
+    return Setup(str(project / f"{name}.cousins.yaml"), str(project / "out"), seed)
+
+
+def first_accepted(asked: Setup) -> Candidate:
+    return next(c for c in (candidate(asked, k) for k in range(1, 30)) if c.accepted)
+
+
+def written(project: Path, one: Candidate) -> dict[str, Path]:
+    (project / "out").mkdir(exist_ok=True)
+    paths = {kind: project / "out" / name for kind, name in one.files().items()}
+    for kind, path in paths.items():
+        path.write_text(one.documents[kind])
+    return paths
+
+
+def test_a_cousin_says_only_what_differs_and_is_true_when_read(project: Path) -> None:
+    one = first_accepted(setup(project, "scenes"))
+    path = written(project, one)["scene"]
+    loaded = load(path)
+    assert loaded.all_findings() == []
+    data = loaded.document.root.value if loaded.document is not None else {}
+    assert isinstance(data, dict)
+    assert run("fmt", "--check", path).code == 0
+    moved = {"brick", "chip", "can"}
+    assert isinstance(loaded.spec, SceneSpec)
+    added = set(loaded.spec.objects) - {"table", "post", "brick", "chip", "can"}
+    assert 1 <= len(added) <= 2
+    text = path.read_text()
+    assert {n for n in loaded.spec.objects if f"\n  {n}:" in text} == moved | added, "the chip rides on the brick"
+    scene = lower(load_scene(path))
+    judge, state = Judge(scene), SceneState.initial(scene)
+    assert len(one.asked) == 2
+    for relation in (*one.asked, *loaded.spec.relations):
+        assert judge(relation, state).value, relation
+    assert set(one.asked) <= set(loaded.spec.relations) and "OnTop(chip, brick)" in loaded.spec.relations
+    origin = loaded.spec.origin
+    assert origin is not None and origin.cousin is not None
+    assert (origin.cousin.recipe, origin.cousin.seed, origin.cousin.index) == ("tables", 11, one.index)
+    assert loaded.spec.name == f"tables_{one.index:06d}"
+
+
+def test_a_task_comes_along_without_what_was_said_of_moved_things(project: Path) -> None:
+    one = first_accepted(setup(project, "tasks"))
+    paths = written(project, one)
+    loaded = load(paths["task"])
+    assert loaded.all_findings() == [] and isinstance(loaded.spec, TaskSpec)
+    spec = loaded.spec
+    assert spec.goal == "OnTop(chip, post)" and spec.scene == paths["scene"].name
+    assert not spec.start.place and not spec.reset.objects
+    assert run("check", project / "out").code == 0
+
+
+def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
+    asked = setup(project, "scenes")
+    first = [candidate(asked, k).line() for k in (1, 2, 3, 4)]
+    prepared.cache_clear()
+    assert [candidate(asked, k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
+    program = (
+        "import sys; from simfoundry.cousins.vary import Setup, candidate;"
+        "print(candidate(Setup(sys.argv[1], sys.argv[2], 11), 3).line())"
+    )
+    line = [sys.executable, "-c", program, asked.recipe, asked.out]
+    done = subprocess.run(
+        line, capture_output=True, text=True, check=True, env={"PYTHONPATH": str(REPOSITORY), "PYTHONHASHSEED": "7"}
+    )
+    assert done.stdout.strip() == first[2]
+    assert candidate(setup(project, "scenes", 12), 1).line() != first[0]
+
+
+def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None:
+    recipe = project / "scenes.cousins.yaml"
+    done = run("cousins", recipe, "-n", "3", "-o", project / "out", "-j", "1", "--gallery", "1", "--json")
+    assert done.code == 0, done.err
+    assert done.json["accepted"] == 3 and done.json["end"] == "complete"
+    assert len(list((project / "out").glob("*.scene.yaml"))) == 3
+    page = (project / "out" / "gallery.html").read_text()
+    assert page.count("<img ") == 1 and page.count("<figure>") == 1 and "2 more are in" in page
+    again = run("cousins", recipe, "-n", "3", "-o", project / "out", "-j", "1", "--gallery", "1")
+    assert again.code == 0 and "3 of 3 cousins" in again.out
+    told = run("diff", project / "table.scene.yaml", next((project / "out").glob("*.scene.yaml")))
+    assert "origin: cousin " in told.out and "of recipe tables, seed 11" in told.out
+    assert "brick" in told.out and " moved " in told.out
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "told"),
+    [
+        ("anchor: post", "anchor: pots", "no object is called `pots`"),
+        ("brick: [LeftOf, RightOf]", "brick: [Inside]", "impossible: "),
+        ("gap: [0.02, 0.15]", "gap: [2, 3]", "impossible: "),
+        ("library: things", "library: things, mass: {most: 0.001}", "mass at most 0.001 kg: 1 taken (theirs 0.0226 to"),
+    ],
+)
+def test_impossible_asks_are_answered(project: Path, was: str, becomes: str, told: str) -> None:
+    recipe = project / "scenes.cousins.yaml"
+    text = recipe.read_text()
+    assert was in text
+    recipe.write_text(text.replace(was, becomes))
+    done = run("cousins", recipe, "-n", "2", "-o", project / "out", "-j", "1", "--no-gallery")
+    assert done.code in (1, 2) and told in done.err, done.err
+    assert not list((project / "out").glob("*.yaml"))
+
+
+def test_a_place_from_which_the_twin_cannot_be_reached(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    recipe = read_recipe(project / "scenes.cousins.yaml")
+    with pytest.raises(OutputError, match="must lie in its project"):
+        need_same_project(recipe, tmp_path_factory.mktemp("elsewhere"))
+    assert relative(project / "table.scene.yaml", project / "a" / "b") == "../../table.scene.yaml"
+
+
+def test_what_is_placed_by_words_moves_along() -> None:
+    loaded = load(REPOSITORY / "specs" / "scenes" / "cup_in_bowl.scene.yaml")
+    assert isinstance(loaded.spec, SceneSpec)
+    assert dependents(loaded.spec, {"bowl"}) == {"cup"}
+    assert dependents(loaded.spec, {"cup"}) == set()
