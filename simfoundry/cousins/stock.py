@@ -16,7 +16,7 @@ from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.files import write_atomically
-from simfoundry.spec.files import ASSET_SUFFIX
+from simfoundry.spec.files import ASSET_SUFFIX, located
 from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
@@ -61,7 +61,20 @@ class Stock:
 
 def stock_of(recipe: Recipe, out: Path, twin: Twin) -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
-    return Stock(references=references(recipe.distractors, recipe.scene.root, out))
+    return Stock(choices(recipe, out), references(recipe.distractors, recipe.scene.root, out))
+
+
+def choices(recipe: Recipe, out: Path) -> dict[str, tuple[Choice, ...]]:
+    """The variants of each object that varies, made once and written below ``OUT/assets/objects``."""
+    from simfoundry.cousins.objects.swap import made_for
+
+    axis, folder = recipe.spec.object, out / ASSETS / "objects"
+    if axis is None:
+        return {}
+    library = None if axis.library is None else located(axis.library, recipe.loaded.path)
+    tasks = [] if recipe.task_spec is None else [recipe.task_spec]
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, library)
+    return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 
 def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:

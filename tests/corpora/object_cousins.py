@@ -27,7 +27,7 @@ from simfoundry.cousins.objects.needs import Needs, needs_of
 from simfoundry.cousins.objects.swap import overlay
 from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.scene.lower import lower
-from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.cousins import Change, ObjectVariants
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
@@ -50,7 +50,7 @@ TASKS = (
 """The eight tasks of the paper."""
 
 ENOUGH, SOLVED = 9, 0.7
-CHANGES = ("geometry", "topology", "appearance")
+CHANGES: tuple[Change, ...] = ("geometry", "topology", "appearance")
 
 
 class Case(NamedTuple):
@@ -118,11 +118,12 @@ def table(tasks: list[str], count: int, seed: int, out: Path, gallery: Path | No
         print(f"{row}  {reasons}; {lacks}", flush=True)
         for line in wrong:
             print(f"    WRONG {line}")
-        shown.append((case, found))
+        shown.append((case, item_of(case.scene, case.name), found))
     if gallery is not None:
         from tests.corpora.object_gallery import draw
 
-        draw(gallery, [(case.name, item_of(case.scene, case.name), found) for case, found in shown])
+        rows = {item.spec.name: (case.name, item, found) for case, item, found in shown}  # a cup of each colour once
+        draw(gallery, list(rows.values()))
     print("every object has enough" if not short else f"{short} objects fall short")
     return int(short > 0)
 

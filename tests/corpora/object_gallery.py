@@ -12,7 +12,7 @@ from simfoundry.cousins.objects.generation import picture_of
 from simfoundry.cousins.objects.item import Item
 from simfoundry.cousins.objects.variants import Variants, write
 
-CELL = 160
+CELL = 112
 PAPER = (238, 239, 242)
 
 

@@ -24,13 +24,14 @@ from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.scene.summary import bounds
 from simfoundry.spec.base import Estimate, LatheShape
+from simfoundry.spec.cousins import Change
 from simfoundry.spec.load import load
 from simfoundry.spec.write import to_yaml
 from tests.conftest import REPOSITORY
 
 ASSETS = REPOSITORY / "specs" / "assets"
 NAMES = sorted(p.name.partition(".")[0] for p in ASSETS.glob("*.asset.yaml"))
-CHANGES = ("geometry", "topology", "appearance")
+CHANGES: tuple[Change, ...] = ("geometry", "topology", "appearance")
 
 
 def item(name: str) -> Item:

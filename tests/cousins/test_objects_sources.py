@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from simfoundry.assets.mesh import open_edges, read_parts, weld
 from simfoundry.cousins.objects.generation import Generation, fitted, picture_of
@@ -30,7 +31,7 @@ from simfoundry.spec.base import Material
 from simfoundry.spec.cousins import ObjectVariants
 from tests.cousins.test_objects_rules import ASSETS, item
 
-T = TypeVar("T")
+T = TypeVar("T", bound=BaseModel)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def bean(tmp_path_factory: pytest.TempPathFactory) -> Item:
 def test_a_deformed_mesh_stays_closed_and_weighs_by_its_volume(bean: Item, tmp_path: Path) -> None:
     for seed in range(5):
         spec, files, words = deformed(bean.spec, bean.files, np.random.default_rng(seed))
-        assert words.startswith("deformed: x x ")
+        assert words.startswith("deformed: x ")
         for name, data in files.items():
             (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name).write_bytes(data)

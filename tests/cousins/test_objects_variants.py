@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from simfoundry.cousins.objects.item import Item, item_of
-from simfoundry.cousins.objects.swap import chosen, overlay, prepare, variant_set
+from simfoundry.cousins.objects.swap import chosen, made_for, overlay, prepare, variant_set
 from simfoundry.cousins.objects.variants import Variants, variants, write
+from simfoundry.cousins.reasons import ImpossibleError
+from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower
 from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.load import load, load_kind
@@ -57,7 +59,7 @@ def test_variants_are_sound_canonical_and_distinct(bowls: Variants, tmp_path: Pa
         path = write(variant, tmp_path)
         read = load(path)
         assert not read.all_findings() and read.spec is not None
-        assert path.read_text().endswith(to_yaml(read.spec))  # canonical below its comment
+        assert path.read_text() == to_yaml(read.spec)
         assert path.name == f"{read.spec.name}.asset.yaml" and read.spec.name.startswith("bowl_")
         assert variant.distance >= 1 and variant.changed
 
@@ -143,3 +145,28 @@ def test_a_shape_of_a_scene_varies_too(tmp_path: Path) -> None:
     assert len(found.accepted) == 2
     part = overlay({"cube": "a.asset.yaml"}, read.spec, tmp_path, tmp_path)["objects"]["cube"]
     assert part == {"asset": "a.asset.yaml", "shape": None, "material": None, "scale": None}
+
+
+def test_what_cannot_be_is_said_with_numbers(tmp_path: Path) -> None:
+    def asked(**kw: object) -> ObjectAxis:
+        return ObjectAxis(objects={"cube": ObjectVariants.model_validate({"count": 1, **kw})})
+
+    table = load_kind(REPOSITORY / "specs" / "scenes" / "clear_table.scene.yaml", "scene/1")
+    with pytest.raises(
+        ImpossibleError, match="`cube` has no variant among 25 candidates: 25 times rules; the first: no rule"
+    ):
+        made_for(asked(components=("handle",)), table, [], 0, tmp_path, None)
+    with pytest.raises(ImpossibleError, match="`cube` has the source `model`, which needs models"):
+        made_for(asked(sources=("model",)), table, [], 0, tmp_path, None)
+    with pytest.raises(SimfoundryError, match="is no folder"):
+        made_for(asked(sources=("library",)), table, [], 0, tmp_path, tmp_path / "nowhere")
+    assert list(made_for(asked(), table, [], 0, tmp_path, None)) == ["cube"]
+
+
+def test_a_recipe_without_its_library_is_found() -> None:
+    path, twin = REPOSITORY / "specs" / "cousins" / "r.cousins.yaml", "../scenes/clear_table.scene.yaml"
+    text = f"simfoundry: cousins/1\nname: r\ntwin: {twin}\nobject: {{objects: {{cup: {{sources: [library]}}}}}}\n"
+    found = load(path, text=text).findings
+    assert [f.message for f in found if "library" in f.message] == [
+        "variants of `cup` come from a library, and there is none"
+    ]

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from pydantic import BaseModel
 
 from simfoundry.assets.faults import MeshError
 from simfoundry.assets.mesh import read_parts
@@ -21,9 +22,9 @@ from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Variations, Verdict, prompt
 from simfoundry.cousins.objects.retrieval import USUAL
 from simfoundry.cousins.reasons import Reason
-from simfoundry.models.images import ImageEditor
-from simfoundry.models.meshes import MeshMaker
-from simfoundry.models.web import ModelError
+from simfoundry.errors import SimfoundryError
+from simfoundry.models.images import ImageEditor, images_from_environment
+from simfoundry.models.meshes import MeshMaker, meshes_from_environment
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
@@ -32,7 +33,7 @@ from simfoundry.scene.summary import bounds
 from simfoundry.spec.base import Material
 from simfoundry.spec.cousins import ObjectVariants
 
-T = TypeVar("T")
+T = TypeVar("T", bound=BaseModel)
 
 DIMENSIONS = ("geometry", "topology", "visual")
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
@@ -49,7 +50,7 @@ class Vlm(Protocol):
     """A vision-language model that answers in a type."""
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
-        """The answer to a prompt about PNG pictures; raises :class:`ModelError`."""
+        """The answer to a prompt about PNG pictures; raises :class:`SimfoundryError`."""
         ...
 
 
@@ -93,10 +94,10 @@ class Generation:
             if isinstance(picture, Reason):
                 return picture
             return built(item, self.meshes.make(picture, seed + k), proposals[place])
-        except ModelError as error:
-            return Reason("model", str(error))
         except MeshError as error:
             return Reason("mesh", str(error))
+        except SimfoundryError as error:
+            return Reason("model", str(error))
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[Proposal]:
         """Prompts A, B and C: what could be changed, round the components so that the first few differ."""
@@ -137,6 +138,14 @@ class Generation:
             why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
         text = f"{proposal.component}, {proposal.words}: not reasonable in {ATTEMPTS} pictures: {why}"
         return Reason("picture", text, {"attempts": float(ATTEMPTS)})
+
+
+def from_environment(vlm: Vlm, scene: bytes) -> Generation:
+    """The pipeline with the image and mesh models that the environment names; :class:`ModelError` says what is missing.
+
+    ``scene`` is a picture of the twin's scene.
+    """
+    return Generation(vlm, images_from_environment(), meshes_from_environment(), scene)
 
 
 def built(item: Item, glb: bytes, proposal: Proposal) -> Draft:

@@ -43,7 +43,7 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
         factor = np.full(3, rng.uniform(0.94, 1.06))
     else:
         factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
-    sizes = ", ".join(f"{axis} x {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
+    sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
     return stretched(spec, factor), f"stretched: {sizes}"
 
 

@@ -76,7 +76,7 @@ class _Deformation:
 def _deformation(rng: Rng) -> tuple[_Deformation, str]:
     factor = np.exp(rng.uniform(np.log(0.88), np.log(1.15), 3))
     taper, belly = rng.uniform(-0.15, 0.15), rng.uniform(-0.08, 0.1)
-    sizes = ", ".join(f"{axis} x {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
+    sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
     return _Deformation(factor, taper, belly), f"deformed: {sizes}, taper {taper:+.2f}, belly {belly:+.2f}"
 
 

@@ -69,4 +69,4 @@ def _environment() -> Any:
         raise SimfoundryError("prompts need jinja2: `pip install simfoundry[vlm]`") from None
     folder = files("simfoundry.cousins.objects") / "prompts"
     texts = {name: (folder / name).read_text(encoding="utf-8") for name in PROMPTS.values()}
-    return Environment(loader=DictLoader(texts), undefined=StrictUndefined, autoescape=False)  # noqa: S701: plain text
+    return Environment(loader=DictLoader(texts), undefined=StrictUndefined, autoescape=False)  # plain text, no HTML

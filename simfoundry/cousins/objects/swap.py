@@ -13,7 +13,9 @@ import numpy as np
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.cousins.objects.item import Item, item_of
 from simfoundry.cousins.objects.needs import Needs, needs_of
+from simfoundry.cousins.objects.retrieval import Library, Retrieval
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
+from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.base import Body
@@ -62,6 +64,32 @@ def prepare(
             write_atomically(path, (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode())
         records[name] = record
     return records
+
+
+def made_for(
+    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, library: Path | None
+) -> dict[str, tuple[Path, ...]]:
+    """The documents of the variants of each object, made where they are not there yet; ``library`` is a folder.
+
+    Raises :class:`ImpossibleError` for an object that has none, with what became of the candidates, and for a source
+    that is not set up.
+    """
+    cache = Cache.default()
+    sources: dict[str, Origins] = {} if library is None else {"library": Retrieval(Library(library, cache))}
+    for name, wanted in axis.objects.items():
+        for source in wanted.sources:
+            if source != "procedural" and source not in sources:
+                need = "a `library`" if source == "library" else "models, which only the Python interface takes"
+                raise ImpossibleError((Reason("source", f"`{name}` has the source `{source}`, which needs {need}"),))
+    records = prepare(axis, scene, tasks, seed, folder, sources, cache)
+    for name, record in records.items():
+        if not record["accepted"]:
+            tried = len(record["refused"])
+            why = "; ".join(f"{count} times {code}" for code, count in record["reasons"].items())
+            example = record["refused"][0]["reasons"][0]["text"] if tried else "there was no candidate"
+            text = f"`{name}` has no variant among {tried} candidates: {why}; the first: {example}"
+            raise ImpossibleError((Reason("variants", text, {"candidates": float(tried)}),))
+    return {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
 
 
 def record_of(made: Variants) -> dict[str, Any]:

@@ -147,8 +147,6 @@ def variants(
             made = origin(item, axis, seed, k)
             if isinstance(made, Reason):
                 refused.append(Refused(k, name, (), (made,)))
-                if made.code == "rules" and len(chosen) == 1:
-                    break
                 continue
             result = _examined(item, twin, made, k, name, seed, folder, cache)
             if isinstance(result, Variant):
@@ -170,8 +168,7 @@ def write(variant: Variant, folder: Path) -> Path:
     for name, data in variant.files.items():
         write_atomically(folder / name, data)
     path = folder / variant.file
-    comment = "; ".join(variant.changed)
-    write_atomically(path, to_yaml(variant.spec, f"A variant of {variant.item.name}: {comment}.").encode())
+    write_atomically(path, to_yaml(variant.spec).encode())
     return path
 
 
