@@ -14,7 +14,7 @@ from scipy import stats
 
 from simfoundry.cousins.layout import Layout, propose, scatter
 from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.placing import Region, Demands, There, find, rectangles_meet
+from simfoundry.cousins.placing import Demands, Region, There, find, rectangles_meet
 from simfoundry.cousins.solids import Solids
 from simfoundry.cousins.support import Support, support_of
 from simfoundry.cousins.twin import Twin
