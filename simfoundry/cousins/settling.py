@@ -20,8 +20,11 @@ LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
 It may end earlier only where the engine has put all things to sleep: nothing would ever move again.
 """
 
+ELSEWHERE = 100.0
+"""How far away [m] what is absent falls, where nothing meets it."""
+
 SLEEP = 5e-4
-"""The engine puts to sleep what moves slower than this [m/s] for ten steps; awake, it then creeps some hundredths of a mm."""
+"""The engine puts to sleep what moves slower than this [m/s] for ten steps; awake, it creeps hundredths of a mm."""
 
 STILL_M, STILL_DEG = 1e-4, 0.1
 """What moves or turns no farther in a step is at rest. A ball may turn."""
@@ -49,7 +52,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
     _let_sleep(world)
-    world.reset(state)
+    world.reset(_without(world, state, gone))
     elapsed, last, restless = 0.0, state, tuple[str, ...]()
     while elapsed < MOST_S:
         world.step(round(STEP_S / world.timestep))
@@ -68,9 +71,19 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
         if contact.depth > deepest and not gone & {contact.a, contact.b}:
             deepest, between = contact.depth, (contact.a, contact.b)
     end = rounded(now)
+    if gone:
+        end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
     moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
     tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
     return Settled(end, moved, tilted, restless, deepest, between, elapsed)
+
+
+def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
+    """The state with what is absent far away from all else and from each other."""
+    if not absent:
+        return state
+    away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
+    return SceneState.of({**state.poses, **{n: away[n] for n in absent}}, state.joints, state.motions)
 
 
 def _let_sleep(world: MujocoWorld) -> None:

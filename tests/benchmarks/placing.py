@@ -38,12 +38,12 @@ from simfoundry.cousins.layout import Layout, propose, scatter
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.cousins import SceneAxis, Side
 from simfoundry.spec.load import load
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 COUNT = 100
-SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
+SIDES: tuple[Side, ...] = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
 TASK = REPOSITORY / "specs/tasks/tennis_ball_in_bowl.task.yaml"
 MOVED = ("orange_cup", "red_bottle", "baseball", "tennis_ball", "burger", "blue_cup", "black_eraser", "black_marker",
          "orange_marker", "mug")  # fmt: skip

@@ -1,4 +1,4 @@
-"""Layouts: what is asked holds, each word comes up, the same seed gives the same, what cannot be is said with numbers."""
+"""Layouts: what is asked holds, each word comes up, a seed gives the same, what cannot be is said with numbers."""
 
 from __future__ import annotations
 

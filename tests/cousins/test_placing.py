@@ -1,4 +1,4 @@
-"""Places: exact against an independent test of overlaps, and uniform over all that is allowed, which a bias would not be."""
+"""Places: exact against an independent test of overlaps, and uniform over all that is allowed, as a bias is not."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_real_parts_let_a_thing_stand_where_rectangles_overlap() -> None:
         assert solids.meet("l", "stick", 0.02) == (gap < 0.02)
 
 
-# -- evenly over all that is allowed -------------------------------------------------------------------------------------
+# -- evenly over all that is allowed ---------------------------------------------------------------------------------
 
 
 def places(region: Region, outline: Outline, there: There, count: int, tests: Demands | None = None) -> np.ndarray:
@@ -140,7 +140,7 @@ def free_of_pillar(reach: float) -> shapely.Polygon:
 
 def disc_clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
     del yaw, met
-    return rectangle(0, 0, 0.2, 0.2, 0.3).distance(shapely.Point(x, y)) > 0.05
+    return bool(rectangle(0, 0, 0.2, 0.2, 0.3).distance(shapely.Point(x, y)) > 0.05)
 
 
 def test_places_are_uniform_over_the_region_that_is_allowed() -> None:
@@ -201,7 +201,7 @@ def test_things_placed_together_are_as_uniform_as_one_after_another(tmp_path: Pa
         layout = scatter(twin, ["post", "brick"], np.random.default_rng([9, k]))
         assert isinstance(layout, Layout)
         off.append(np.linalg.norm(layout.poses["post"].p[:2] - layout.poses["brick"].p[:2]))
-    plain = []
+    plain: list[float] = []
     support = shapely.box(-0.2, -0.2, 0.2, 0.2)
     while len(plain) < 1500:
         large = small = None
@@ -224,8 +224,7 @@ def rectangles_touch(a: shapely.Polygon, b: shapely.Polygon) -> bool:
 def test_nothing_overlaps_among_many(tmp_path: Path) -> None:
     """Forty boxes and cans on a table: pairwise at least the gap apart, by an independent measure, and all on it."""
     rng = np.random.default_rng(1)
-    rows = ["simfoundry: scene/1", "name: many", "materials: {wood: {density: 600, friction: 0.5}}", "objects:",
-            "  table: {fixed: true, shape: {box: [1, 1, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}"]  # fmt: skip
+    rows = SQUARE.splitlines()[:5]
     for k in range(40):
         a, b, c = rng.uniform(0.03, 0.09, 3).round(3)
         shape = f"{{box: [{a}, {b}, {c}]}}" if k % 3 else f"{{cylinder: {{radius: {a / 2:.4f}, height: {c}}}}}"

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from simfoundry.cousins.checks import examine, kept_relations
-from simfoundry.cousins.layout import NOTHING, Layout, propose
+from simfoundry.cousins.layout import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.twin import Twin, bare
 from simfoundry.cousins.views import best_view, share_in_view
@@ -18,8 +20,8 @@ from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY
 
 
-def moved(twin: Twin, **poses: Pose) -> Layout:
-    return Layout("", (), {**poses})
+def moved(name: str, X_WO: Pose) -> Layout:
+    return Layout("", (), {name: X_WO})
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +53,11 @@ def test_the_twin_as_it_is_passes(table: Twin) -> None:
 
 
 def test_what_leans_floats_or_overlaps_is_rejected(table: Twin) -> None:
-    leaning = moved(table, can=Pose.of((0.0, -0.2, 0.07), quat_from_rpy(0.5, 0, 0)))
+    leaning = moved("can", Pose.of((0.0, -0.2, 0.07), quat_from_rpy(0.5, 0, 0)))
     assert {r.code for r in examine(table, leaning).reasons} & {"tilted", "moved", "restless"}
-    floating = moved(table, can=Pose.of((0.0, -0.2, 0.15)))
+    floating = moved("can", Pose.of((0.0, -0.2, 0.15)))
     assert "moved" in {r.code for r in examine(table, floating).reasons}
-    deep = moved(table, can=Pose.of((0.0, 0.05, 0.05)))
+    deep = moved("can", Pose.of((0.0, 0.05, 0.05)))
     reasons = examine(table, deep).reasons
     assert {r.code for r in reasons} & {"penetrates", "moved"} and all(r.text and r.to_json() for r in reasons)
 
@@ -67,7 +69,7 @@ def test_relations_of_what_did_not_move_and_of_riders_are_kept(table: Twin) -> N
     assert kept_relations(table, ("chip",)) == ("OnTop(post, table)", "OnTop(can, table)")
 
 
-def test_what_is_out_of_view_is_rejected(table: Twin) -> None:
+def test_shares_in_view() -> None:
     camera = Camera("eye", 100, 100, 200.0, 200.0, 49.5, 49.5, look_at(np.array([-1.0, 0, 0.5]), np.zeros(3)))
     corners = np.array([[x, y, 0.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)])
     assert share_in_view(camera, corners) == 1.0
@@ -81,3 +83,14 @@ def test_settling_is_the_same_each_time(table: Twin) -> None:
     state = table.posed({"can": Pose.of((0.1, -0.2, 0.052))})
     ends = [settle_layout(table.world, state).state.poses["can"] for _ in range(2)]
     assert ends[0].p.tolist() == ends[1].p.tolist() and ends[0].q.tolist() == ends[1].q.tolist()
+
+
+def test_what_is_absent_is_in_nobodys_way(table: Twin) -> None:
+    brick = replace(table.scene.object("brick"), name="more", X_WO=Pose.of((0.0, -0.2, 0.05)))
+    twin = table.extended([brick])
+    result = examine(twin, moved("can", Pose.of((0.0, -0.2, 0.0501))))  # where the absent one would be
+    assert result.accepted and result.state.poses["more"].p.tolist() == [0.0, -0.2, 0.05]
+    there = Layout("", (), {"can": Pose.of((0.0, -0.2, 0.0501)), "more": Pose.of((0.0, -0.2, 0.0151))})
+    assert not examine(twin, there).accepted
+    both = scatter(twin, ["more"], np.random.default_rng(0))
+    assert isinstance(both, Layout) and examine(twin, both).accepted
