@@ -5,23 +5,22 @@ Files that the cousins need and that lie outside the twin's project are copied b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from simfoundry.cousins.library import Item
 from simfoundry.cousins.overlay import relative
-from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.files import write_atomically
-from simfoundry.spec.files import ASSET_SUFFIX
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.files import ASSET_SUFFIX, located
 
 if TYPE_CHECKING:
+    from simfoundry.cousins.tasks.choices import TaskCousin
     from simfoundry.cousins.twin import Twin
-    from simfoundry.scene.state import SceneState
 
 ASSETS = "assets"
 """The folder below the output for what the cousins bring along."""
@@ -35,17 +34,6 @@ class Choice:
     reference: str
 
 
-class TaskChoice(Protocol):
-    """A task that cousins may have."""
-
-    spec: TaskSpec
-    goal: str
-
-    def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
-        """Why it is no task in a scene as it stands; empty where it is one."""
-        ...
-
-
 @dataclass(frozen=True)
 class Stock:
     """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
@@ -55,7 +43,7 @@ class Stock:
 
     choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
     references: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    tasks: tuple[TaskChoice, ...] = ()
+    tasks: tuple[TaskCousin, ...] = ()
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
@@ -71,11 +59,24 @@ def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.stock_tasks import tasks_of
 
-    tasks = tasks_of(recipe, out, twin, vlm)
+    others, tasks = choices(recipe, out), tasks_of(recipe, out, twin, vlm)
     most = None
     if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
-        most = max(1, len(tasks))
-    return Stock(references=references(recipe.distractors, recipe.scene.root, out), tasks=tasks, most=most)
+        most = math.prod(map(len, others.values())) * max(1, len(tasks))
+    return Stock(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
+
+
+def choices(recipe: Recipe, out: Path) -> dict[str, tuple[Choice, ...]]:
+    """The variants of each object that varies, made once and written below ``OUT/assets/objects``."""
+    from simfoundry.cousins.objects.swap import made_for
+
+    axis, folder = recipe.spec.object, out / ASSETS / "objects"
+    if axis is None:
+        return {}
+    library = None if axis.library is None else located(axis.library, recipe.loaded.path)
+    tasks = [] if recipe.task_spec is None else [recipe.task_spec]
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, library)
+    return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 
 def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
