@@ -2,9 +2,9 @@
 
 Parts, all by default:
 
-``validity``    N cousins (100) of each recipe of ``specs/cousins`` that has layouts, read back from their files and let go for 2 s in
-                MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than 1 mm or moves
-                farther than 1 cm.
+``validity``    N cousins (100) of each recipe of ``specs/cousins`` that has layouts, read back from their files and let
+                go for 2 s in MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than
+                1 mm or moves farther than 1 cm.
 ``kills``       a run that is killed (SIGKILL) at ten random moments and resumed gives the same bytes.
 ``workers``     so do 1 and 2 processes, and shards in any order.
 ``ray``         and so does Ray, started here.
@@ -279,7 +279,7 @@ def scale(root: Path, count: int, jobs: int) -> bool:
     peak, span = max(rss for _, rss in seen), time.perf_counter() - started
     files = len(list((root / "build" / "light").glob("*.scene.yaml")))
     print(
-        f"scale: {facts.get('accepted')} cousins, {files} files, of {facts.get('examined')} candidates in {span:.0f} s; "
+        f"scale: {facts.get('accepted')} cousins, {files} files, {facts.get('examined')} candidates, {span:.0f} s; "
         f"{early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
     )
     return process.returncode == 0 and files == count and peak - early <= GROWTH
