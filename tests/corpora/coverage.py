@@ -2,8 +2,8 @@
 
 Of scenes of specs/, each free object is placed by each side predicate around each anchor, the two alone, with gaps and
 turns as recipes have them; and by ``OnTop`` and ``Inside`` on and in what can carry something. Each pair gets some
-tries until a layout passes every check: ``--tries`` where it is known to be possible, ``--few`` elsewhere. The table says why
-what was not realised was not: certain before any try, or what physics said.
+tries until a layout passes every check: ``--tries`` where it is known to be possible, ``--few`` elsewhere. The table
+says why what was not realised was not: certain before any try, or what physics said.
 
 Exit code 1 where a side predicate is never realised though nothing makes it impossible, or where one of the goals of
 the paper's tasks in the cluttered scene is not: those are known to be possible.
