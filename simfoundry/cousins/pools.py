@@ -86,7 +86,7 @@ class Local:
     """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
 
     def __init__(self, work: Work, size: int) -> None:
-        self.work, self.size = work, size
+        self.work, self.size, self._closed = work, size, False
         self._asked: queue.SimpleQueue[int | None] = queue.SimpleQueue()
         self._done: queue.SimpleQueue[Candidate] = queue.SimpleQueue()
         self._workers = [Worker(_limits(size)) for _ in range(size)]
@@ -103,23 +103,26 @@ class Local:
 
     def close(self) -> None:
         """End the processes."""
+        self._closed = True  # before they end: a candidate that is cut off now is not tried once more
         for worker in self._workers:
             self._asked.put(None)
             worker.close()
 
     def _serve(self, worker: Worker) -> None:
-        while (index := self._asked.get()) is not None:
-            self._done.put(_contained(worker, self.work, index))
+        while (index := self._asked.get()) is not None and not self._closed:
+            self._done.put(self._contained(worker, index))
+        worker.close()
 
-
-def _contained(worker: Worker, work: Work, index: int) -> Candidate:
-    for attempt in (1, 2):
-        try:
-            return Candidate.of(worker.call("simfoundry.cousins.pools:line_of", work, index))
-        except FailedError as error:
-            if attempt == 2:
-                return failed(index, error.how)
-    raise AssertionError
+    def _contained(self, worker: Worker, index: int) -> Candidate:
+        """A candidate, or, after a second try, how its process failed."""
+        tries = 0
+        while True:
+            try:
+                return Candidate.of(worker.call("simfoundry.cousins.pools:line_of", self.work, index))
+            except FailedError as error:
+                tries += 1
+                if tries == 2 or self._closed:
+                    return failed(index, error.how)
 
 
 def failed(index: int, how: str) -> Candidate:

@@ -214,3 +214,13 @@ def test_candidates_travel_as_lines() -> None:
 def test_an_empty_ledger_counts_nothing() -> None:
     ledger = Ledger(5)
     assert (ledger.examined, ledger.rate, ledger.last, list(ledger.counted())) == (0, 0.0, 0, [])
+
+
+def test_no_process_outlives_its_pool() -> None:
+    pool = Local(work(), 2)
+    for index in range(1, 9):
+        pool.submit(index)
+    pool.next()
+    pool.close()
+    time.sleep(0.5)
+    assert all(worker._process is None for worker in pool._workers)
