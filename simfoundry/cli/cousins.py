@@ -43,6 +43,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
+@click.option("--vlm", default="", metavar="MODEL", help="Who proposes tasks, where the recipe asks a model for them.")
 @click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
 @json_option
 @reporting
@@ -56,6 +57,7 @@ def command(
     where: str,
     gallery: int,
     no_gallery: bool,
+    vlm: str,
     stage: Path | None,
     as_json: bool,
 ) -> int:
@@ -77,7 +79,7 @@ def command(
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     need_same_project(read, folder)
-    setup = Setup(str(recipe.absolute()), str(folder), read.seed)
+    setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, _interruptible(folder):
         progress("the twin", 0.0)
         try:

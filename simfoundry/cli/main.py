@@ -69,6 +69,7 @@ COMMANDS = {
     "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "new": "Start a document of any kind, with comments that teach.",
+    "propose": "Propose tasks for a scene, each proved to be possible.",
     "render": "Render a picture from a camera of a scene.",
     "schema": "Print the JSON Schemas of the documents.",
     "settle": "Let a scene come to rest in physics, with a report.",

@@ -78,11 +78,8 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
         "name": named(recipe, index),
         "scene": file_of(index, "scene"),
     }
-    start = {
-        key: {name: None for name in getattr(spec.start, key) if name in moved}
-        for key in ("place", "pose")
-        if set(getattr(spec.start, key)) & set(moved)
-    }
+    gone = {key: {name: None for name in getattr(spec.start, key) if name in moved} for key in ("place", "pose")}
+    start = {key: names for key, names in gone.items() if names}
     document |= {"start": start} if start else {}
     if spec.reset.objects and (crowded or set(spec.reset.objects) & set(moved)):
         document["reset"] = None
@@ -90,11 +87,24 @@ def task_overlay(recipe: Recipe, out: Path, index: int, moved: Collection[str], 
     return write_tree(plain_tree(document), TaskSpec)
 
 
-def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, own_scene: bool) -> str:
-    """The text of a task of its own, in the scene cousin of the same index, or in the twin's scene."""
+def own_task(recipe: Recipe, out: Path, index: int, spec: TaskSpec, moved: Collection[str], own_scene: bool) -> str:
+    """The text of a task of its own, in the scene cousin of the same index, or in the twin's scene.
+
+    It starts as the twin does, but for what the cousin ``moved``; in a scene of its own, as that stands: its regions
+    are free of the twin's things.
+    """
     data = to_data(spec)
+    if own_scene:
+        data.pop("reset", None)
+    if recipe.task_spec is not None:
+        start = to_data(recipe.task_spec.start)
+        kept = {key: {n: v for n, v in start.get(key, {}).items() if n not in moved} for key in ("place", "pose")}
+        start |= kept
+        data |= {"start": {key: value for key, value in start.items() if value}} if any(start.values()) else {}
     data["name"] = named(recipe, index)
     data["scene"] = file_of(index, "scene") if own_scene else relative(recipe.scene.path, out)
+    if own_scene:  # where things may start was found in the twin's layout
+        data.pop("reset", None)
     data["origin"] = {**data.get("origin", {}), **origin(recipe, index)}
     return write_tree(plain_tree(data), TaskSpec)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
@@ -16,7 +17,7 @@ from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.files import write_atomically
-from simfoundry.spec.files import ASSET_SUFFIX
+from simfoundry.spec.files import ASSET_SUFFIX, located
 from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
@@ -38,8 +39,15 @@ class Choice:
 class TaskChoice(Protocol):
     """A task that cousins may have."""
 
-    spec: TaskSpec
-    goal: str
+    @property
+    def spec(self) -> TaskSpec:
+        """Its document."""
+        ...
+
+    @property
+    def goal(self) -> str:
+        """What it asks for, as text."""
+        ...
 
     def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
         """Why it is no task in a scene as it stands; empty where it is one."""
@@ -58,10 +66,37 @@ class Stock:
     tasks: tuple[TaskChoice, ...] = ()
     most: int | None = None
 
+    def combination(self, k: int) -> dict[str, Choice]:
+        """Combination ``k`` of choices, from 0 on; each comes once before one comes again."""
+        found = {}
+        for name, of in self.choices.items():
+            k, digit = divmod(k, len(of))
+            found[name] = of[digit]
+        return found
 
-def stock_of(recipe: Recipe, out: Path, twin: Twin) -> Stock:
+
+def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
-    return Stock(references=references(recipe.distractors, recipe.scene.root, out))
+    from simfoundry.cousins.stock_tasks import tasks_of
+
+    tasks, others = tasks_of(recipe, out, twin, vlm), choices(recipe, out)
+    most = None
+    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
+        most = prod(len(of) for of in others.values()) * max(1, len(tasks))
+    return Stock(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
+
+
+def choices(recipe: Recipe, out: Path) -> dict[str, tuple[Choice, ...]]:
+    """The variants of each object that varies, made once and written below ``OUT/assets/objects``."""
+    from simfoundry.cousins.objects.swap import made_for
+
+    axis, folder = recipe.spec.object, out / ASSETS / "objects"
+    if axis is None:
+        return {}
+    library = None if axis.library is None else located(axis.library, recipe.loaded.path)
+    tasks = [] if recipe.task_spec is None else [recipe.task_spec]
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, library)
+    return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 
 def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:

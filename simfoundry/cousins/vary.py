@@ -32,11 +32,15 @@ FUNCTION = "simfoundry.cousins.vary:candidate"
 
 @dataclass(frozen=True)
 class Setup:
-    """Which recipe, with which seed, written where: all that a process needs to make candidates."""
+    """Which recipe, with which seed, written where: all that a process needs to make candidates.
+
+    ``vlm`` names a model, which the process that begins a run may ask.
+    """
 
     recipe: str
     out: str
     seed: int
+    vlm: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ def prepared(setup: Setup) -> Prepared:
     """Read the recipe, let the twin come to rest, and find what its axes choose from."""
     recipe = read_recipe(Path(setup.recipe), setup.seed)
     twin = Twin.load(recipe.twin_file, Cache.default())
-    return Prepared(recipe, Path(setup.out), twin, stock_of(recipe, Path(setup.out), twin))
+    return Prepared(recipe, Path(setup.out), twin, stock_of(recipe, Path(setup.out), twin, setup.vlm))
 
 
 def see_possible(shared: Prepared) -> None:
@@ -66,7 +70,7 @@ def see_possible(shared: Prepared) -> None:
 def candidate(setup: Setup, index: int) -> Candidate:
     """Candidate ``index``, from 1 on."""
     shared = prepared(setup)
-    draw = _draw(shared, np.random.default_rng([shared.recipe.seed, index]))
+    draw = _draw(shared, index)
     if isinstance(draw, Rejected):
         return Candidate(index, reasons=draw.reasons)
     found = examine(draw.twin, draw.layout) if draw.is_moved else None
@@ -90,11 +94,14 @@ class _Draw:
         return bool(self.layout.poses or self.others or self.added)
 
 
-def _draw(shared: Prepared, rng: np.random.Generator) -> _Draw | Rejected:
+def _draw(shared: Prepared, index: int) -> _Draw | Rejected:
     """The axes in turn; every one has chance of its own, so that one more changes nothing for the others."""
-    by_object, by_layout, by_distractors = rng.spawn(3)
-    spec = shared.recipe.spec
-    others = {name: of[int(by_object.integers(len(of)))] for name, of in shared.stock.choices.items()}
+    by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
+    spec, stock = shared.recipe.spec, shared.stock
+    if stock.most is not None:
+        others = stock.combination((index - 1) // max(1, len(stock.tasks)))
+    else:
+        others = {name: of[int(by_object.integers(len(of)))] for name, of in stock.choices.items()}
     added = _distractors(shared, by_distractors)
     twin = _extended(shared.twin, others, added)
     layout: Layout | Rejected = NOTHING
@@ -164,7 +171,7 @@ def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) 
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state)
         if reasons:
             return Candidate(index, reasons=reasons)
-        documents["task"] = overlay.own_task(recipe, shared.out, index, task.spec, "scene" in documents)
+        documents["task"] = overlay.own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
         goal = task.goal
     elif recipe.task is not None:
         documents["task"] = overlay.task_overlay(recipe, shared.out, index, moved, bool(draw.added))

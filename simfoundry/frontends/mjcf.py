@@ -14,7 +14,7 @@ from simfoundry.frontends.found import NotFoundError, Search, refused
 from simfoundry.frontends.masses import ball, make_sound
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf_geoms import Geoms
-from simfoundry.frontends.mjcf_own import BACKGROUND, restore, said
+from simfoundry.frontends.mjcf_own import BACKGROUND, TWIN, restore, said
 from simfoundry.frontends.mjcf_rest import (
     add_actuators,
     add_cameras,
@@ -120,6 +120,8 @@ class _Mjcf:
         self.draft.gravity = (x, y, z)
         self.world()
         for body in range(1, model.nbody):
+            if self.own is not None and TWIN in self.name("body", body):
+                continue
             if model.body_parentid[body] == 0:
                 self.root(body)
             else:

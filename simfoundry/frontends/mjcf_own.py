@@ -16,6 +16,9 @@ from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LightDraft
 from simfoundry.frontends.masses import SURFACE
 from simfoundry.scene.frames import Pose
 
+TWIN = ":touch"
+"""How the names of bodies go on after that of a link where they say how it touches some things, and nothing more."""
+
 BACKGROUND = ":background:"
 """How the names of geoms start that are seen around the scene."""
 
@@ -98,6 +101,7 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
+        _feel(link, own.numbers.get(f"{link.name}:surface", ()))
         _bounce(link, own.numbers.get(f"{link.name}:restitution", ()))
     names = {old: _link_name(old, owner, own) for old in body.links}
     joints = {}
@@ -114,6 +118,15 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
     body.root = names[body.root]
     # What is said of its own links came before or after the names: it is told apart by whether it has them.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
+
+
+def _feel(link: LinkDraft, said: tuple[float, ...]) -> None:
+    """Surfaces of geoms that are written as the contacts which they decide on."""
+    felt = [part for part in link.parts if part.use != "visual"]
+    rows = list(zip(*[iter(said)] * len(SURFACE), strict=False))
+    for part, row in zip(felt, rows * len(felt) if len(rows) == 1 else rows, strict=False):
+        for word, value in zip(SURFACE, row, strict=True):
+            setattr(part, word, value or (0.0 if word in ("friction", "restitution") else None))
 
 
 def _bounce(link: LinkDraft, said: tuple[float, ...]) -> None:

@@ -97,12 +97,16 @@ def add_actuators(draft: Draft, mujoco: Any, model: Any, data: Any, joints: Join
 def add_contacts(draft: Draft, mujoco: Any, model: Any, owners: Owners, own: bool = False) -> None:
     """Pairs of links that never touch, by `<exclude>` and by masks; what goes beyond that is noted.
 
-    The pairs of a file of our ``own`` follow from the surfaces of their geoms.
+    The pairs and masks of a file of our ``own`` follow from the surfaces of their geoms.
     """
     for k in range(model.nexclude):
         signature = int(model.exclude_signature[k])
-        _exclude(draft, owners, signature >> 16, signature & 0xFFFF, f"exclusion {_named(mujoco, model, 'exclude', k)}")
-    if model.npair and not own:
+        one, two = signature >> 16, signature & 0xFFFF
+        if not own or (one in owners and two in owners):  # and not a part of our own of how a link touches
+            _exclude(draft, owners, one, two, f"exclusion {_named(mujoco, model, 'exclude', k)}")
+    if own:
+        return
+    if model.npair:
         draft.dropped("contact pairs with parameters of their own", "the language has no word for it", f"{model.npair}")
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     masks = {(int(model.geom_contype[g]), int(model.geom_conaffinity[g])) for g in touching}

@@ -46,6 +46,7 @@ def without_robots(facts: Facts, names: Iterable[str]) -> tuple[Facts, dict[str,
         "links": {n: f for n, f in facts.links.items() if not any(_of(n, r) for r in robots)},
         "joints": {n: f for n, f in facts.joints.items() if not any(_of(n, r) for r in robots)},
         "silent": _apart(facts.silent, robots),
+        "pairs": _pairs(facts.pairs, robots),
     }
     return replace(facts, **ours), {name: _told(facts, name) for name in robots}  # type: ignore[arg-type]
 
@@ -58,6 +59,13 @@ def _apart(pairs: tuple[str, ...] | None, robots: list[str]) -> tuple[str, ...] 
     if pairs is None:
         return None
     return tuple(p for p in pairs if not any(_of(end, r) for end in p.split("|") for r in robots))
+
+
+def _pairs(pairs: Mapping[str, float] | None, robots: list[str]) -> dict[str, float] | None:
+    """What a robot slides with is its own affair."""
+    if pairs is None:
+        return None
+    return {p: mu for p, mu in pairs.items() if not any(_of(end, r) for r in robots for end in p.split("|"))}
 
 
 def _told(facts: Facts, robot: str) -> RobotFacts:

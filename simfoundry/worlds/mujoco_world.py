@@ -21,6 +21,7 @@ from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, LinkFacts, complete_state
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
+from simfoundry.worlds.mujoco_surfaces import own_surfaces
 from simfoundry.worlds.offscreen import MujocoRenderer
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows
 from simfoundry.worlds.speed import reach
@@ -194,20 +195,17 @@ class MujocoWorld:
         return facts
 
     def _link_facts(self, body: int, geoms: list[int]) -> LinkFacts:
+        surfaces = own_surfaces(self.model, self.model.body(body).name, geoms)
         axes = Pose.of(q=self.model.body_iquat[body]).rotation
         return LinkFacts(
             mass=float(self.model.body_mass[body]),
             com=frozen_array(self.model.body_ipos[body]),
             inertia=frozen_array(axes @ np.diag(self.model.body_inertia[body]) @ axes.T),
             X_WL=Pose.of(self.data.xpos[body], self.data.xquat[body]),
-            friction=tuple(float(self.model.geom_friction[geom][0]) for geom in geoms),
-            torsional_friction=tuple(self._resistance(geom, 1, 4) for geom in geoms),
-            rolling_friction=tuple(self._resistance(geom, 2, 6) for geom in geoms),
+            friction=tuple(surface.friction for surface in surfaces),
+            torsional_friction=tuple(surface.spinning for surface in surfaces),
+            rolling_friction=tuple(surface.rolling for surface in surfaces),
         )
-
-    def _resistance(self, geom: int, k: int, dimensions: int) -> float:
-        """A coefficient of a geom, which counts in contacts of so many dimensions only."""
-        return float(self.model.geom_friction[geom][k]) if self.model.geom_condim[geom] >= dimensions else 0.0
 
     def read_back_joints(self) -> dict[str, JointFacts]:
         """Every joint that moves by ``object.joint``, as MuJoCo holds it."""

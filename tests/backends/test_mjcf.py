@@ -15,7 +15,7 @@ import pytest
 from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.backends.artifact import Artifact, Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.contacts import damping_ratio, rebound
+from simfoundry.backends.mjcf.bounce import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.frames import IDENTITY
 from simfoundry.scene.kinematics import link_poses
@@ -94,9 +94,10 @@ def test_every_geom_keeps_its_shape_and_place() -> None:
 def test_what_is_seen_touches_nothing_and_what_touches_is_not_seen() -> None:
     model = load(compile_mjcf(full_scene()))
     for geom in range(model.ngeom):
-        seen = ":" in model.geom(geom).name
-        assert (int(model.geom_group[geom]), int(model.geom_contype[geom])) == ((2, 0) if seen else (3, 1))
-        assert int(model.geom_conaffinity[geom]) == (0 if seen else 1)
+        twin = ":touch" in model.geom(geom).name
+        seen = ":" in model.geom(geom).name and not twin
+        assert int(model.geom_group[geom]) == (2 if seen else 4 if twin else 3)
+        assert bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) != seen
 
 
 def test_textures_and_their_coordinates_arrive() -> None:

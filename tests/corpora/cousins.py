@@ -272,8 +272,8 @@ def scale(root: Path, count: int, jobs: int) -> bool:
     peak, span = max(rss for _, rss in seen), time.perf_counter() - started
     files = len(list((root / "build" / "light").glob("*.scene.yaml")))
     print(
-        f"scale: {facts.get('accepted')} cousins, {files} files, of {facts.get('examined')} candidates in "
-        f"{span:.0f} s; {early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
+        f"scale: {facts.get('accepted')} cousins, {files} files, of {facts.get('examined')} candidates in {span:.0f} s; "
+        f"{early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
     )
     return process.returncode == 0 and files == count and peak - early <= GROWTH
 
@@ -281,10 +281,13 @@ def scale(root: Path, count: int, jobs: int) -> bool:
 def main(arguments: list[str] | None = None) -> int:
     """Run the parts; 1 where a bar is missed."""
     parser = argparse.ArgumentParser(description="Hold cousins against what is promised.")
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="by default all")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; by default all")
     parser.add_argument("-n", type=int, help="cousins: of each recipe, or of the run")
     parser.add_argument("-j", type=int, default=2, help="processes")
     given = parser.parse_args(arguments)
+    unknown = [part for part in given.parts if part not in PARTS]
+    if unknown:
+        parser.error(f"there is no part `{unknown[0]}`")
     good = True
     with tempfile.TemporaryDirectory() as folder:
         root = project(Path(folder))

@@ -200,3 +200,41 @@ def test_one_stage_holds_the_twin_and_every_cousin(project: Path) -> None:
             assert tuple(moved.ExtractTranslation()) == pytest.approx(tuple(item.X_WO.p), abs=1e-6)
             axis = moved.TransformDir((1.0, 2.0, 3.0))
             assert tuple(axis) == pytest.approx(tuple(item.X_WO.rotation @ [1, 2, 3]), abs=1e-5)
+
+
+TASKS = """\
+simfoundry: cousins/1
+name: errands
+twin: chip.task.yaml
+seed: 3
+{scene}task: {{count: 2, objects: [chip, can, post]}}
+"""
+LAYOUT = "scene: {anchor: post, objects: {can: [InFrontOf, Behind]}, gap: [0.02, 0.15]}\n"
+
+
+def test_tasks_of_their_own_in_the_scene_of_the_twin(project: Path) -> None:
+    (project / "errands.cousins.yaml").write_text(TASKS.format(scene=""))
+    done = run("cousins", project / "errands.cousins.yaml", "-n", "5", "-o", project / "out", "-j", "1", "--json")
+    assert (done.code, done.json["end"]) == (1, "exhausted"), "there are no more tasks than the axis asks for"
+    assert done.json["accepted"] == 2 and not list((project / "out").glob("*.scene.yaml"))
+    goals = set()
+    for path in sorted((project / "out").glob("*.task.yaml")):
+        loaded = load(path)
+        assert loaded.all_findings() == [] and isinstance(loaded.spec, TaskSpec)
+        assert loaded.spec.scene == "../table.scene.yaml" and "can" in loaded.spec.start.place, "as the twin starts"
+        assert loaded.spec.origin is not None and loaded.spec.origin.cousin is not None
+        goals.add(str(loaded.spec.goal))
+    assert len(goals) == 2
+
+
+def test_tasks_and_layouts_together(project: Path) -> None:
+    (project / "errands.cousins.yaml").write_text(TASKS.format(scene=LAYOUT))
+    done = run("cousins", project / "errands.cousins.yaml", "-n", "3", "-o", project / "out", "-j", "1", "--no-gallery")
+    assert done.code == 0, done.err
+    tasks = sorted((project / "out").glob("*.task.yaml"))
+    assert len(tasks) == len(list((project / "out").glob("*.scene.yaml"))) == 3
+    for path in tasks:
+        spec = load(path).spec
+        assert isinstance(spec, TaskSpec) and spec.scene == path.name.replace("task", "scene")
+        assert "can" not in spec.start.place, "the cousin has moved it"
+    assert run("check", project / "out").code == 0

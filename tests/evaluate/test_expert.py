@@ -7,8 +7,8 @@ import pytest
 
 from simfoundry.evaluate.expert.pace import HAND, JOINT, paced
 from simfoundry.evaluate.expert.plan import Skill, steps
-from simfoundry.evaluate.expert.solids import crossings, met, solid
 from simfoundry.evaluate.task import load_task
+from simfoundry.scene.crossings import crossings, met, solid
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

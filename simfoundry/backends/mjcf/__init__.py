@@ -5,9 +5,9 @@ Names: a body is its object, or ``object.link`` where it is not the root; a free
 ``object:visual``, and what is around it all ``:background:visual``. Visuals are in group 2 and touch nothing, colliders
 in group 3, which cameras leave out.
 
-Mass properties are explicit. MuJoCo takes the larger friction of a pair and averages the stiffness, so each pair of
-colliders whose surfaces differ has a ``<pair>`` with the geometric means. Links that a joint connects do not touch:
-joints, not contacts, hold a drawer in its cabinet.
+Mass properties are explicit. MuJoCo takes the larger friction of two geoms and averages the stiffness; where the scene
+means something else, :mod:`simfoundry.backends.mjcf.contacts` makes it right. Bodies ``table:touch4`` are a part of
+that. Links that a joint connects do not touch: joints, not contacts, hold a drawer in its cabinet.
 
 A robot is its own MJCF below a body of its name; its names have the robot's before them: ``arm.joint1``. Its frames
 that a scene can name are sites: ``arm.hand``.
@@ -20,11 +20,14 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
-from simfoundry.backends.mjcf.contacts import add_contacts, resists, restitution_losses
+from simfoundry.backends.mjcf.bounce import restitution_losses
+from simfoundry.backends.mjcf.contacts import add_contacts, contacts_of
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
+from simfoundry.backends.mjcf.guests import guests_of
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
+from simfoundry.backends.mjcf.surfaces import resists
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
@@ -59,13 +62,13 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     if scene.background is not None:
         add_background(world, scene.background, assets)
     qpos: list[float] = []
-    resisting = resists(scene)
+    contacts = contacts_of(scene, guests_of(scene))
     for item in scene.objects:
-        qpos.extend(add_object(world, item, assets, resisting))
-    add_contacts(root, scene)
+        qpos.extend(add_object(world, item, assets, contacts))
+    add_contacts(root, scene, contacts)
     add_mimics(root, scene)
     ctrl = add_drives(root, scene, timestep)
-    add_texts(root, scene)
+    add_texts(root, scene, contacts)
     lost: list[Loss] = []
     for robot in scene.robots:
         read = add_robot(root, robot, assets, timestep)

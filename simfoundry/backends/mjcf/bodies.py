@@ -6,8 +6,9 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.mjcf.contacts import contact_dimensions, solref
+from simfoundry.backends.mjcf.contacts import Contacts, twin_body
 from simfoundry.backends.mjcf.meshes import Assets
+from simfoundry.backends.mjcf.surfaces import surface_of
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import (
@@ -36,15 +37,15 @@ _JOINT_TYPES = {
 }
 
 
-def add_object(world: ET.Element, item: SceneObject, assets: Assets, resisting: bool) -> list[float]:
+def add_object(world: ET.Element, item: SceneObject, assets: Assets, contacts: Contacts) -> list[float]:
     """Add an object's bodies to the world; returns its initial ``qpos`` in MuJoCo's depth-first order.
 
-    ``resisting`` is whether any contact of the scene resists spinning or rolling.
+    ``contacts`` are those of the scene.
     """
-    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, resisting)]
+    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, contacts)]
 
 
-def _add_tree(world: ET.Element, tree: Tree, assets: Assets, resisting: bool) -> list[float]:
+def _add_tree(world: ET.Element, tree: Tree, assets: Assets, contacts: Contacts) -> list[float]:
     """Add one tree of links; MuJoCo knows free joints in the world only, so each tree is a body there."""
     item = tree.owner
     body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
@@ -52,7 +53,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, resisting: bool) ->
     if not tree.fixed:
         ET.SubElement(body, "freejoint", name=free_joint_name(tree))
         qpos = [*tree.X_WT.p, *tree.X_WT.q]
-    _fill_body(body, item, tree.root, assets, resisting)
+    _fill_body(body, item, tree.root, assets, contacts)
     links = {link.name: link for link in tree.links}
     joints_by_parent: dict[str, list[Joint]] = {}
     for joint in tree.joints:
@@ -61,7 +62,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, resisting: bool) ->
     while pending:  # depth first, children in the order of the joints
         parent, joint = pending.pop()
         child = _add_child(parent, item, joint)
-        _fill_body(child, item, links[joint.child], assets, resisting)
+        _fill_body(child, item, links[joint.child], assets, contacts)
         if joint.type is JointType.BALL:
             qpos.extend(joint.motion.q)
         elif joint.has_axis:
@@ -100,7 +101,7 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
     return body
 
 
-def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, resisting: bool) -> None:
+def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, contacts: Contacts) -> None:
     """The mass properties and geoms of a link."""
     moments, q = principal_inertia(link.inertia)
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
@@ -109,7 +110,7 @@ def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, 
     for visual in link.visuals:
         _add_visual(body, f"{name}:{visual.name}", visual, assets)
     for collider in link.colliders:
-        _add_collider(body, f"{name}.{collider.name}", collider, assets, resisting)
+        _add_collider(body, name, collider, assets, contacts)
 
 
 def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> None:
@@ -122,18 +123,17 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
     ET.SubElement(body, "geom", attributes)
 
 
-def _add_collider(body: ET.Element, name: str, collider: Collider, assets: Assets, resisting: bool) -> None:
-    attributes = {"class": "collider", "name": name} | pose_attributes(collider.X_LG)
-    attributes |= _shape(collider.geometry, assets, collides=True)
-    # MuJoCo takes the larger resistance of a pair, so where one counts, the defaults of all others must not.
-    spinning, rolling = collider.torsional_friction, collider.rolling_friction
-    resistance = f"{number(spinning)} {number(rolling)}" if resisting else "0.005 0.0001"
-    attributes["friction"] = f"{number(collider.friction)} {resistance}"
-    if spinning or rolling:
-        attributes["condim"] = contact_dimensions(spinning, rolling)
-    if collider.restitution > 0:
-        attributes["solref"] = numbers(solref(collider.restitution))
-    ET.SubElement(body, "geom", attributes)
+def _add_collider(body: ET.Element, link: str, collider: Collider, assets: Assets, contacts: Contacts) -> None:
+    """A collision geom, and its twins in bodies of their own: a body's geoms slow down all that come near it."""
+    name, surface = f"{link}.{collider.name}", surface_of(collider)
+    shape = pose_attributes(collider.X_LG) | _shape(collider.geometry, assets, collides=True)
+    ET.SubElement(body, "geom", {"class": "collider", "name": name} | shape | contacts.own(surface, link))
+    for twin in contacts.twins_of(surface, link):
+        inside = twin_body(link, twin.mask)
+        holder = next((b for b in body.iterfind("body") if b.get("name") == inside), None)
+        holder = ET.SubElement(body, "body", name=inside) if holder is None else holder
+        label = inside.removeprefix(link)
+        ET.SubElement(holder, "geom", {"class": "collider", "name": name + label} | shape | contacts.twin(twin))
 
 
 def _shape(geometry: Geometry, assets: Assets, collides: bool) -> dict[str, str]:

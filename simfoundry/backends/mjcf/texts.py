@@ -3,8 +3,9 @@
 A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
 the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
 ``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cup:restitution`` what is too
-little for a contact to be damped to, for all colliders of a link or for each in turn; ``sky:dome`` the colour of a dome
-light times its intensity.
+little for a contact to be damped to, for all colliders of a link or for each in turn; ``cup:surface`` friction,
+restitution, and resistance against spinning and rolling [m], likewise, where geoms are written as the contact that they
+decide on; ``sky:dome`` the colour of a dome light times its intensity.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
-from simfoundry.backends.mjcf.contacts import CRITICAL_REBOUND
-from simfoundry.scene.model import JointType, LightType, Scene, SceneObject
+from simfoundry.backends.mjcf.bounce import CRITICAL_REBOUND
+from simfoundry.backends.mjcf.contacts import Contacts
+from simfoundry.backends.mjcf.surfaces import surface_of
+from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
 
 MARK = "simfoundry:scene"
 """The text that a file of ours starts with; its data is the version of what stands here."""
 
 
-def add_texts(root: ET.Element, scene: Scene) -> None:
+def add_texts(root: ET.Element, scene: Scene, contacts: Contacts) -> None:
     """Add ``<custom>``: categories, labels, the stated relations, and the names that MJCF has no elements for."""
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
@@ -29,6 +32,8 @@ def add_texts(root: ET.Element, scene: Scene) -> None:
         if item.labels:
             _text(custom, f"{item.name}.labels", " ".join(item.labels))
         _names(custom, item)
+        for link in item.links:
+            _surfaces(custom, item.qualified(link.name), link, contacts)
     if scene.relations:
         _text(custom, "relations", "; ".join(str(r) for r in scene.relations))
     for light in scene.lights:
@@ -38,11 +43,6 @@ def add_texts(root: ET.Element, scene: Scene) -> None:
 
 def _names(custom: ET.Element, item: SceneObject) -> None:
     _text(custom, f"{item.name}:root", item.root.name)
-    for link in item.links:
-        values = [c.restitution for c in link.colliders]
-        if any(0 < e <= CRITICAL_REBOUND for e in values):
-            alike = len(set(values)) == 1
-            _numeric(custom, f"{item.qualified(link.name)}:restitution", numbers(values[:1] if alike else values))
     for joint in item.joints:
         child = item.qualified(joint.child)
         if joint.type is JointType.FIXED:
@@ -50,6 +50,17 @@ def _names(custom: ET.Element, item: SceneObject) -> None:
         elif joint.type is JointType.FREE:
             _text(custom, f"{child}:parent", joint.parent)
             _numeric(custom, f"{child}:zero", numbers([*joint.X_PC.p, *joint.X_PC.q]))
+
+
+def _surfaces(custom: ET.Element, name: str, link: Link, contacts: Contacts) -> None:
+    """What the geoms of a link do not say of themselves."""
+    own = [surface_of(collider) for collider in link.colliders]
+    if any(contacts.changed(surface, name) for surface in own):
+        rows = own[:1] if len(set(own)) == 1 else own
+        _numeric(custom, f"{name}:surface", numbers([value for surface in rows for value in surface]))
+    elif any(0 < surface.restitution <= CRITICAL_REBOUND for surface in own):
+        values = [surface.restitution for surface in own]
+        _numeric(custom, f"{name}:restitution", numbers(values[:1] if len(set(values)) == 1 else values))
 
 
 def _text(custom: ET.Element, name: str, data: str) -> None:

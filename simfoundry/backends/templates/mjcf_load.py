@@ -33,7 +33,9 @@ def main() -> None:
 
         mujoco.viewer.launch(model, data)
     else:
-        print(f"loaded {HERE / 'scene.xml'}: {model.nbody - 1} bodies, {model.njnt} joints, {model.ngeom} geoms")
+        names = [model.body(k).name for k in range(1, model.nbody)]
+        bodies = sum(":" not in name for name in names)  # any other says how a body touches some things
+        print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints, {model.ngeom} geoms")
 
 
 if __name__ == "__main__":

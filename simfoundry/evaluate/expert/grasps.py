@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.evaluate.expert.solids import Solid, Span, bounds, crossings
+from simfoundry.scene.crossings import Solid, Span, bounds, crossings
 from simfoundry.scene.frames import Array, Pose
 
 YAWS = 12

@@ -11,8 +11,8 @@ from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
-from simfoundry.evaluate.expert.solids import solid
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.scene.crossings import solid
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.worlds.footing import center_of_mass
 

@@ -9,7 +9,7 @@ from itertools import islice
 
 import numpy as np
 
-from simfoundry.evaluate.expert.solids import Solid, met, solid
+from simfoundry.scene.crossings import Solid, met, solid
 from simfoundry.scene.drop import heights
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.hulls import Hulls, hulls

@@ -31,8 +31,11 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
                 c.add("SF107", path, f"`{name}` is the anchor, which stays where it is", "remove it here")
             if not sides:
                 c.add("SF105", path, f"no predicate is allowed for `{name}`", "list one, as `LeftOf`")
-    for name in spec.object.objects if spec.object is not None else ():
+    for name, wanted in spec.object.objects.items() if spec.object is not None else ():
         c.name(name, names.objects, ("object", "objects", name), "object")
+        if spec.object is not None and "library" in wanted.sources and spec.object.library is None:
+            place = ("object", "objects", name, "sources")
+            c.add("SF107", place, f"variants of `{name}` come from a library, and there is none", "give `library`")
     for k, name in enumerate(spec.task.objects if spec.task is not None else ()):
         c.name(name, names.objects, ("task", "objects", k), "object")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from simfoundry.verify.facts import (
     shape_bounds,
 )
 from simfoundry.verify.readers import Session, load_module
+from simfoundry.verify.readers.mujoco_contacts import TWIN, Meetings, Slide
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -41,7 +44,8 @@ class MujocoSession:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
-        self._bodies = {model.body(k).name: k for k in range(1, model.nbody)}
+        self._bodies = {name: k for k in range(1, model.nbody) if TWIN not in (name := model.body(k).name)}
+        self._meetings = Meetings(model)
         self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
         joints = {model.joint(k).name: k for k in range(model.njnt)}
         self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
@@ -64,11 +68,12 @@ class MujocoSession:
     def facts(self) -> Facts:
         """Bodies, joints, pairs."""
         mujoco.mj_forward(self.model, self.data)
+        links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
         return Facts(
-            links={name: self._link(name, k) for name, k in self._bodies.items()},
+            links=links,
             joints={name: self._joint(k) for name, k in self._joints.items()},
             gravity=numbers(self.model.opt.gravity),
-            pairs=self._pairs(),
+            pairs=pairs,
             silent=self._silent(),
             actuators=tuple(self.model.actuator(k).name for k in range(self.model.nu)),
         )
@@ -92,17 +97,18 @@ class MujocoSession:
     def _link(self, name: str, body: int) -> LinkFacts:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
-        felt = self._felt(body)
+        felt, said = self._felt(body), self._own(name)
+        own = said * len(felt) if len(said) == 1 else said or [self._meetings.surface(geom) for geom in felt]
         return LinkFacts(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
             com=numbers(model.body_ipos[body]),
             inertia=numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
             held=self._held(body),
-            colliders=tuple(self._collider(name, geom) for geom in felt),
+            colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
         )
 
-    def _collider(self, link: str, geom: int) -> ColliderFacts:
+    def _collider(self, link: str, geom: int, surface: Slide) -> ColliderFacts:
         model = self.model
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
@@ -115,10 +121,8 @@ class MujocoSession:
             size = {"box": (x, y, z), "sphere": (x / 2,)}.get(kind, (x / 2, y))
             bounds = shape_bounds(kind, size, X_LG)
         name = model.geom(geom).name.removeprefix(f"{link}.")
-        # What a geom says of spinning and rolling counts in contacts of as many dimensions.
-        friction, dimensions = model.geom_friction[geom], int(model.geom_condim[geom])
-        spinning, rolling = float(friction[1]) * (dimensions > 3), float(friction[2]) * (dimensions > 4)
-        return ColliderFacts(name, kind, bounds, friction=float(friction[0]), spinning=spinning, rolling=rolling)
+        sliding, spinning, rolling = surface
+        return ColliderFacts(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
 
     def _joint(self, joint: int) -> JointFacts:
         model, dof = self.model, self.model.jnt_dofadr[joint]
@@ -162,38 +166,43 @@ class MujocoSession:
 
     def _silent(self) -> tuple[str, ...]:
         """Pairs of bodies that MuJoCo never tests, or whose geoms it never lets touch, by its own rules."""
-        model = self.model
-        excluded = {int(k) for k in model.exclude_signature}
-        explicit = {
-            frozenset((int(model.geom_bodyid[a]), int(model.geom_bodyid[b])))
-            for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)
-        }
-        felt = {
-            body: [(int(model.geom_contype[g]), int(model.geom_conaffinity[g])) for g in self._felt(body)]
-            for body in self._bodies.values()
-        }
-        weld = [int(k) for k in model.body_weldid]
-        above = [weld[int(model.body_parentid[w])] for w in weld]
-        found = []
-        for a, b in combinations([body for body, masks in felt.items() if masks], 2):
-            if frozenset((a, b)) in explicit:
-                continue
-            joined = weld[a] == weld[b] or (weld[b] and weld[a] == above[b]) or (weld[a] and weld[b] == above[a])
-            parents = joined and not (weld[a] == 0 or weld[b] == 0)  # what is welded to the world is no parent
-            meet = any((t & d) or (u & c) for t, c in felt[a] for u, d in felt[b])
-            if (a << 16) + b in excluded or weld[a] == weld[b] or parents or not meet:
-                found.append(pair_name(model.body(a).name, model.body(b).name))
-        return tuple(found)
+        bodies = [body for body in self._bodies.values() if self._meetings.colliders.get(body)]
+        apart = [(a, b) for a, b in combinations(bodies, 2) if not self._meetings.touch(a, b)]
+        return tuple(pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
 
     def _felt(self, body: int) -> list[int]:
-        model = self.model
-        start, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-        return [g for g in range(start, start + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
 
-    def _pairs(self) -> dict[str, float]:
+    def _own(self, link: str) -> list[Slide]:
+        """The surfaces of colliders where the file says them apart from its geoms."""
         model = self.model
-        found = {}
-        for k in range(model.npair):
-            names = sorted(model.geom(int(g[k])).name for g in (model.pair_geom1, model.pair_geom2))
-            found["|".join(names)] = float(model.pair_friction[k][0])
-        return found
+        for k in range(model.nnumeric):
+            if model.numeric(k).name == f"{link}:surface":
+                start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
+                rows = model.numeric_data[start : start + size].reshape(-1, 4)
+                return [Slide(*row) for row in rows[:, [0, 2, 3]].tolist()]
+        return []
+
+    def _contacts(self, links: Mapping[str, LinkFacts]) -> tuple[dict[str, LinkFacts], dict[str, float]]:
+        """The links, and the friction of every two colliders that meet, unless both have it themselves.
+
+        A collider of a link resists spinning and rolling as its contacts do, whatever it says.
+        """
+        own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
+        pairs, odd = {}, dict[str, ColliderFacts]()
+        for a, b, met in self._meetings.contacts():
+            if a not in own or b not in own:
+                continue
+            one, other = own[a], own[b]
+            if one.friction != other.friction or met.friction != one.friction:
+                pairs[pair_name(a, b)] = met.friction
+            for quantity in ("spinning", "rolling"):
+                meant = max(getattr(one, quantity), getattr(other, quantity))
+                if getattr(met, quantity) != meant:
+                    name = a if getattr(one, quantity) == meant else b
+                    odd[name] = replace(odd.get(name, own[name]), **{quantity: getattr(met, quantity)})
+        return {name: _with(name, link, odd) for name, link in links.items()}, pairs
+
+
+def _with(name: str, link: LinkFacts, odd: Mapping[str, ColliderFacts]) -> LinkFacts:
+    return replace(link, colliders=tuple(odd.get(f"{name}.{c.name}", c) for c in link.colliders or ())) if odd else link

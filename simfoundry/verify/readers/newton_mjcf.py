@@ -11,6 +11,9 @@ import numpy as np
 from simfoundry.verify.readers import Session
 from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
 
+_OWN = ":surface"
+"""How the names of numbers end that give the surfaces of a link's colliders, four for each, friction first."""
+
 
 def open_build(folder: Path) -> Session:
     """The model of ``scene.xml`` in the state of its keyframe."""
@@ -23,7 +26,10 @@ def open_build(folder: Path) -> Session:
     model.set_gravity(tuple(_floats(root.find("option"), "gravity")))
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
     controls = _floats(root.find("keyframe/key"), "ctrl")
-    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}), controls)
+    said = {str(e.get("name")): _floats(e, "data")[::4] for e in root.iterfind("custom/numeric")}
+    own = {name.removesuffix(_OWN): values for name, values in said.items() if name.endswith(_OWN)}
+    names = Names(_last, _collider, lambda label: _joint(label, joints), {}, own_friction=own)
+    return NewtonSession(model, names, controls)
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:

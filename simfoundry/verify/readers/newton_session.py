@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import newton
 import numpy as np
@@ -44,7 +44,8 @@ class Names:
     ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
     the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
     joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
-    as are resistances that count only in contacts of more dimensions.
+    as are resistances that count only in contacts of more dimensions. ``own_friction`` is that of the colliders of a
+    link, one for all or each in turn, where its shapes have that of the contacts which they decide on.
     """
 
     link: Callable[[str], str]
@@ -52,6 +53,7 @@ class Names:
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
     own_damping: Mapping[str, float] | None = None
+    own_friction: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
 
 class NewtonSession:
@@ -61,7 +63,8 @@ class NewtonSession:
 
     def __init__(self, model: newton.Model, names: Names, controls: Sequence[float] = ()) -> None:
         self.model, self.names = model, names
-        self._bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
+        bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
+        self._bodies = {name: k for name, k in bodies.items() if ":" not in name}  # others are parts of links
         self._kinds = [int(k) for k in _array(model.joint_type)]
         labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
         self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
@@ -110,7 +113,7 @@ class NewtonSession:
 
     def _held(self) -> dict[int, str]:
         """What the first joint above each body hangs it on; any other closes a loop."""
-        names = {k: name for name, k in self._bodies.items()}
+        names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
         found: dict[int, str] = {}
         ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
         for kind, parent, child in ends:
@@ -122,7 +125,13 @@ class NewtonSession:
         """Pairs of bodies of whose shapes Newton filters every pair; shapes of the world have no body to name."""
         names = {k: name for name, k in self._bodies.items()}
         owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
-        felt = {k: int(owners[k]) for k in range(len(owners)) if flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES)}
+        links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
+        whole = {k: self._bodies.get(link, k) for k, link in enumerate(links)}
+        felt = {
+            k: whole.get(int(owners[k]), -1)
+            for k in range(len(owners))
+            if flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES)
+        }
         counts: dict[int, int] = Counter(felt.values())
         filtered: dict[tuple[int, int], int] = Counter()
         for a, b in self.model.shape_collision_filter_pairs:
@@ -156,6 +165,10 @@ class NewtonSession:
             resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
             facts = ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
             found.setdefault(link, []).append(facts)
+        for link, own in self.names.own_friction.items():
+            shapes = found.get(link, [])
+            each = [own[0]] * len(shapes) if len(own) == 1 else own
+            found[link] = [replace(shape, friction=mu) for shape, mu in zip(shapes, each, strict=True)]
         return found
 
     def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:

@@ -1,0 +1,140 @@
+"""``simfoundry propose``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.tasks.enumerate import Proposal
+    from simfoundry.cousins.tasks.setting import Setting
+
+
+@click.command()
+@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="How many tasks.")
+@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="A folder for the task documents.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="What the order starts from.")
+@click.option("--about", multiple=True, metavar="OBJECT", help="Objects that tasks may be about; default: all.")
+@click.option("--payload", type=click.FloatRange(0, min_open=True), help="What a robot lifts [kg]; default: known.")
+@click.option("--vlm", metavar="MODEL", help="Ask a model, as `openai:gpt-5`, instead of the things' affordances.")
+@click.option("--base-url", metavar="URL", help="The address of a server that speaks OpenAI's protocol.")
+@click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
+              help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
+@click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
+@click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
+@json_option
+@reporting
+def command(
+    scene: Path,
+    count: int,
+    out: Path | None,
+    seed: int,
+    about: tuple[str, ...],
+    payload: float | None,
+    vlm: str | None,
+    base_url: str | None,
+    form: str,
+    camera: str | None,
+    rejected: bool,
+    as_json: bool,
+) -> int:
+    """Propose tasks for a scene: what its things afford, or what a model sees, each proved to be possible.
+
+    A task is accepted if its names exist, it is not done already, physics finds a state in which it is, a robot can
+    take and reach its things, and no other means the same. Exit code 1 where there are fewer than asked for.
+    """
+    from simfoundry.assets.cache import Cache
+    from simfoundry.cousins.tasks.setting import Setting
+    from simfoundry.cousins.tasks.written import checked, scene_reference, write
+    from simfoundry.cousins.tasks.written import to_json as row
+
+    folder = out or scene.parent
+    setting = Setting.load(scene, Cache.default(), payload)
+    _known(about, [o.name for o in setting.twin.scene.objects])
+    reference = scene_reference(scene, folder)
+    if vlm is None:
+        found = _enumerated(setting, count, seed, reference, about, as_json)
+    else:
+        found = _asked(setting, scene, vlm, base_url, count, form, camera, reference, about)
+    found = checked(found, folder)
+    accepted = [proposal for proposal in found if proposal.accepted]
+    files = write(found, out) if out is not None else []
+    if as_json:
+        print_json({"accepted": len(accepted), "seen": len(found), "proposals": [row(p, folder) for p in found]})
+    else:
+        _print(found, accepted, rejected)
+        click.echo(f"{len(accepted)} tasks, {len(found) - len(accepted)} not accepted")
+        if files:
+            click.echo(f"wrote {len(files)} documents to {out}")
+    return DONE if len(accepted) >= min(count, len(found)) and accepted else FINDINGS
+
+
+def _known(about: tuple[str, ...], names: list[str]) -> None:
+    from simfoundry.spec.diagnostics import nearest
+
+    for name in about:
+        if name not in names:
+            raise CannotError(f"no object is called `{name}`; {nearest(name, names)}")
+
+
+def _enumerated(
+    setting: Setting, count: int, seed: int, reference: str, about: tuple[str, ...], quiet: bool
+) -> list[Proposal]:
+    from simfoundry.cousins.tasks.enumerate import enumerate_tasks
+
+    with progress_bar(quiet) as progress:
+        return enumerate_tasks(
+            setting, count, seed, reference, about, progress=lambda n, seen: progress(f"{seen} tried", n / count)
+        )
+
+
+def _asked(
+    setting: Setting,
+    scene: Path,
+    model: str,
+    base_url: str | None,
+    count: int,
+    form: str,
+    camera: str | None,
+    reference: str,
+    about: tuple[str, ...],
+) -> list[Proposal]:
+    from simfoundry.cousins.tasks.propose import propose_tasks
+    from simfoundry.models.vlm import Vlm
+
+    asked: Any = Vlm(model, base_url)
+    picture = _picture(setting, scene, camera)
+    return propose_tasks(asked, setting, picture, count, "paper" if form == "paper" else "typed", reference, about)
+
+
+def _picture(setting: Setting, scene: Path, name: str | None) -> bytes:
+    """The scene as a camera sees it, as PNG."""
+    import tempfile
+
+    from simfoundry.cli.output import choose_camera
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.worlds.compare import save_png
+    from simfoundry.worlds.render import choose_engine, render
+
+    spec = load_scene(scene).spec
+    assert isinstance(spec, SceneSpec)
+    camera = choose_camera(setting.twin.scene, spec, name)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.png"
+        save_png(file, render(setting.twin.scene, camera, engine=choose_engine("auto")))
+        return file.read_bytes()
+
+
+def _print(found: list[Proposal], accepted: list[Proposal], rejected: bool) -> None:
+    wide = max((len(p.name) for p in (found if rejected else accepted)), default=0)
+    for proposal in found if rejected else accepted:
+        said = proposal.task.instruction if proposal.task is not None else proposal.goal
+        click.echo(f"{'+' if proposal.accepted else '-'} {proposal.name:<{wide}}  {proposal.goal}  {said}")
+        for reason in proposal.reasons:
+            click.echo(f"    {reason.code}: {reason.text}")

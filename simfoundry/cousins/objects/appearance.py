@@ -1,0 +1,159 @@
+"""Changes of appearance: another colour, another material with its density, paint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simfoundry.cousins.objects.components import Component, Kind
+from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of
+from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
+from simfoundry.cousins.objects.profiles import Profile
+from simfoundry.cousins.objects.stuff import PAINTS, STUFFS, Color, Stuff, sort_of
+from simfoundry.spec.asset import AssetSpec, Part
+from simfoundry.spec.base import LatheShape, Material
+
+JITTER = 0.035
+"""Colours differ by up to this much from those of the tables, so that no two paints are the same."""
+
+PAINT, SLEEVE = 0.0003, 0.0006
+"""How far paint stands out of a wall, and how far within the wall it ends [m]."""
+
+DIPPED = "painted"
+"""The part that is paint."""
+
+
+def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """Another colour for all of the body that has one colour now."""
+    sort = sort_of(spec.category or spec.name)
+    color = varied(_other(color_of(spec, component.parts[0]), sort.colors if sort is not None else PAINTS, rng), rng)
+    return recolored(spec, component, color), f"{component.name} {_shown(color)}"
+
+
+def restuff(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """Another material for the body, with its density, friction and one of its colours."""
+    sort = sort_of(spec.category or spec.name)
+    old = _material(spec, component.parts[0])
+    choices = [name for name in (sort.stuffs if sort is not None else ()) if name != old]
+    if old is None or not choices or spec.materials[old].density is None:
+        return None
+    name = choices[int(rng.integers(0, len(choices)))]
+    stuff = STUFFS[name]
+    color = varied(
+        _other(color_of(spec, component.parts[0]), stuff.colors or (sort.colors if sort else PAINTS), rng), rng
+    )
+    made = recolored(spec, component, color)
+    return _remade(made, old, name, stuff), f"of {name}, {_shown(color)}"
+
+
+def dip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """The lower part of a vessel dipped in paint: a sleeve that is seen, and neither felt nor weighed."""
+    key = lathe_of(spec, component)
+    if key is None or (key[0], DIPPED) in parts_of(spec):
+        return None
+    part = parts_of(spec)[key]
+    assert isinstance(part.shape, LatheShape)
+    profile = Profile.of(part.shape)
+    floor = float(profile.inner[-1, 1]) if len(profile.inner) else profile.rim
+    top = profile.foot + rng.uniform(0.3, 0.7) * profile.height
+    if not profile.is_hollow or profile.wall < 2 * SLEEVE or profile.height < 0.035 or top < floor + 0.005:
+        return None
+    sort = sort_of(spec.category or spec.name)
+    color = varied(_other(color_of(spec, key), sort.colors if sort is not None else PAINTS, rng), rng)
+    painted = Part(shape=_sleeve(profile, top, (profile.foot + floor) / 2), pose=part.pose, color=color, use="visual")
+    return with_parts(spec, parts_of(spec) | {(key[0], DIPPED): painted}), f"dipped in paint, {_shown(color)}"
+
+
+def _sleeve(profile: Profile, top: float, floor: float) -> LatheShape:
+    """A hollow body around the wall up to ``top`` [m]: it stands out by :data:`PAINT`, its inside lies in the wall."""
+    below = profile.outer[1:][profile.outer[1:, 1] < top - 1e-4]
+    outside = [(float(r) + PAINT, float(h)) for r, h in below] + [(float(profile.radius(top)) + PAINT, top)]
+    inside = [(r - PAINT - SLEEVE, h) for r, h in reversed(outside) if h > floor + 1e-4]
+    last = (float(profile.radius(floor)) - SLEEVE, floor)
+    rings = [(0.0, outside[0][1]), *outside, *inside, last, (0.0, floor)]
+    return LatheShape.model_validate({"lathe": {"profile": tuple((round(r, 6), round(h, 6)) for r, h in rings)}})
+
+
+def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
+    """The asset with the colour of a component's first part, wherever its link has that, replaced."""
+    old = color_of(spec, component.parts[0])
+    parts = parts_of(spec)
+    if component.kind in ACCENTS:
+        own = {key: parts[key].model_copy(update={"color": color}) for key in component.parts}
+        return with_parts(spec, parts | own)
+    changed = {}
+    for key, part in parts.items():
+        # What is attached and has a colour of its own keeps it.
+        same = key[0] == component.link and color_of(spec, key) == old
+        changed[key] = part.model_copy(update={"color": color}) if same else part
+    return _gathered(with_parts(spec, changed), component.link, color)
+
+
+def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:
+    """A colour that every part of a link has is said once, of the link."""
+    body = spec.links[link]
+    if any(part.color != color for part in body.parts.values() if part.use != "visual" or part.color is None):
+        return spec
+    parts = {n: p.model_copy(update={"color": None}) if p.color == color else p for n, p in body.parts.items()}
+    return spec.model_copy(
+        update={"links": {**spec.links, link: body.model_copy(update={"parts": parts, "color": color})}}
+    )
+
+
+def color_of(spec: AssetSpec, key: Key) -> Color | None:
+    """The colour that a document gives a part: its own, its link's, or its material's."""
+    body = spec.links[key[0]]
+    part = body.parts[key[1]]
+    material = part.material or body.material
+    own = spec.materials[material].color if material is not None else None
+    for color in (part.color, body.color, own):
+        if color is not None:
+            r, g, b = color[:3]
+            return r, g, b
+    return None
+
+
+def _material(spec: AssetSpec, key: Key) -> str | None:
+    body = spec.links[key[0]]
+    return body.parts[key[1]].material or body.material
+
+
+def _remade(spec: AssetSpec, old: str, name: str, stuff: Stuff) -> AssetSpec:
+    """The asset with one material replaced everywhere; a link whose mass was given weighs by the new density."""
+    made = Material(density=stuff.middle, friction=stuff.friction, restitution=stuff.restitution)
+    materials = {name if n == old else n: made if n == old else m for n, m in spec.materials.items()}
+    links = {}
+    for own, body in spec.links.items():
+        parts = {n: p.model_copy(update={"material": name}) if p.material == old else p for n, p in body.parts.items()}
+        changes: dict[str, object] = {"parts": parts}
+        if body.material == old:
+            changes["material"] = name
+        links[own] = body.model_copy(update=changes)
+    return spec.model_copy(update={"materials": materials, "links": links})
+
+
+def _other(color: Color | None, palette: tuple[Color, ...], rng: Rng) -> Color:
+    """One of the colours that is not near the present one."""
+    far = [c for c in palette if color is None or sum(abs(a - b) for a, b in zip(c, color, strict=True)) > 0.3]
+    return (far or list(palette))[int(rng.integers(0, len(far or palette)))]
+
+
+def varied(color: Color, rng: Rng) -> Color:
+    """Nearly the same colour."""
+    r, g, b = (round(float(np.clip(v + rng.uniform(-JITTER, JITTER), 0.02, 0.98)), 3) for v in color)
+    return r, g, b
+
+
+def _shown(color: Color) -> str:
+    return "#" + "".join(f"{round(255 * v):02x}" for v in color)
+
+
+ACCENTS = (Kind.HANDLE, Kind.KNOB, Kind.CAP, Kind.BAND)
+"""Components that have a colour for themselves."""
+
+APPEARANCE = (
+    (recolor, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
+    (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
+    (restuff, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
+    (dip, (Kind.VESSEL,)),
+)
+"""What can be done to which components."""

@@ -1,0 +1,212 @@
+"""Variants from models, as in the paper: a VLM takes the thing apart and proposes, an image model edits, a mesh model
+builds, and the VLM judges the picture; after that a candidate is checked as any other.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from pydantic import BaseModel
+
+from simfoundry.assets.faults import MeshError
+from simfoundry.assets.mesh import read_parts
+from simfoundry.cousins.objects.item import Item, item_of_mesh, lay, lowered
+from simfoundry.cousins.objects.meshes import FOLDER, joined
+from simfoundry.cousins.objects.procedural import Draft
+from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Variations, Verdict, prompt
+from simfoundry.cousins.objects.retrieval import USUAL
+from simfoundry.cousins.reasons import Reason
+from simfoundry.errors import SimfoundryError
+from simfoundry.models.images import ImageEditor, images_from_environment
+from simfoundry.models.meshes import MeshMaker, meshes_from_environment
+from simfoundry.scene.frames import Array, frozen_array, look_at
+from simfoundry.scene.meshfile import obj_with_material
+from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
+from simfoundry.scene.raycast import raycast
+from simfoundry.scene.summary import bounds
+from simfoundry.spec.base import Material
+from simfoundry.spec.cousins import ObjectVariants
+
+T = TypeVar("T", bound=BaseModel)
+
+DIMENSIONS = ("geometry", "topology", "visual")
+CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
+"""What a recipe calls the paper's dimensions."""
+
+ATTEMPTS = 3
+"""Pictures that are tried for one proposal, as in the paper's pipeline."""
+
+SIDE = 512
+"""Pictures for models are so many pixels wide and high."""
+
+
+class Vlm(Protocol):
+    """A vision-language model that answers in a type."""
+
+    def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
+        """The answer to a prompt about PNG pictures; raises :class:`SimfoundryError`."""
+        ...
+
+
+class Proposal(NamedTuple):
+    """A change of one component in one dimension, in the words of the VLM."""
+
+    component: str
+    dimension: str
+    words: str
+
+
+@dataclass
+class Generation:
+    """A source of candidates: models, asked with the pictures of the thing and of its scene.
+
+    ``counts`` are the proposals for each component in geometry, topology and looks. All that is proposed is asked for
+    once, with the first candidate; with the same answers there are the same candidates.
+    """
+
+    vlm: Vlm
+    images: ImageEditor
+    meshes: MeshMaker
+    scene: bytes
+    picture: bytes | None = None
+    counts: tuple[int, int, int] = (2, 2, 2)
+    _proposals: dict[str, list[Proposal]] = field(default_factory=dict)
+    _pictures: dict[str, bytes] = field(default_factory=dict)
+
+    def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+        """Candidate ``k``: the next proposal when its turn has come round to this source."""
+        try:
+            if item.name not in self._proposals:
+                self._pictures[item.name] = self.picture or picture_of(item)
+                self._proposals[item.name] = list(self._propose(self._pictures[item.name], axis))
+            proposals = self._proposals[item.name]
+            place = k // len(axis.sources)
+            if place >= len(proposals):
+                text = f"the model proposed {len(proposals)} changes, and this is the {place + 1}th that is asked for"
+                return Reason("proposals", text, {"proposals": float(len(proposals)), "place": float(place)})
+            picture = self._edited(self._pictures[item.name], proposals[place])
+            if isinstance(picture, Reason):
+                return picture
+            return built(item, self.meshes.make(picture, seed + k), proposals[place])
+        except MeshError as error:
+            return Reason("mesh", str(error))
+        except SimfoundryError as error:
+            return Reason("model", str(error))
+
+    def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[Proposal]:
+        """Prompts A, B and C: what could be changed, round the components so that the first few differ."""
+        names = self.vlm.ask(prompt("A"), [picture], ComponentNames).components
+        wanted = [name for name in names if not axis.components or name in axis.components]
+        queues = []
+        for name in wanted:
+            geometry, topology, visual = self.counts
+            if topology and not self.vlm.ask(prompt("B", component=name), [picture], Feasible).yes:
+                topology = 0
+            asked = prompt("C", component=name, num_geometry=geometry, num_topology=topology, num_visual=visual)
+            told = self.vlm.ask(asked, [picture], Variations)
+            limits = dict(zip(DIMENSIONS, (geometry, topology, visual), strict=True))
+            queue = [
+                Proposal(name, dimension, words[:300])
+                for dimension in DIMENSIONS
+                if CHANGES[dimension] in axis.changes
+                for words in getattr(told, dimension)[: limits[dimension]]
+            ]
+            queues.append(queue)
+        for turn in range(max(map(len, queues), default=0)):
+            yield from (queue[turn] for queue in queues if turn < len(queue))
+
+    def _edited(self, picture: bytes, proposal: Proposal) -> bytes | Reason:
+        """Prompts D and E: a picture that the VLM finds reasonable, or why there is none."""
+        asked = prompt(
+            "D",
+            component=proposal.component,
+            dimension=proposal.dimension,
+            variation_description=proposal.words,
+        )
+        why = ""
+        for _ in range(ATTEMPTS):
+            made = self.images.edit(asked, [picture, self.scene])
+            verdict = self.vlm.ask(prompt("E"), [self.scene, made], Verdict)
+            if verdict.real_world_reasonable and verdict.scene_reasonable:
+                return made
+            why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
+        text = f"{proposal.component}, {proposal.words}: not reasonable in {ATTEMPTS} pictures: {why}"
+        return Reason("picture", text, {"attempts": float(ATTEMPTS)})
+
+
+def from_environment(vlm: Vlm, scene: bytes) -> Generation:
+    """The pipeline with the image and mesh models that the environment names; :class:`ModelError` says what is missing.
+
+    ``scene`` is a picture of the twin's scene.
+    """
+    return Generation(vlm, images_from_environment(), meshes_from_environment(), scene)
+
+
+def built(item: Item, glb: bytes, proposal: Proposal) -> Draft:
+    """The draft of a made mesh: scaled to the twin's size, its foot on z = 0 in the middle, of the twin's material.
+
+    Raises :class:`MeshError` for a mesh that cannot be read, or has several textures.
+    """
+    with TemporaryDirectory(prefix="simfoundry-made-") as scratch:
+        path = Path(scratch) / "made.glb"
+        path.write_bytes(glb)
+        read = joined(read_parts(path))
+        if read is None:
+            raise MeshError("SF301", "the made mesh has several textures, which one OBJ cannot hold")
+        low, high = _bounds_of(item)
+        vertices = fitted(read.vertices, low, high)
+        mesh = Mesh(frozen_array(vertices), read.faces, read.uv, read.texture)
+        written = {f"{FOLDER}/{name}": data for name, data in obj_with_material(mesh).items()}
+        first = next(iter(written))
+        kept = Path(scratch) / Path(first).name
+        kept.write_bytes(written[first])
+        material = next((m for m in item.spec.materials.values() if m.density is not None), USUAL)
+        made = item_of_mesh(kept, item.name, item.category, Material(**material.model_dump(exclude={"color"})))
+    link = made.spec.links["body"]
+    part = link.parts["mesh"].model_copy(
+        update={"mesh": first, "color": None if read.texture is not None or read.rgba is None else read.rgba[:3]}
+    )
+    spec = made.spec.model_copy(update={"links": {"body": link.model_copy(update={"parts": {"mesh": part}})}})
+    return Draft(spec, (f"{proposal.component}, {proposal.dimension}: {proposal.words}",), written)
+
+
+def fitted(vertices: Array, low: Array, high: Array) -> Array:
+    """Points of any unit scaled evenly to bounds [m], shape (3,) each: the same mean of the logarithms of the sides."""
+    mine_low, mine_high = vertices.min(axis=0), vertices.max(axis=0)
+    factor = float(np.exp(np.mean(np.log((high - low) / np.maximum(mine_high - mine_low, 1e-9)))))
+    foot = np.array([*(mine_low + mine_high)[:2] / 2, mine_low[2]])
+    return np.asarray((vertices - foot) * factor + np.array([*(low + high)[:2] / 2, low[2]]))
+
+
+def picture_of(item: Item, side: int = SIDE) -> bytes:
+    """A PNG, ``side`` pixels wide and high, of the thing alone from above in front, on a transparent background."""
+    from PIL import Image
+
+    thing = _alone(item)
+    low, high = bounds(thing)
+    middle, far = (low + high) / 2, 2.2 * float(np.linalg.norm(high - low))
+    eye = middle + far * np.array([-0.72, -0.35, 0.6])
+    f = 0.9 * side * far / float(np.linalg.norm(high - low))
+    c = (side - 1) / 2
+    camera = Camera("alone", side, side, f, f, c, c, look_at(eye, middle))
+    seen = raycast(Scene("alone", frozen_array([0.0, 0.0, -9.81]), (thing,)), camera, samples=2)
+    alpha = np.where(seen.objects > 0, 255, 0).astype(np.uint8)
+    stream = io.BytesIO()
+    Image.fromarray(np.dstack([seen.color, alpha]), "RGBA").save(stream, format="PNG")
+    return stream.getvalue()
+
+
+def _alone(item: Item) -> SceneObject:
+    with TemporaryDirectory(prefix="simfoundry-alone-") as folder:
+        lay(item.files, Path(folder))
+        return lowered(item.spec, Path(folder), item.name)
+
+
+def _bounds_of(item: Item) -> tuple[Array, Array]:
+    return bounds(_alone(item))

@@ -1,0 +1,210 @@
+"""Changes of geometry: the same parts with other sizes and curves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simfoundry.cousins.objects.components import Component, Kind, components
+from simfoundry.cousins.objects.parts import (
+    Key,
+    at,
+    axis_of,
+    bounds,
+    is_level,
+    moved,
+    parts_of,
+    rod,
+    shaped,
+    with_parts,
+    with_rod,
+)
+from simfoundry.cousins.objects.profiles import Profile, flared, swelled, thickened
+from simfoundry.cousins.objects.stretch import allowed, stretched, stretched_part
+from simfoundry.scene.frames import Array
+from simfoundry.spec.asset import AssetSpec, Part
+from simfoundry.spec.base import LatheShape, SphereShape
+
+Edit = tuple[AssetSpec, str]
+"""The changed asset, and what was changed, for people."""
+
+Rng = np.random.Generator
+
+LEAST, MOST = 0.86, 1.18
+"""Factors of a stretch: beyond them a cup becomes another kind of thing."""
+
+ATTACHED = 0.6
+"""What is farther from the axis than this share of the body's radius hangs on its wall."""
+
+
+def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
+    """The whole thing longer, wider, higher; of the loose links too, so that they fit."""
+    parts = list(parts_of(spec).values())
+    if len(parts) == 1 and isinstance(parts[0].shape, SphereShape):  # balls for one game differ little
+        factor = np.full(3, rng.uniform(0.94, 1.06))
+    else:
+        factor = allowed(spec, np.exp(rng.uniform(np.log(LEAST), np.log(MOST), 3)))
+    sizes = ", ".join(f"{axis} {f:.2f}" for axis, f in zip("xyz", factor, strict=True))
+    return stretched(spec, factor), f"stretched: {sizes}"
+
+
+def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """A wall that leans more or less; where a lid or a part must fit the rim, the rim stays."""
+    foot, rim = rng.uniform(0.82, 1.1), rng.uniform(0.94, 1.1)
+    grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
+    return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
+
+
+def belly(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """A wall that swells or is waisted between foot and rim."""
+    by = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.12)
+    curve = 1.0 + by * np.sin(np.linspace(0.0, np.pi, 7))
+    words = f"{'swelled' if by > 0 else 'waisted'} by {abs(by):.0%}"
+    return _reprofiled(spec, component, lambda p: swelled(p, curve), words)
+
+
+def lip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """A rim that bends outwards."""
+    if len(spec.links) > 1:
+        return None
+    out = rng.uniform(0.0025, 0.006)
+    return _reprofiled(spec, component, lambda p: flared(p, out, 0.2 * p.height), f"lip of {out * 1000:.1f} mm")
+
+
+def thicken(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """A thicker or thinner wall and floor."""
+    more = rng.uniform(-0.35, 0.6)
+    return _reprofiled(
+        spec, component, lambda p: thickened(p, more * p.thinnest), f"wall {'+' if more > 0 else ''}{more:.0%}"
+    )
+
+
+def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
+    """A handle, knob, cap or stem with other sizes; what holds it on stays where it is."""
+    reach, span, thick = rng.uniform(0.85, 1.2), rng.uniform(0.8, 1.25), rng.uniform(0.85, 1.25)
+    parts = parts_of(spec)
+    body = [p for key, p in parts.items() if key[0] == component.link and key not in component.parts]
+    out = outward(body, [parts[k] for k in component.parts])
+    if out is None:
+        return None
+    # The handle grows away from the body: along `out` by the reach, across it by the span.
+    factor = np.where(np.abs(out) > 0.5, reach, 1.0 if component.kind is Kind.CAP else span)
+    anchor = _anchor([parts[k] for k in component.parts], out)
+    changed = dict(parts)
+    for key in component.parts:
+        part = moved(parts[key], at(parts[key]) - anchor)
+        part = stretched_part(part, factor)
+        if (size := rod(part)) is not None and (was := rod(parts[key])) is not None:
+            part = with_rod(part, was[0] * thick, size[1])
+        changed[key] = moved(part, at(part) + anchor)
+    return with_parts(spec, changed), f"{component.name}: reach x {reach:.2f}, span x {span:.2f}, rods x {thick:.2f}"
+
+
+def outward(body: list[Part], handle: list[Part]) -> Array | None:
+    """The axis, with its sign, along which a component stands off from the rest of its link, shape (3,)."""
+    if not body:
+        return None
+    low, high = bounds(body)
+    mine_low, mine_high = bounds(handle)
+    over = np.concatenate([mine_high - high, low - mine_low])
+    k = int(over.argmax())
+    if over[k] <= 0:
+        return None
+    axis = np.zeros(3)
+    axis[k % 3] = 1.0 if k < 3 else -1.0
+    return axis
+
+
+def _anchor(handle: list[Part], out: Array) -> Array:
+    """The point of a component where it meets the body: its end against ``out``, in its middle across [m]."""
+    low, high = bounds(handle)
+    k = int(np.abs(out).argmax())
+    anchor = (low + high) / 2
+    anchor[k] = low[k] if out[k] > 0 else high[k]
+    return np.asarray(anchor)
+
+
+def _reprofiled(spec: AssetSpec, component: Component, change: object, words: str) -> Edit | None:
+    """The asset with the profile of a component's lathe changed, and all that hangs on it moved along."""
+    assert callable(change)
+    key = lathe_of(spec, component)
+    if key is None:
+        return None
+    shape = parts_of(spec)[key].shape
+    assert isinstance(shape, LatheShape)
+    old = Profile.of(shape)
+    return with_profile(spec, key, old, change(old)), words
+
+
+def lathe_of(spec: AssetSpec, component: Component) -> Key | None:
+    """The turned part of a component, the highest of several."""
+    parts = parts_of(spec)
+    lathes = [(Profile.of(shape).height, k) for k in component.parts if isinstance(shape := parts[k].shape, LatheShape)]
+    return max(lathes)[1] if lathes else None
+
+
+def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> AssetSpec:
+    """The asset with another profile for one lathe; what hangs on its wall or stands on it goes along."""
+    parts = parts_of(spec)
+    base = at(parts[key])[2]
+    changed = dict(parts)
+    changed[key] = shaped(parts[key], new.shape)
+    for other in components(spec):
+        if other.link == key[0] and key not in other.parts:
+            changed |= _follow({k: parts[k] for k in other.parts}, old, new, base)
+    rest = [k for c in components(spec) if key in c.parts for k in c.parts if k != key]
+    changed |= _follow({k: parts[k] for k in rest}, old, new, base)
+    return with_parts(spec, changed)
+
+
+def _follow(parts: dict[Key, Part], old: Profile, new: Profile, base: float) -> dict[Key, Part]:
+    """Parts of one component where the wall that they hang on has moved."""
+    if not parts:
+        return {}
+    low, _ = bounds(list(parts.values()))
+    if low[2] - base >= old.rim - 0.003:
+        rise = np.array([0.0, 0.0, new.rim - old.rim])
+        return {key: moved(part, at(part) + rise) for key, part in parts.items()}
+    scale = new.height / old.height
+
+    def delta(part: Part) -> float:
+        z = float(at(part)[2]) - base
+        return float(new.radius(new.foot + (z - old.foot) * scale) - old.radius(z))
+
+    together = max((delta(p) for p in parts.values() if not is_radial(p)), default=0.0)
+    out: dict[Key, Part] = {}
+    for key, part in parts.items():
+        p = at(part)
+        off = float(np.hypot(*p[:2]))
+        rise = np.array([0.0, 0.0, new.foot + (p[2] - base - old.foot) * scale + base - p[2]])
+        size = rod(part)
+        if off < 1e-3 and size is not None:
+            out[key] = moved(with_rod(part, size[0] + max(delta(part), 0.0), size[1]), p + rise)
+        elif off > ATTACHED * float(old.radius(p[2] - base)):
+            way = np.array([p[0], p[1], 0.0]) / off
+            own = delta(part)
+            if is_radial(part) and size is not None:  # it reaches from the wall, which moved by `own`, to the grip
+                part = with_rod(part, size[0], max(size[1] + together - own, 0.002))
+                out[key] = moved(part, p + way * (own + together) / 2 + rise)
+            else:
+                out[key] = moved(part, p + way * together + rise)
+        else:
+            out[key] = moved(part, p + rise)
+    return out
+
+
+def is_radial(part: Part) -> bool:
+    """Whether a rod points away from the z axis of its link."""
+    p, axis = at(part), axis_of(part)
+    off = float(np.hypot(*p[:2]))
+    return rod(part) is not None and off > 1e-3 and is_level(axis) and abs(float(axis[:2] @ p[:2])) / off > 0.9
+
+
+GEOMETRY = (
+    (stretch, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
+    (taper, (Kind.VESSEL, Kind.TURNED)),
+    (belly, (Kind.VESSEL, Kind.TURNED)),
+    (lip, (Kind.VESSEL,)),
+    (thicken, (Kind.VESSEL,)),
+    (resize, (Kind.HANDLE, Kind.KNOB, Kind.STEM, Kind.CAP)),
+)
+"""What can be done to which components."""

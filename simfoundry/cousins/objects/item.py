@@ -1,0 +1,127 @@
+"""The thing that varies, as an asset document whatever it is in its scene, and as a lowered object."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+from simfoundry.assets.cache import Cache
+from simfoundry.files import write_atomically
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.robot_files import companions
+from simfoundry.spec.asset import AssetSpec, LinkSpec, Part
+from simfoundry.spec.base import Body, Material
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.files import is_document
+from simfoundry.spec.load import load
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.variants import variant_names, variant_of
+from simfoundry.spec.write import to_yaml
+
+LINK = "body"
+"""What the one link of a shape or mesh is called."""
+
+_OF_BODY = tuple(Body.model_fields)
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """A thing: its ``spec``, flat, with every file it names absolute in ``files`` by the name that the spec has for it.
+
+    ``name`` is that of the object in its scene, or of the asset; ``category`` says what it is; ``source`` names where
+    it comes from, for people.
+    """
+
+    name: str
+    category: str
+    spec: AssetSpec
+    source: str
+    files: Mapping[str, Path] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def item_of(scene: Loaded, name: str) -> Item:
+    """The object ``name`` of a checked scene document; a KeyError lists the names there are."""
+    assert isinstance(scene.spec, SceneSpec)
+    if name not in scene.spec.objects:
+        raise KeyError(f"no object {name!r}; there are: {', '.join(scene.spec.objects) or 'none'}")
+    written = scene.spec.objects[name]
+    if variant_names(written):
+        written = variant_of(written, written.variant or "default")
+    if written.asset is not None and is_document(written.asset):
+        used = scene.used(written.asset)
+        assert used is not None and isinstance(used.spec, AssetSpec)
+        item = item_of_asset(used)
+        return replace(item, name=name, category=written.category or item.category)
+    return _item_of_body(scene, name, written, scene.spec.materials)
+
+
+def item_of_asset(asset: Loaded) -> Item:
+    """A checked asset document as the thing that it describes."""
+    spec = asset.spec
+    assert isinstance(spec, AssetSpec)
+    meshes = [p.mesh for link in spec.links.values() for p in link.parts.values() if p.mesh is not None]
+    files = {mesh: asset.file(mesh) for mesh in meshes}
+    flat = spec.model_copy(update={"extends": None, "allow": {}, "conflicts": {}})
+    return Item(spec.name, spec.category or spec.name, flat, spec.name, MappingProxyType(files))
+
+
+def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> Item:
+    """A mesh file as a thing of one part."""
+    link = LinkSpec(material="stuff", parts={"mesh": Part(mesh=path.name, scale=scale)})
+    spec = AssetSpec(
+        simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
+    )
+    return Item(name, category, spec, path.name, MappingProxyType({path.name: path}))
+
+
+def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapping[str, Material]) -> Item:
+    """A primitive or a mesh of a scene as an asset of one link."""
+    body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
+    files: dict[str, Path] = {}
+    if written.shape is not None:
+        part = Part(shape=written.shape)
+    else:
+        mesh = Path(written.asset or "").name
+        files[mesh] = scene.file(written.asset or "")
+        part = Part(mesh=mesh, scale=written.scale)
+    used = {} if written.material is None else {written.material: materials[written.material]}
+    category = written.category or name
+    spec = AssetSpec(
+        simfoundry="asset/1",
+        name=name,
+        category=category,
+        materials=used,
+        links={LINK: LinkSpec(**body, parts={"body": part})},
+    )
+    return Item(name, category, spec, f"{scene.spec.name if scene.spec else ''}.{name}", MappingProxyType(files))
+
+
+def lowered(spec: AssetSpec, folder: Path, name: str, cache: Cache | None = None) -> SceneObject:
+    """The thing called ``name`` as simulators get it, at the origin; ``folder`` holds the files that the spec names.
+
+    What is lowered is the canonical text, so that what is checked is what will be written. Raises :class:`SpecError`.
+    """
+    file = f"{spec.name}.asset.yaml"
+    asset = load(folder / file, text=to_yaml(spec), root=folder)
+    if asset.errors:
+        raise SpecError(asset.errors)
+    written = SceneSpec(simfoundry="scene/1", name="alone", objects={name: ObjectSpec(asset=file)})
+    path = folder / "alone.scene.yaml"
+    scene = Loaded(path, folder.resolve(), written, (), uses={})
+    scene.uses[str(scene.file(file))] = asset
+    return lower(scene, cache).object(name)
+
+
+def lay(files: Mapping[str, Path], folder: Path) -> None:
+    """Lay copies of mesh files into a folder by their names there, each with the materials and textures it names."""
+    for name, path in files.items():
+        target = folder / name
+        if target.exists():
+            continue
+        write_atomically(target, path.read_bytes())
+        for other in companions(path):
+            write_atomically(target.with_name(other.name), other.read_bytes())

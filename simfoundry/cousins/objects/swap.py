@@ -1,0 +1,159 @@
+"""Variants in the place of their twins: made once for a recipe, kept in a folder, and chosen for each cousin."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache, key_of
+from simfoundry.cousins.objects.item import Item, item_of
+from simfoundry.cousins.objects.needs import Needs, needs_of
+from simfoundry.cousins.objects.retrieval import Library, Retrieval
+from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
+from simfoundry.cousins.reasons import ImpossibleError, Reason
+from simfoundry.files import write_atomically
+from simfoundry.scene.lower import lower
+from simfoundry.spec.base import Body
+from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.write import to_yaml
+
+VERSION = "variants/1"
+"""Changes where the same twin, axis and seed would give other variants."""
+
+REPLACED = (*Body.model_fields, "shape", "scale", "visual")
+"""What a scene says of a shape or mesh, and an asset document says of itself."""
+
+
+def prepare(
+    axis: ObjectAxis,
+    scene: Loaded,
+    tasks: Sequence[TaskSpec],
+    seed: int,
+    folder: Path,
+    sources: Mapping[str, Origins] | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Make and write the variants of every object of an axis; what the folder has already is not made again.
+
+    Returns for each object its record, which is also beside the documents as ``NAME.variants.json``: the names of the
+    ``accepted``, the ``refused`` with reasons, and what the twin itself ``lacks``.
+    """
+    assert isinstance(scene.spec, SceneSpec)
+    lowered, records = None, {}
+    for name, wanted in axis.objects.items():
+        item = item_of(scene, name)
+        lowered = lowered or lower(scene, cache)
+        needs = needs_of(name, scene.spec, lowered, tasks)
+        key = _key(item, wanted, needs, seed)
+        path = folder / f"{name}.variants.json"
+        record = _read(path, key, folder)
+        if record is None:
+            made = variants(item, wanted, needs, seed, sources, cache, progress)
+            for variant in made.accepted:
+                write(variant, folder)
+            record = {"key": key, **record_of(made)}
+            write_atomically(path, (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode())
+        records[name] = record
+    return records
+
+
+def made_for(
+    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, library: Path | None
+) -> dict[str, tuple[Path, ...]]:
+    """The documents of the variants of each object, made where they are not there yet; ``library`` is a folder.
+
+    Raises :class:`ImpossibleError` for an object that has none, with what became of the candidates, and for a source
+    that is not set up.
+    """
+    cache = Cache.default()
+    sources: dict[str, Origins] = {} if library is None else {"library": Retrieval(Library(library, cache))}
+    for name, wanted in axis.objects.items():
+        for source in wanted.sources:
+            if source != "procedural" and source not in sources:
+                need = "a `library`" if source == "library" else "models, which only the Python interface takes"
+                raise ImpossibleError((Reason("source", f"`{name}` has the source `{source}`, which needs {need}"),))
+    records = prepare(axis, scene, tasks, seed, folder, sources, cache)
+    for name, record in records.items():
+        if not record["accepted"]:
+            tried = len(record["refused"])
+            why = "; ".join(f"{count} times {code}" for code, count in record["reasons"].items())
+            example = record["refused"][0]["reasons"][0]["text"] if tried else "there was no candidate"
+            text = f"`{name}` has no variant among {tried} candidates: {why}; the first: {example}"
+            raise ImpossibleError((Reason("variants", text, {"candidates": float(tried)}),))
+    return {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
+
+
+def record_of(made: Variants) -> dict[str, Any]:
+    """What manifests say of the variants of one object."""
+    accepted = [
+        {
+            "asset": v.file,
+            "candidate": v.k,
+            "source": v.source,
+            "changed": list(v.changed),
+            "distance": round(v.distance, 3),
+        }
+        for v in made.accepted
+    ]
+    refused = [r.to_json() for r in made.refused]
+    return {"accepted": accepted, "refused": refused, "reasons": made.reasons, "lacks": list(made.lacks)}
+
+
+def chosen(records: Mapping[str, Mapping[str, Any]], rng: np.random.Generator) -> dict[str, str]:
+    """One variant of each object, evenly drawn: the file names of their documents, by object.
+
+    An object of which there is none keeps the twin.
+    """
+    out = {}
+    for name in sorted(records):
+        files = [one["asset"] for one in records[name]["accepted"]]
+        if files:
+            out[name] = files[int(rng.integers(0, len(files)))]
+    return out
+
+
+def overlay(assets: Mapping[str, str], spec: SceneSpec, folder: Path, beside: Path) -> dict[str, Any]:
+    """The part of an overlay that puts variants in the place of objects.
+
+    ``assets`` are file names in ``folder`` by object, ``spec`` is the twin's, and ``beside`` the folder of the overlay.
+    """
+    objects = {}
+    for name, file in assets.items():
+        gone = [key for key in REPLACED if key in spec.objects[name].model_fields_set]
+        asset = Path(os.path.relpath(folder / file, beside)).as_posix()
+        objects[name] = {"asset": asset} | dict.fromkeys(gone)
+    return {"objects": objects}
+
+
+def variant_set(name: str, assets: Mapping[str, str]) -> dict[str, Any]:
+    """The part of an overlay that gives an object variants of its own, which in USD are one variant set.
+
+    ``assets`` are paths of documents, relative to the overlay, by the names of the variants.
+    """
+    return {"objects": {name: {"variants": {variant: {"asset": path} for variant, path in assets.items()}}}}
+
+
+def _key(item: Item, wanted: ObjectVariants, needs: Needs, seed: int) -> str:
+    meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
+    calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
+    said = (item.name, item.category, to_yaml(item.spec), wanted.model_dump_json(), calls, str(seed))
+    return key_of(VERSION, *said, *meshes)
+
+
+def _read(path: Path, key: str, folder: Path) -> dict[str, Any] | None:
+    """The record of variants that were made before for the same, if all of them are still there."""
+    try:
+        record = json.loads(path.read_bytes())
+        whole = record["key"] == key and all((folder / one["asset"]).is_file() for one in record["accepted"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return record if whole else None

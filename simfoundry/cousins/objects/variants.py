@@ -1,0 +1,239 @@
+"""Variants of one thing: candidates by number, each checked, kept where it passes and is distinct; from any source.
+
+Candidate k depends on the twin, the axis, the seed and k alone. The first ``count`` that pass, by number, are taken;
+which are distinct depends on those taken before, so that the same call gives the same variants.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Any, Protocol
+
+from simfoundry.assets.cache import Cache
+from simfoundry.assets.faults import MeshError
+from simfoundry.cousins.objects.checks import Twin, faults
+from simfoundry.cousins.objects.item import Item, lay, lowered
+from simfoundry.cousins.objects.likeness import Likeness, likeness
+from simfoundry.cousins.objects.needs import Needs
+from simfoundry.cousins.objects.parts import parts_of
+from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
+from simfoundry.cousins.objects.weigh import mesh_volume, weighed
+from simfoundry.cousins.reasons import Reason
+from simfoundry.files import write_atomically
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.base import Origin
+from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.write import to_data, to_yaml
+
+MOST_TRIES = 25
+"""Candidates for each variant that is wanted, at most."""
+
+NOTE = 200
+"""Letters that a note in a document has room for."""
+
+Progress = Callable[[int, int], None]
+"""Hears how many variants there are, and after how many candidates."""
+
+
+class Origins(Protocol):
+    """A source of candidates."""
+
+    def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+        """Candidate ``k``, or why there is none; the same for the same arguments."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """An accepted candidate: ``name`` says the twin and the content, ``spec`` is the whole document, ``files`` what it
+    names beside it; ``changed`` is for people, ``distance`` from the nearest other in units of what is distinct.
+    """
+
+    name: str
+    k: int
+    source: str
+    spec: AssetSpec
+    files: Mapping[str, bytes]
+    changed: tuple[str, ...]
+    item: SceneObject
+    likeness: Likeness
+    distance: float
+
+    @property
+    def file(self) -> str:
+        """The name of its document."""
+        return f"{self.name}.asset.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class Refused:
+    """A candidate that was not taken, and why."""
+
+    k: int
+    source: str
+    changed: tuple[str, ...]
+    reasons: tuple[Reason, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping for manifests."""
+        reasons = [reason.to_json() for reason in self.reasons]
+        return {"candidate": self.k, "source": self.source, "changed": list(self.changed), "reasons": reasons}
+
+
+@dataclass(frozen=True, eq=False)
+class Variants:
+    """What came of it; ``lacks`` is what the twin itself cannot do, which was not asked of the variants."""
+
+    accepted: tuple[Variant, ...]
+    refused: tuple[Refused, ...]
+    lacks: tuple[str, ...] = field(default=())
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """How often each reason was given, the commonest first."""
+        counts = Counter(reason.code for one in self.refused for reason in one.reasons)
+        return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
+
+
+def procedural(item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+    """Candidates by rules."""
+    try:
+        made = draft(item, axis.changes, axis.components, rng_of(seed, item.name, k))
+    except MeshError as error:
+        return Reason("mesh", str(error))
+    if not made.changed:
+        return Reason("rules", f"no rule for {' and '.join(axis.changes)} applies to what it is made of")
+    return made
+
+
+def variants(
+    item: Item,
+    axis: ObjectVariants,
+    needs: Needs | None = None,
+    seed: int = 0,
+    sources: Mapping[str, Origins] | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> Variants:
+    """The first ``axis.count`` variants of a thing that pass every check and are distinct.
+
+    ``sources`` are those of ``axis.sources`` beyond rules, which are always there. Fewer are returned where
+    :data:`MOST_TRIES` candidates for each do not suffice. Raises :class:`SpecError` where the twin itself is not sound,
+    and KeyError for a source that is not given.
+    """
+    known: dict[str, Origins] = {"procedural": procedural, **(sources or {})}
+    chosen = [(name, known[name]) for name in axis.sources]
+    needs = needs or Needs()
+    accepted: list[Variant] = []
+    refused: list[Refused] = []
+    with TemporaryDirectory(prefix="simfoundry-variants-") as scratch:
+        folder = Path(scratch)
+        lay(item.files, folder)
+        base = lowered(_checked(item.spec, item), folder, item.name, cache)
+        twin, first = Twin.of(base, needs), likeness(base)
+        for k in range(MOST_TRIES * axis.count):
+            if len(accepted) == axis.count:
+                break
+            name, origin = chosen[k % len(chosen)]
+            made = origin(item, axis, seed, k)
+            if isinstance(made, Reason):
+                refused.append(Refused(k, name, (), (made,)))
+                continue
+            result = _examined(item, twin, made, k, name, seed, folder, cache)
+            if isinstance(result, Variant):
+                result = _distinct(result, [first, *(v.likeness for v in accepted)])
+            if isinstance(result, Variant):
+                accepted.append(result)
+            else:
+                refused.append(result)
+            if progress is not None:
+                progress(len(accepted), k + 1)
+    return Variants(tuple(accepted), tuple(refused), twin.lacks)
+
+
+def write(variant: Variant, folder: Path) -> Path:
+    """Write a variant's document and the meshes it names below a folder; returns the document's path.
+
+    What is there already by the same name has the same content.
+    """
+    for name, data in variant.files.items():
+        write_atomically(folder / name, data)
+    path = folder / variant.file
+    write_atomically(path, to_yaml(variant.spec).encode())
+    return path
+
+
+def _examined(
+    item: Item, twin: Twin, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
+) -> Variant | Refused:
+    """A draft weighed, named, lowered and checked."""
+    for name, data in made.files.items():
+        write_atomically(folder / name, data)
+    lay(made.kept, folder)
+    try:
+        used = {name: folder / name for name in (*made.files, *made.kept)}
+        volumes, before = _volumes(made.spec, used), _volumes(item.spec, item.files)
+        spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
+        thing = lowered(spec, folder, item.name, cache)
+    except SpecError as error:
+        found = error.diagnostics[0]
+        return Refused(k, source, made.changed, (Reason("document", f"{found.code} {found.message}"),))
+    except MeshError as error:
+        return Refused(k, source, made.changed, (Reason("mesh", str(error)),))
+    reason = next(faults(thing, twin, item.category), None)
+    if reason is not None:
+        return Refused(k, source, made.changed, (reason,))
+    named = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
+    kept = {name: path.read_bytes() for name, path in made.kept.items() if name in named}
+    return Variant(
+        spec.name,
+        k,
+        source,
+        spec,
+        MappingProxyType({**made.files, **kept}),
+        made.changed,
+        thing,
+        likeness(thing),
+        0.0,
+    )
+
+
+def _distinct(variant: Variant, others: list[Likeness]) -> Variant | Refused:
+    """The variant with its distance from the nearest of the others, or why it is too near."""
+    nearest = min((variant.likeness.apart(other) for other in others), key=lambda apart: apart.distance)
+    if nearest.distance >= 1:
+        return replace(variant, distance=nearest.distance)
+    numbers = {"size": nearest.size, "shape": nearest.shape, "color": nearest.color}
+    reason = Reason("alike", f"it is too like another: {nearest}", numbers)
+    return Refused(variant.k, variant.source, variant.changed, (reason,))
+
+
+def _named(spec: AssetSpec, item: Item, made: Draft, k: int, source: str, seed: int) -> AssetSpec:
+    """The document with a name by its content, its category, and where it comes from."""
+    plain = _checked(spec, item).model_copy(update={"name": "variant", "description": None, "origin": None})
+    content = json.dumps(to_data(plain), ensure_ascii=False, sort_keys=True)
+    name = f"{item.name[:50]}_{hashlib.sha256(content.encode()).hexdigest()[:8]}"
+    head = f"{source} variant {k} of {item.source}, seed {seed}: "
+    words = "; ".join(made.changed)
+    note = head + (words if len(head + words) <= NOTE else f"{words[: NOTE - len(head) - 1]}…")
+    return plain.model_copy(update={"name": name, "origin": Origin(note=note[:NOTE])})
+
+
+def _checked(spec: AssetSpec, item: Item) -> AssetSpec:
+    """The document with its category, and only the materials that it uses."""
+    used = {p.material for p in parts_of(spec).values()} | {link.material for link in spec.links.values()}
+    materials = {name: material for name, material in spec.materials.items() if name in used}
+    return spec.model_copy(update={"category": item.category, "materials": materials})
+
+
+def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
+    return {p.mesh: mesh_volume(files[p.mesh]) for p in parts_of(spec).values() if p.mesh is not None}

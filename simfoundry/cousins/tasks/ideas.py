@@ -1,0 +1,246 @@
+"""What could be done in a scene, from what its things afford: cavities, tops, joints, and what a hand can take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.ways import across, cavities, is_free
+from simfoundry.predicates import PredicateError
+from simfoundry.spec.expressions import Call
+
+TOGETHER = 3
+"""So many things are put into one at once, at most."""
+
+ROOM = 0.9
+"""Of a cavity, or of a top, things take up no more than this share where several are put there."""
+
+
+HOLLOW = (0.025, 0.04)
+"""How deep and how wide the cavity of a container is at least [m]."""
+
+BROAD = 0.1
+"""How wide a support is at least [m]."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
+
+    name: str
+    goal: str
+    words: str
+    thing: str = ""
+
+
+@dataclass(frozen=True)
+class Idea:
+    """A task that may be possible: its ``steps`` in order, the predicates of its ``goal``, and how odd it is.
+
+    The lower ``odd`` the sooner it is proposed: 0 one step, 1 several.
+    """
+
+    name: str
+    goal: tuple[str, ...]
+    steps: tuple[Step, ...]
+    odd: int = 0
+
+    @property
+    def things(self) -> tuple[str, ...]:
+        """What is carried."""
+        return tuple(dict.fromkeys(step.thing for step in self.steps if step.thing))
+
+    @property
+    def about(self) -> tuple[str, ...]:
+        """Everything that its goal names."""
+        names = [a.strip().partition(".")[0] for text in self.goal for a in text[text.index("(") + 1 : -1].split(",")]
+        return tuple(dict.fromkeys(names))
+
+
+@dataclass(frozen=True)
+class Affordances:
+    """What is there: things that a hand can take, what has a cavity, what has a level top, and what opens.
+
+    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``.
+    """
+
+    things: tuple[str, ...]
+    containers: tuple[str, ...]
+    supports: tuple[str, ...]
+    joints: tuple[str, ...]
+
+    @classmethod
+    def of(cls, setting: Setting) -> Affordances:
+        """What the things of a scene afford, measured on their colliders."""
+        objects = setting.twin.scene.objects
+        names = [
+            o.name for o in objects if any(link.colliders for link in o.links) and o.name not in setting.twin.absent
+        ]
+        parts = {n: [f"{n}.{j.child}" for j in setting.joints(n)] for n in names}
+        grounds = {setting.twin.ground}
+        hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
+        # A drawer is meant where its cabinet is named.
+        own = [t for t in hollow if not ("." not in t and any(p in hollow for p in parts[t]))]
+        level = [n for n in names if n not in grounds and _level(setting, n, hollow)]
+        return cls(
+            tuple(n for n in names if not setting.cannot_take(n)),
+            tuple(own),
+            tuple(level),
+            tuple(f"{n}.{j.name}" for n in names for j in setting.joints(n)),
+        )
+
+
+def _hollow(setting: Setting, name: str) -> bool:
+    """Whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
+    try:
+        found = cavities(setting, name)
+    except PredicateError:
+        return False
+    owner = name.partition(".")[0]
+    large = [(link, hole) for link, hole in found if hole.deep >= HOLLOW[0] and across(hole) >= HOLLOW[1]]
+    return any(is_free(setting, owner, link, hole.middle) for link, hole in large)
+
+
+def _level(setting: Setting, name: str, hollow: list[str]) -> bool:
+    """Whether it has a level top or floor, and is as broad as a thing that others are put on."""
+    low, high = setting.bounds(name)
+    level = name in hollow or setting.twin.support(name) is not None
+    return level and float((high - low)[:2].min()) >= BROAD
+
+
+def ideas(setting: Setting, there: Affordances) -> Iterator[Idea]:
+    """All that might be done, each once; none is proved yet."""
+    for thing in there.things:
+        for target in there.containers:
+            if target.partition(".")[0] != thing and _fits(setting, (thing,), target):
+                yield _placed(setting, thing, "Inside", target, there)
+        for target in there.supports:
+            stays = setting.twin.carried.get(thing) == (target,)
+            if target.partition(".")[0] != thing and not stays and _fits(setting, (thing,), target):
+                yield _placed(setting, thing, "OnTop", target, there)
+    for joint in there.joints:
+        for word in ("Open", "Closed"):
+            step = _moved(joint, word)
+            yield Idea(step.name, (step.goal,), (step,))
+    yield from _stacks(setting, there)
+    yield from _gathered(setting, there)
+
+
+def _placed(setting: Setting, thing: str, word: str, target: str, there: Affordances) -> Idea:
+    """A thing into or onto another; through a drawer that is opened before and closed after."""
+    step = _step(thing, word, target)
+    joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
+    if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
+        return Idea(step.name, (step.goal,), (step,))
+    steps = (_moved(joint, "Open"), step, _moved(joint, "Closed"))
+    return Idea(f"store_{step.name}", (step.goal, steps[2].goal), steps, 1)
+
+
+def _lid(setting: Setting, joint: str, target: str) -> bool:
+    """Whether a joint moves the part that is named, or a part of the whole that is."""
+    owner, _, part = target.partition(".")
+    if joint.partition(".")[0] != owner:
+        return False
+    return not part or any(j.child == part and f"{owner}.{j.name}" == joint for j in setting.joints(owner))
+
+
+def _stacks(setting: Setting, there: Affordances) -> Iterator[Idea]:
+    """A container onto a support, then the largest thing that fits into it: a bowl on a plate, a cup in the bowl."""
+    for below, middle in product(there.supports, there.containers):
+        if middle == below or middle not in there.things or not _fits(setting, (middle,), below):
+            continue
+        tops = [t for t in there.things if t not in (below, middle) and _fits(setting, (t,), middle)]
+        if tops:
+            top = max(tops, key=lambda t: (_need(setting, t), t))
+            steps = (_step(middle, "OnTop", below), _step(top, "Inside", middle))
+            yield Idea(f"stack_{top}_{middle}_{below}", tuple(s.goal for s in steps), steps, 1)
+
+
+def _gathered(setting: Setting, there: Affordances) -> Iterator[Idea]:
+    """All things of a category, or of a word of their names, into one container or onto one support."""
+    for word, group in _kinds(there):
+        for target in dict.fromkeys((*there.containers, *there.supports)):
+            if target.partition(".")[0] in group or not _fits(setting, group, target):
+                continue
+            relation = "Inside" if target in there.containers else "OnTop"
+            steps = tuple(_step(thing, relation, target) for thing in group)
+            side = "in" if relation == "Inside" else "on"
+            yield Idea(f"all_{word}s_{side}_{_short(target)}", tuple(s.goal for s in steps), steps, 1)
+
+
+def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
+    words: dict[str, list[str]] = {}
+    for name in there.things:
+        last = [part for part in name.split("_") if not part.isdigit()][-1]
+        words.setdefault(last, []).append(name)
+    for word, names in words.items():
+        if 2 <= len(names) <= TOGETHER:
+            yield word, tuple(names)
+
+
+def _fits(setting: Setting, things: tuple[str, ...], target: str) -> bool:
+    """Whether things are no broader than what they go into or onto; a first look, not a proof."""
+    low, high = setting.bounds(target)
+    room = np.sort((high - low)[:2])
+    if len(things) == 1:
+        own_low, own_high = setting.bounds(things[0])
+        return bool((np.sort(own_high - own_low)[:2] <= room).all())
+    taken = sum(float(np.prod(np.subtract(*setting.bounds(thing)[::-1])[:2])) for thing in things)
+    return taken <= ROOM * float(np.prod(room))
+
+
+def _need(setting: Setting, thing: str) -> float:
+    """The smallest face of the box around a thing [m^2]."""
+    low, high = setting.bounds(thing)
+    return float(np.prod(np.sort(high - low)[:2]))
+
+
+def _step(thing: str, word: str, target: str) -> Step:
+    side = "in" if word == "Inside" else "on"
+    said = f"{'inside' if word == 'Inside' else 'on'} the {_said(target)}"
+    return Step(
+        f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
+    )
+
+
+def _moved(joint: str, word: str) -> Step:
+    verb = "open" if word == "Open" else "close"
+    return Step(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
+
+
+WORDS = {
+    "NextTo": "next to", "LeftOf": "left of", "RightOf": "right of", "InFrontOf": "in front of", "Behind": "behind",
+    "Touching": "against", "Above": "above", "Under": "under", "OnTop": "on", "Inside": "in",
+}  # fmt: skip
+"""How a predicate is said of a thing that is put somewhere."""
+
+
+def step_of(call: Call) -> Step:
+    """The step that brings a predicate about."""
+    thing = call.args[0]
+    if call.predicate in ("Inside", "OnTop"):
+        return _step(thing, call.predicate, call.args[1])
+    if call.predicate in ("Open", "Closed"):
+        return _moved(thing, call.predicate)
+    name = "_".join(
+        [_short(thing), call.predicate.lower(), *(_short(a) for a in call.args[1:2] if call.kinds[1] == "thing")]
+    )
+    if call.predicate in WORDS:
+        return Step(name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing)
+    verb = {"Lifted": "lift", "Grasped": "take", "Upright": "stand up"}.get(call.predicate, "move")
+    return Step(name, str(call), f"{verb} the {_said(thing)}", thing)
+
+
+def _short(name: str) -> str:
+    return name.replace(".", "_")
+
+
+def _said(name: str) -> str:
+    """A name as people say it: ``cabinet.drawer`` is the drawer of the cabinet."""
+    owner, _, part = name.partition(".")
+    words = owner.replace("_", " ")
+    return f"{part.replace('_', ' ')} of the {words}" if part else words

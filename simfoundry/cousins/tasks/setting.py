@@ -1,0 +1,155 @@
+"""Where tasks are to be done: a twin at rest, the hands that act in it, and what each of its things affords them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.tasks.grip import grip_width
+from simfoundry.cousins.twin import Twin
+from simfoundry.lint.report import length
+from simfoundry.scene.frames import Array
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import Joint
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.load import load_scene
+from simfoundry.spec.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from simfoundry.assets.cache import Cache
+
+PAYLOADS = MappingProxyType({"franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
+"""The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; of the YAM our guess."""
+
+PAYLOAD = 1.0
+"""That of a robot of which nothing is known [kg]."""
+
+SLACK = 0.001
+"""A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
+
+
+class Hand(NamedTuple):
+    """A robot that acts: its base along the ground [m], how far it reaches [m], opens [m] and lifts [kg].
+
+    ``reach`` and ``opening`` are None where nothing is known.
+    """
+
+    name: str
+    at: tuple[float, float]
+    reach: float | None
+    opening: float | None
+    payload: float
+    kind: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none."""
+
+    twin: Twin
+    hands: tuple[Hand, ...]
+    path: Path | None = None
+    kept: dict[str, tuple[Reason, ...]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def load(cls, path: Path, cache: Cache | None = None, payload: float | None = None) -> Setting:
+        """The setting of a scene document. Raises :class:`SpecError`, or :class:`TwinError` where it does not rest.
+
+        ``payload`` [kg] is what each robot lifts, where it is not what is known of it.
+        """
+        loaded = load_scene(path)
+        assert isinstance(loaded.spec, SceneSpec)
+        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path)
+
+    # -- where things are ---------------------------------------------------------------------------------------------
+
+    def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
+        """The corners [m] of the box around an object, or around a link of it, in the world; shape (3,) each."""
+        owner, _, part = name.partition(".")
+        state = state or self.twin.state
+        item = self.twin.scene.object(owner)
+        parts = self.twin.shape(owner, state.poses[owner])
+        if part:
+            moved = {joint.name: joint.child for joint in item.joints}
+            number = [link.name for link in item.links].index(moved.get(part, part))
+            parts = parts.of_link(number)
+        ends = np.array([parts.extent(axis) for axis in np.eye(3)])
+        return ends[:, 0], ends[:, 1]
+
+    def joints(self, argument: str) -> tuple[Joint, ...]:
+        """The joints that open and are named by ``object`` or ``object.joint``; none where there are none."""
+        owner, _, part = argument.partition(".")
+        return tuple(
+            joint
+            for joint in self.twin.scene.object(owner).joints
+            if joint.has_axis and joint.limits is not None and (not part or part in (joint.name, joint.child))
+        )
+
+    # -- what hands can do with it ------------------------------------------------------------------------------------
+
+    def cannot_take(self, name: str) -> tuple[Reason, ...]:
+        """Why no hand can pick a thing up where it is; empty where one can."""
+        if name not in self.kept:
+            self.kept[name] = tuple(self._taken(name))
+        return self.kept[name]
+
+    def _taken(self, name: str) -> list[Reason]:
+        item = self.twin.scene.object(name)
+        if item.fixed:
+            return [Reason("fixed", f"`{name}` is fixed in the scene, so it cannot be moved")]
+        found = []
+        mass = sum(link.mass for link in item.links)
+        if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
+            text = f"`{name}` weighs {mass:.2f} kg, and the robot lifts {most:g} kg"
+            found.append(Reason("too_heavy", text, numbers(mass_kg=mass, payload_kg=most)))
+        openings = [hand.opening for hand in self.hands if hand.opening is not None]
+        if openings and len(openings) == len(self.hands):
+            width, widest = grip_width(self.twin.item_at(name, self.twin.state.poses[name])), max(openings)
+            if width > widest + SLACK:
+                narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+                text = f"`{name}` {narrow}, and the fingers open {length(widest)}"
+                found.append(Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)))
+        return found + list(self.cannot_reach(name, *self.bounds(name)))
+
+    def cannot_reach(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
+        """Why no hand gets to a thing between two corners in the world [m]; by inverse kinematics where it can be."""
+        x, y = ((low + high) / 2)[:2].tolist()
+        known = [(math.dist((x, y), h.at), h.reach, h) for h in self.hands if h.reach is not None]
+        if known and len(known) == len(self.hands):
+            away, reach, hand = min(known, key=lambda row: row[0] - row[1])
+            if away > reach:
+                text = f"`{name}` is {away:.2f} m from `{hand.name}`, which reaches {reach:g} m"
+                return (Reason("out_of_reach", text, numbers(away_m=away, reach_m=reach)),)
+        solved = self.twin.reach(low, high)
+        if solved.checked and not solved.reached:
+            text = (
+                f"no arm gets down to `{name}` from above: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            )
+            return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
+        return ()
+
+
+def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
+    """The robots of a scene's document, whether or not their models are here."""
+    from simfoundry.lint.frames import frame_of
+
+    found = []
+    for name, robot in spec.robots.items():
+        known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
+        reach = robot.reach or (known.reach if known is not None else None)
+        opening = robot.opening or (known.opening if known is not None else None)
+        x, y, _ = frame_of(robot.pose).p
+        found.append(Hand(name, (x, y), reach, opening, payload or PAYLOADS.get(kind, PAYLOAD), kind))
+    return tuple(found)
+
+
+def numbers(**values: float) -> Mapping[str, float]:
+    """Numbers of a reason."""
+    return MappingProxyType({name: float(value) for name, value in values.items()})

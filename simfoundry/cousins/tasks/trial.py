@@ -1,0 +1,126 @@
+"""Trying out: a thing is put somewhere, a joint is set, physics runs, and what was asked holds at rest or does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.cousins.settling import settle_layout
+from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.predicates.shapes import Bodies
+from simfoundry.scene.frames import Array, Pose, rpy_from_quat
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Joint, SceneObject
+from simfoundry.scene.place import solve
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.place import Place
+
+OVERLAP = 0.002
+"""Nothing overlaps deeper at rest [m]: a thing wedged between the walls of another is not put there."""
+
+DISTURBED = 0.02
+"""What is not to be moved moves no farther than this [m] as a thing comes to rest by it."""
+
+
+ASTRAY = (0.0023, 0.0017)
+"""How far beside its place a thing is put [m]: no hand is exact, and no ball stays on another."""
+
+
+class Rest(NamedTuple):
+    """Where everything came to rest; ``why`` not, empty where it did and nothing else was disturbed."""
+
+    state: SceneState
+    why: str = ""
+
+
+def item_in(setting: Setting, name: str, state: SceneState) -> SceneObject:
+    """An object as it is in a state: its pose and its joints."""
+    item = setting.twin.scene.object(name)
+    at = state.of_object(item)
+    joints = tuple(
+        replace(j, motion=to) if isinstance(to, Pose) else replace(j, position=to) if to is not None else j
+        for j in item.joints
+        for to in (at.get(j.name),)
+    )
+    return replace(item, X_WO=state.poses[name], joints=joints, variants=())
+
+
+def dropped(
+    setting: Setting, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
+) -> Pose:
+    """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], first touches what it comes down on.
+
+    Raises :class:`~simfoundry.scene.place.PlaceError` where it misses it or does not fit.
+    """
+    twin = setting.twin
+    shape = twin.shape(name, Pose.of(q=q))
+    middle = [sum(shape.extent(axis)) / 2 for axis in np.eye(3)[:2]]
+    roll, pitch, yaw = np.degrees(rpy_from_quat(q)).tolist()
+    within = target if inside and "." in target else None
+    place = Place(
+        on=None if within else target,
+        inside=within,
+        xy=(xy[0] - middle[0] + ASTRAY[0], xy[1] - middle[1] + ASTRAY[1]),
+        rpy_deg=(roll, pitch, yaw),
+    )
+    owner = target.partition(".")[0]
+    found = solve(twin.item(name), place, {owner: item_in(setting, owner, state)}, twin.scene.viewer)
+    return Pose.of(found.p, q)
+
+
+def put(setting: Setting, name: str, X_WO: Pose, state: SceneState) -> SceneState:
+    """A state with a thing elsewhere, and with it what rides on it."""
+    moved = X_WO @ state.poses[name].inverse()
+    along = {n: moved @ state.poses[n] for n in setting.twin.riders(name)}
+    return SceneState.of({**state.poses, **along, name: X_WO}, state.joints, state.motions)
+
+
+def turned(
+    setting: Setting, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
+) -> SceneState:
+    """A state with a joint elsewhere [rad or m]; what is ``held`` by its link, named ``owner.link``, goes along."""
+    item = setting.twin.scene.object(owner)
+    joints = {**state.joints, f"{owner}.{joint.name}": to}
+    after = SceneState.of(state.poses, joints, state.motions)
+    before, now = (link_poses(item, s.of_object(item)) for s in (state, after))
+    poses = dict(state.poses)
+    for name, link in held.items():
+        if link.partition(".")[0] == owner:
+            part = link.partition(".")[2] or item.root.name
+            X_WO = state.poses[owner]
+            poses[name] = X_WO @ now[part] @ before[part].inverse() @ X_WO.inverse() @ poses[name]
+    return SceneState.of(poses, joints, state.motions)
+
+
+def rest(setting: Setting, state: SceneState, moving: set[str]) -> Rest:
+    """Let physics run. ``moving`` may move as they come to rest, all others stay."""
+    settled = settle_layout(setting.twin.world, state, setting.twin.absent)
+    if settled.restless:
+        return Rest(settled.state, f"`{settled.restless[0]}` does not come to rest")
+    if settled.deepest > OVERLAP:
+        a, b = settled.between
+        return Rest(settled.state, f"`{a}` and `{b}` overlap by {1000 * settled.deepest:.1f} mm")
+    for name, far in settled.moved.items():
+        if name not in moving and far > DISTURBED:
+            return Rest(settled.state, f"`{name}` is pushed away by {100 * far:.1f} cm")
+    return Rest(settled.state)
+
+
+def open_end(setting: Setting, owner: str, joint: Joint, wanted: str) -> float | None:
+    """Where a joint is ``Open`` or ``Closed`` [rad or m]: an end of its way; None where it is so at neither."""
+    twin = setting.twin
+    for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):
+        state = turned(setting, owner, joint, end, {}, twin.state)
+        if twin.judge(f"{wanted}({owner}.{joint.name})", state).value:
+            return float(end)
+    return None
+
+
+def link_named(setting: Setting, target: str) -> str:
+    """``owner.link`` of what a target names; of a whole object its root."""
+    bodies = Bodies(setting.twin.scene)
+    thing = bodies.thing(target)
+    links = bodies[thing.owner].item.links
+    return f"{thing.owner}.{links[thing.links[0]].name}"

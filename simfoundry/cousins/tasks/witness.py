@@ -1,0 +1,295 @@
+"""A witness of a goal: a state at rest in which it is true, found by putting things where it wants them.
+
+That a task can be done is shown, not guessed: its things are turned and dropped onto the real shapes in a few dozen
+ways, physics runs until they rest, and the goal is judged. How a hand would do it is not planned: that it can take
+each thing and gets to where that is to be is looked at apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.tasks.meaning import branches
+from simfoundry.cousins.tasks.setting import Setting, numbers
+from simfoundry.cousins.tasks.trial import dropped, link_named, open_end, put, rest, turned
+from simfoundry.cousins.tasks.ways import cavity_words, places, turns
+from simfoundry.predicates import PredicateError, Verdict
+from simfoundry.scene.frames import Array
+from simfoundry.scene.place import PlaceError
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.expressions import Call
+
+ON = ("OnTop", "Inside", "Touching", "Above")
+BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")
+PUT = (*ON, *BESIDE, "At", "Upright")
+"""Predicates that are brought about by putting their first argument somewhere."""
+
+JOINTS = ("Open", "Closed")
+HELD = ("Grasped", "Lifted")
+"""Predicates that a hand makes true by taking the thing, and by nothing else."""
+
+ALLOWED = (*PUT, "Under", *JOINTS, *HELD)
+"""Predicates of which a goal may be made; Released may go with them."""
+
+NEAR = 0.03
+"""A thing that misses what is asked by no more than this [m] where it is put may come to it as it settles."""
+
+SETTLES = 6
+"""So many times physics runs for one thing until it counts as not going there."""
+
+FEW = 3
+"""Turns that are tried at the places beyond the first two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """A state at rest in which a goal is true, and the joints that had to be opened on the way."""
+
+    state: SceneState
+    opened: tuple[str, ...] = ()
+
+
+@dataclass
+class _Attempt:
+    """What is being tried: the state so far, what links hold, what was opened, and why it cannot go on."""
+
+    state: SceneState
+    held: dict[str, str] = field(default_factory=dict)
+    opened: list[str] = field(default_factory=list)
+
+
+def witness(setting: Setting, goal: Any) -> Witness | tuple[Reason, ...]:
+    """A witness of a goal, or why there is none. Names and predicates are known to be right."""
+    refused: tuple[Reason, ...] = ()
+    for way in branches(goal):
+        try:
+            found = _made(setting, goal, way)
+        except PredicateError as error:
+            found = (Reason("impossible", str(error)),)
+        if isinstance(found, Witness):
+            return found
+        refused = refused or found
+    return refused
+
+
+def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reason, ...]:
+    attempt = _Attempt(setting.twin.state)
+    way = [Call("Above", call.args[::-1]) if call.predicate == "Under" else call for call in way]
+    for call in way:
+        if call.predicate in HELD and (lacks := setting.cannot_take(call.args[0].partition(".")[0])):
+            return lacks
+    todo = [call for call in way if not setting.twin.judge(str(call), attempt.state).value]
+    for call in todo:
+        if call.predicate == "Open" and (lacks := _set(setting, attempt, call)):
+            return lacks
+    for name, calls in _in_order([call for call in todo if call.predicate in PUT]):
+        if lacks := _put(setting, attempt, name, calls):
+            return lacks
+    for call in way:
+        shut = call.predicate != "Closed" or setting.twin.judge(str(call), attempt.state).value
+        if not shut and (lacks := _set(setting, attempt, call)):
+            return lacks
+    if not any(call.predicate in HELD for call in way):
+        verdict = setting.twin.judge(goal, attempt.state)
+        if not verdict.value:
+            return (Reason("impossible", f"it cannot all be true at once: {verdict.why}", numbers(m=verdict.margin)),)
+    return Witness(attempt.state, tuple(attempt.opened))
+
+
+def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
+    """The things to put with what is asked of each, those first in which or on which others are put."""
+    groups: dict[str, list[Call]] = {}
+    for call in calls:
+        groups.setdefault(call.args[0].partition(".")[0], []).append(call)
+    waiting = dict(groups)
+    while waiting:
+        free = [n for n, asked in waiting.items() if not {_owner(c) for c in asked} & (waiting.keys() - {n})]
+        for name in free or list(waiting)[:1]:
+            yield name, waiting.pop(name)
+
+
+def _owner(call: Call) -> str:
+    return call.args[1].partition(".")[0] if len(call.args) > 1 and call.kinds[1] != "number" else ""
+
+
+# -- joints -----------------------------------------------------------------------------------------------------------
+
+
+def _set(setting: Setting, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
+    """Open or close what a predicate names."""
+    owner = call.args[0].partition(".")[0]
+    joints = setting.joints(call.args[0])
+    for joint in joints:
+        end = open_end(setting, owner, joint, call.predicate)
+        if end is None:
+            text = f"`{owner}.{joint.name}` is never {call.predicate.lower()}: its limits are {joint.limits}"
+            return (Reason("impossible", text),)
+        low, high = setting.bounds(f"{owner}.{joint.child}", attempt.state)
+        if lacks := setting.cannot_reach(f"{owner}.{joint.child}", low, high):
+            return lacks
+        attempt.state = turned(setting, owner, joint, end, attempt.held, attempt.state)
+    settled = rest(setting, attempt.state, {owner, *attempt.held})
+    if settled.why:
+        return (Reason("impossible", f"{call} is not reached: {settled.why}"),)
+    attempt.state = settled.state
+    verdict = setting.twin.judge(str(call), attempt.state)
+    if not verdict.value:
+        text = f"{call} does not last: {verdict.why}"
+        return (Reason("impossible", text, numbers(margin=verdict.margin)),)
+    return ()
+
+
+# -- things -----------------------------------------------------------------------------------------------------------
+
+
+def _put(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
+    """Put a thing where all ``calls`` about it hold; where what is closed is in the way, it is opened."""
+    if lacks := setting.cannot_take(name):
+        return lacks
+    below = next((_owner(call) for call in calls if _owner(call) in setting.twin.riders(name)), "")
+    if below:
+        return (Reason("impossible", f"`{name}` cannot go there: `{below}` stands on it"),)
+    shut = [joint for call in calls if call.predicate in ON for joint in _shut(setting, attempt, call.args[1])]
+    within = any("." in call.args[1] for call in calls if call.predicate in ON)
+    lacks = _tried(setting, attempt, name, calls) if not (shut and within) else ()
+    if not shut or not (lacks or within):
+        return lacks
+    before = attempt.state
+    for owner, joint in dict.fromkeys(shut):
+        if closed := _set(setting, attempt, Call("Open", (f"{owner}.{joint}",))):
+            attempt.state = before
+            return lacks or closed
+    again = _tried(setting, attempt, name, calls)
+    if again:
+        attempt.state = before
+        return lacks or again
+    attempt.opened += [f"{owner}.{joint}" for owner, joint in dict.fromkeys(shut)]
+    return ()
+
+
+def _shut(setting: Setting, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
+    """The joints of the part that is named, or of the whole, that are not open: a drawer takes nothing while shut."""
+    owner = target.partition(".")[0]
+    judge, state = setting.twin.judge, attempt.state
+    return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
+
+
+def _tried(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
+    """Put a thing in one way after the other until what is asked of it holds at rest.
+
+    Physics runs where it holds as the thing touches down, and in the end where it nearly does.
+    """
+    tried = _Tried()
+    nearly: list[tuple[float, SceneState]] = []
+    try:
+        for state, verdict in _touchdowns(setting, attempt, name, calls, tried):
+            if not verdict.value:
+                nearly.append((verdict.margin, state))
+            elif (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
+                return found
+        for state in _unlike(nearly, name):
+            if tried.settles >= SETTLES:
+                break
+            if (found := _settled(setting, attempt, name, calls, state, tried)) is not None:
+                return found
+    except PredicateError as error:
+        return (Reason("impossible", str(error)),)
+    return tried.far or (_cannot(setting, name, calls, tried),)
+
+
+def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[SceneState]:
+    """The nearest first, and of those at one place that miss by the same the first: they are the same thing, turned."""
+    seen = set()
+    for margin, state in sorted(nearly, key=lambda row: -row[0]):
+        key = (round(margin, 3), *np.round(state.poses[name].p, 2).tolist())
+        if margin >= -NEAR and key not in seen:
+            seen.add(key)
+            yield state
+
+
+@dataclass
+class _Tried:
+    """How often a thing was put somewhere, and settled; the best margin and why it was not enough.
+
+    ``far`` is why no hand gets to where it did come true.
+    """
+
+    puts: int = 0
+    settles: int = 0
+    best: float = -np.inf
+    why: str = ""
+    far: tuple[Reason, ...] = ()
+
+
+def _touchdowns(
+    setting: Setting, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
+) -> Iterator[tuple[SceneState, Verdict]]:
+    """States in which the thing has come down on what carries it, each with what is asked of it there."""
+    asked = {"all": [str(call) for call in calls]}
+    target, within = _carrier(setting, name, calls)
+    for xy, q in _ways(setting, attempt, name, calls[0]):
+        if tried.settles >= SETTLES:
+            return
+        tried.puts += 1
+        try:
+            state = put(setting, name, dropped(setting, name, target, within, xy, q, attempt.state), attempt.state)
+        except PlaceError as error:
+            tried.why = tried.why or error.message
+            continue
+        verdict = setting.twin.judge(asked, state)
+        if verdict.margin > tried.best:
+            tried.best, tried.why = verdict.margin, verdict.why
+        yield state, verdict
+
+
+def _settled(
+    setting: Setting, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
+) -> tuple[Reason, ...] | None:
+    """Let a thing come to rest. None where that does not bring about what is asked; nothing in the way: ``()``."""
+    tried.settles += 1
+    settled = rest(setting, state, {name, *setting.twin.riders(name)})
+    verdict = setting.twin.judge({"all": [str(call) for call in calls]}, settled.state)
+    if not verdict.value or settled.why:
+        tried.why = settled.why or f"at rest {verdict.why}"
+        return None
+    lacks = setting.cannot_reach(name, *setting.bounds(name, settled.state))
+    if lacks:
+        tried.far = tried.far or lacks
+        return None
+    attempt.state = settled.state
+    for call in calls:
+        if call.predicate in ON:
+            attempt.held[name] = link_named(setting, call.args[1])
+    return ()
+
+
+def _ways(setting: Setting, attempt: _Attempt, name: str, call: Call) -> Iterator[tuple[tuple[float, float], Array]]:
+    every = turns(setting, name)
+    for k, xy in enumerate(places(setting, call, attempt.state)):
+        for q in every if k < 2 else every[:FEW]:
+            yield xy, q
+
+
+def _carrier(setting: Setting, name: str, calls: list[Call]) -> tuple[str, bool]:
+    """On what a thing comes down, and whether it is to lie in it."""
+    first = calls[0]
+    if first.predicate in ON:
+        return first.args[1], first.predicate == "Inside"
+    beside = _owner(first)
+    carried = setting.twin.carried.get(beside) or setting.twin.carried.get(name) or (setting.twin.ground,)
+    return carried[0], False
+
+
+def _cannot(setting: Setting, name: str, calls: list[Call], tried: _Tried) -> Reason:
+    low, high = setting.bounds(name)
+    size = " x ".join(f"{100 * v:.1f}" for v in (high - low).tolist())
+    asked = " and ".join(str(call) for call in calls)
+    text = f"{asked} does not come true in {tried.puts} ways to put `{name}` ({size} cm) there"
+    text += cavity_words(setting, calls[0].args[1]) if calls[0].predicate == "Inside" else ""
+    margin = {"margin": float(tried.best)} if np.isfinite(tried.best) else {}
+    return Reason("impossible", f"{text}: {tried.why}" if tried.why else text, numbers(tries=tried.puts, **margin))

@@ -1,0 +1,166 @@
+"""Vision-language models: a prompt and pictures in, a typed answer or text out.
+
+Whose model it is, is a matter of its name, as ``openai:gpt-5``, ``google:gemini-3-pro`` or ``anthropic:claude-opus-4``;
+any server that speaks OpenAI's protocol is reached by its address. Keys come from the environment only, under the names
+that the providers use. pydantic-ai does the work, and nothing of it is seen outside of this module.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from pydantic import BaseModel
+
+from simfoundry.errors import SimfoundryError
+
+if TYPE_CHECKING:
+    from pydantic_ai.models import Model
+
+SECONDS = 120.0
+"""An answer takes no longer than this [s]."""
+
+TOKENS = 16_000
+"""And has no more tokens than this, thinking included."""
+
+MOST_BYTES, MOST_PICTURES = 10 * 2**20, 16
+"""Pictures that are sent at once: bytes of all together, and how many."""
+
+MOST_PROMPT = 200_000
+"""Letters of a prompt at most."""
+
+TRIES = 2
+"""How often a model is told that its answer is not of the right form."""
+
+KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
+
+Mode = Literal["native", "tool", "prompt"]
+"""How a typed answer is asked for: by the model's own JSON schema, as a call of a tool, or in words."""
+
+Answer = TypeVar("Answer", bound=BaseModel)
+
+
+class VlmError(SimfoundryError):
+    """A model that gave no answer that can be used; the message says why, and what to do about it."""
+
+
+class Vlm:
+    """One model. ``model`` is its name, or a model of pydantic-ai, as tests use.
+
+    ``base_url`` is the address of a server that speaks OpenAI's protocol; its key, if it wants one, is that in the
+    environment's ``OPENAI_API_KEY``. ``temperature`` is the provider's own where None.
+    """
+
+    def __init__(
+        self,
+        model: str | Model,
+        base_url: str | None = None,
+        mode: Mode = "native",
+        temperature: float | None = None,
+        seconds: float = SECONDS,
+        tokens: int = TOKENS,
+    ) -> None:
+        self._model = _model(model, base_url)
+        self._mode = mode
+        self._settings: dict[str, Any] = {"max_tokens": tokens, "timeout": seconds}
+        if temperature is not None:
+            self._settings["temperature"] = temperature
+        self._seconds = seconds
+
+    @property
+    def name(self) -> str:
+        """The model's own name."""
+        return str(self._model.model_name)
+
+    def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[Answer]) -> Answer:
+        """A typed answer. ``pictures`` are the bytes of PNG or JPEG files. Raises :class:`VlmError`."""
+        from pydantic_ai import NativeOutput, PromptedOutput, ToolOutput
+
+        kind: Any = {"native": NativeOutput, "tool": ToolOutput, "prompt": PromptedOutput}[self._mode]
+        found = self._run(prompt, pictures, kind(answer))
+        assert isinstance(found, answer)
+        return found
+
+    def tell(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
+        """An answer in words. Raises :class:`VlmError`."""
+        return str(self._run(prompt, pictures, str))
+
+    def _run(self, prompt: str, pictures: Sequence[bytes], output: Any) -> Any:
+        from pydantic_ai import Agent, exceptions
+        from pydantic_ai.usage import UsageLimits
+
+        agent: Any = Agent(self._model, output_type=output, retries=TRIES)
+        limits = UsageLimits(request_limit=TRIES + 1)
+        try:
+            result = agent.run_sync(
+                _message(prompt, pictures), model_settings=self._settings, usage_limits=limits, timeout=self._budget
+            )
+        except exceptions.ModelHTTPError as error:
+            hint = "; is its key right?" if error.status_code in (401, 403) else ""
+            raise VlmError(
+                f"{self.name} answered with status {error.status_code}: {_short(error.body)}{hint}"
+            ) from None
+        except exceptions.UnexpectedModelBehavior as error:
+            raise VlmError(
+                f"{self.name} gave no answer of the right form in {TRIES + 1} tries: {_short(error)}"
+            ) from None
+        except exceptions.AgentRunError as error:
+            raise VlmError(f"{self.name} gave no answer: {_short(error)}") from None
+        except (OSError, TimeoutError) as error:
+            raise VlmError(f"{self.name} is not reached: {_short(error) or 'it took too long'}") from None
+        return result.output
+
+    @property
+    def _budget(self) -> float:
+        """Time for all tries together [s]."""
+        return self._seconds * (TRIES + 1)
+
+
+def _model(model: str | Model, base_url: str | None) -> Model:
+    try:
+        from pydantic_ai.exceptions import UserError
+        from pydantic_ai.models import infer_model
+    except ImportError:
+        raise VlmError("models that see need pydantic-ai; `pip install 'simfoundry[vlm]'`") from None
+    if not isinstance(model, str):
+        return model
+    try:
+        if base_url is None:
+            return infer_model(model)
+        from pydantic_ai.models.openai import OpenAIChatModel
+        from pydantic_ai.providers.openai import OpenAIProvider
+
+        if not base_url.startswith(("http://", "https://")):
+            raise VlmError(f"the address of a model starts with http:// or https://, not `{base_url}`")
+        key = os.environ.get("OPENAI_API_KEY") or "none"  # a server of one's own seldom asks for one
+        return OpenAIChatModel(model.removeprefix("openai:"), provider=OpenAIProvider(base_url=base_url, api_key=key))
+    except ImportError as error:
+        raise VlmError(f"`{model}` needs the package `{error.name}`; `pip install 'simfoundry[vlm]'`") from None
+    except (UserError, ValueError) as error:
+        raise VlmError(f"`{model}` cannot be used: {_short(error)}") from None
+
+
+def _message(prompt: str, pictures: Sequence[bytes]) -> list[Any]:
+    """Pictures first, then what is asked of them."""
+    from pydantic_ai import BinaryContent
+
+    if len(prompt) > MOST_PROMPT:
+        raise VlmError(f"a prompt has at most {MOST_PROMPT} letters, not {len(prompt)}")
+    size = sum(map(len, pictures))
+    if len(pictures) > MOST_PICTURES or size > MOST_BYTES:
+        most = f"{MOST_PICTURES} pictures of {MOST_BYTES / 2**20:.0f} MiB together"
+        raise VlmError(f"at most {most} are sent, not {len(pictures)} of {size / 2**20:.1f} MiB; make them smaller")
+    return [*(BinaryContent(data=data, media_type=_kind(data)) for data in pictures), prompt]
+
+
+def _kind(data: bytes) -> str:
+    for start, kind in KINDS:
+        if data.startswith(start):
+            return kind
+    raise VlmError("a picture for a model is a PNG or a JPEG, and this is neither")
+
+
+def _short(what: object) -> str:
+    text = " ".join(str(what).split())
+    return text if len(text) <= 300 else f"{text[:297]}..."

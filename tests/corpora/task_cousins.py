@@ -1,0 +1,101 @@
+"""Task cousins of the cluttered table, offline: how many of the paper's 13 are proposed, and none true or impossible.
+
+``python -m tests.corpora.task_cousins`` prints every proposal and exits 1 where the bar is missed. What is accepted is
+looked at once more by other means: the goal is judged in the scene as the document has it, and its witness, the state
+in which it is true, is let run in PyBullet, too.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from simfoundry.cousins.tasks.enumerate import enumerate_tasks
+from simfoundry.cousins.tasks.meaning import meaning
+from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.witness import Witness, witness
+from simfoundry.cousins.tasks.written import checked, scene_reference, write
+from simfoundry.cousins.twin import bare
+from simfoundry.errors import MissingEngineError
+from simfoundry.lint.run import lint
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.load import load
+from simfoundry.spec.task import TaskSpec
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+from tests.conftest import REPOSITORY
+
+SCENE = REPOSITORY / "specs" / "scenes" / "cluttered.scene.yaml"
+SECONDS = 1.0
+
+
+def papers() -> dict[str, TaskSpec]:
+    """The paper's tasks on the cluttered table."""
+    specs = {
+        file.name.partition(".")[0]: load(file).spec for file in sorted((SCENE.parents[1] / "tasks").glob("*.yaml"))
+    }
+    return {n: s for n, s in specs.items() if isinstance(s, TaskSpec) and Path(s.scene).name == SCENE.name}
+
+
+def main() -> int:
+    """Print the table."""
+    started = time.perf_counter()
+    setting = Setting.load(SCENE)
+    with tempfile.TemporaryDirectory(dir=REPOSITORY / "specs", prefix=".proposed-") as folder:
+        out = Path(folder)
+        found = checked(enumerate_tasks(setting, scene=scene_reference(SCENE, out)), out)
+        took = time.perf_counter() - started
+        findings = [d for file in write(found, out) for d in (*load(file).findings, *lint(load(file)))]
+    accepted = [p for p in found if p.accepted and p.task is not None]
+    place = {meaning(p.task.goal): k for k, p in enumerate(accepted, 1) if p.task is not None}
+    for proposal in found:
+        reason = f"  [{proposal.reasons[0].text}]" if proposal.reasons else ""
+        print(f"{'+' if proposal.accepted else '-'} {proposal.goal}{reason}")
+    print(f"\n{len(found)} proposals in {took:.0f} s, {len(accepted)} accepted; {len(findings)} findings of `check`\n")
+    known = papers()
+    for name, spec in known.items():
+        print(
+            f"{name:<28} {'proposal ' + str(place[meaning(spec.goal)]) if meaning(spec.goal) in place else 'MISSING'}"
+        )
+    among = sum(meaning(spec.goal) in place for spec in known.values())
+    true, impossible, elsewhere, looked = _again(setting, [p.task for p in accepted if p.task is not None])
+    print(f"\n{among} of the paper's {len(known)} among them")
+    print(f"already true: {len(true)} {true}; without a witness: {len(impossible)} {impossible}")
+    print(
+        f"witnesses whose goal does not hold after {SECONDS:g} s in PyBullet: {len(elsewhere)} of {looked} {elsewhere}"
+    )
+    return int(among < 13 or bool(true or impossible or findings))
+
+
+def _again(setting: Setting, tasks: list[TaskSpec]) -> tuple[list[str], list[str], list[str], int]:
+    """The tasks that are true already, have no witness, and whose witness is none in PyBullet; how many were run."""
+    twin = setting.twin
+    asleep = SceneState.initial(twin.scene)
+    true, impossible, elsewhere, looked = [], [], [], 0
+    other = _pybullet(setting)
+    for task in tasks:
+        if twin.judge(task.goal, asleep).value or twin.judge(task.goal, twin.state).value:
+            true.append(task.name)
+        shown = witness(setting, task.goal)
+        if not isinstance(shown, Witness) or not twin.judge(task.goal, shown.state).value:
+            impossible.append(task.name)
+        elif other is not None:
+            looked += 1
+            other.reset(shown.state)
+            other.step(round(SECONDS / other.timestep))
+            if not twin.judge(task.goal, other.state()).value:
+                elsewhere.append(task.name)
+    return true, impossible, elsewhere, looked
+
+
+def _pybullet(setting: Setting) -> World | None:
+    try:
+        return open_world(bare(setting.twin.scene), "pybullet")
+    except MissingEngineError:
+        return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

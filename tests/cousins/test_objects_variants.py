@@ -1,0 +1,172 @@
+"""Variants end to end: tried, refused or written, read back, and put in the place of their twin."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simfoundry.cousins.objects.item import Item, item_of
+from simfoundry.cousins.objects.swap import chosen, made_for, overlay, prepare, variant_set
+from simfoundry.cousins.objects.variants import Variants, variants, write
+from simfoundry.cousins.reasons import ImpossibleError
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.lower import lower
+from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
+from simfoundry.spec.load import load, load_kind
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.tree import plain_tree
+from simfoundry.spec.write import to_yaml, write_tree
+from tests.conftest import REPOSITORY
+from tests.cousins.test_objects_checks import needs
+from tests.cousins.test_objects_rules import CHANGES
+
+AXIS = ObjectVariants(changes=CHANGES, count=3)
+
+
+@pytest.fixture(scope="module")
+def task() -> Loaded:
+    return load_kind(REPOSITORY / "specs" / "tasks" / "cup_in_bowl.task.yaml", "task/1")
+
+
+@pytest.fixture(scope="module")
+def scene(task: Loaded) -> Loaded:
+    assert isinstance(task.spec, TaskSpec)
+    used = task.used(task.spec.scene)
+    assert used is not None
+    return used
+
+
+@pytest.fixture(scope="module")
+def bowl(scene: Loaded) -> Item:
+    return item_of(scene, "bowl")
+
+
+@pytest.fixture(scope="module")
+def bowls(bowl: Item) -> Variants:
+    return variants(bowl, AXIS, needs("cup_in_bowl", "bowl"), seed=5)
+
+
+def test_variants_are_sound_canonical_and_distinct(bowls: Variants, tmp_path: Path) -> None:
+    assert len(bowls.accepted) == 3 and not bowls.lacks
+    for one, other in combinations(bowls.accepted, 2):
+        assert one.likeness.apart(other.likeness).distance >= 1
+    for variant in bowls.accepted:
+        path = write(variant, tmp_path)
+        read = load(path)
+        assert not read.all_findings() and read.spec is not None
+        assert path.read_text() == to_yaml(read.spec)
+        assert path.name == f"{read.spec.name}.asset.yaml" and read.spec.name.startswith("bowl_")
+        assert variant.distance >= 1 and variant.changed
+
+
+def test_the_same_call_gives_the_same_documents_and_another_seed_others(bowl: Item, bowls: Variants) -> None:
+    one = AXIS.model_copy(update={"count": 1})
+    again = variants(bowl, one, needs("cup_in_bowl", "bowl"), seed=5).accepted[0]
+    assert to_yaml(again.spec) == to_yaml(bowls.accepted[0].spec)
+    other = variants(bowl, one, needs("cup_in_bowl", "bowl"), seed=6).accepted[0]
+    assert other.name != again.name
+
+
+def test_what_is_refused_says_why_with_numbers() -> None:
+    ball = item_of(load_kind(REPOSITORY / "specs" / "scenes" / "clear_table.scene.yaml", "scene/1"), "baseball")
+    found = variants(ball, ObjectVariants(changes=("geometry",), count=2))
+    assert len(found.accepted) < 2  # balls for one game do not differ by 6 % twice
+    assert found.reasons.keys() <= {"alike", "size"} and sum(found.reasons.values()) == len(found.refused)
+    alike = next(r for one in found.refused for r in one.reasons if r.code == "alike")
+    assert alike.text.startswith("it is too like another: size ") and alike.numbers["size"] < 0.06
+
+
+def test_a_swapped_scene_checks_and_lowers(scene: Loaded, task: Loaded, tmp_path: Path) -> None:
+    assert isinstance(scene.spec, SceneSpec) and isinstance(task.spec, TaskSpec)
+    (tmp_path / "simfoundry.yaml").touch()
+    for name in ("scenes", "assets"):
+        (tmp_path / name).mkdir()
+        for file in (REPOSITORY / "specs" / name).glob("*.yaml"):
+            (tmp_path / name / file.name).write_bytes(file.read_bytes())
+    axis = ObjectAxis(objects={"bowl": AXIS.model_copy(update={"count": 2})})
+    folder = tmp_path / "out" / "assets"
+    records = prepare(axis, scene, [task.spec], 5, folder)
+    assert len(records["bowl"]["accepted"]) == 2
+    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert prepare(axis, scene, [task.spec], 5, folder) == records
+    assert before == {path: path.stat().st_mtime_ns for path in folder.iterdir()}  # nothing was made again
+    picked = chosen(records, np.random.default_rng(0))
+    assert picked == chosen(records, np.random.default_rng(0))
+    cousin = {
+        "simfoundry": "scene/1",
+        "extends": "../scenes/cup_in_bowl.scene.yaml",
+        "name": "cousin",
+        **overlay(picked, scene.spec, folder, tmp_path / "out"),
+    }
+    path = tmp_path / "out" / "cousin.scene.yaml"
+    path.write_text(write_tree(plain_tree(cousin), SceneSpec))
+    read = load(path)
+    assert not read.errors, read.errors
+    lowered = lower(read)
+    twin = lower(scene)
+    assert lowered.object("bowl").category == twin.object("bowl").category
+    assert lowered.object("bowl").root.mass != twin.object("bowl").root.mass
+    assert np.allclose(lowered.object("cup").root.mass, twin.object("cup").root.mass)
+
+
+def test_variants_fill_a_variant_set(scene: Loaded, bowls: Variants, tmp_path: Path) -> None:
+    assert isinstance(scene.spec, SceneSpec)
+    paths = {v.name: write(v, tmp_path / "assets").relative_to(tmp_path).as_posix() for v in bowls.accepted}
+    more = variant_set("bowl", paths)["objects"]["bowl"]
+    shapes = {"shape": {"box": (1.0, 1.0, 0.1)}, "fixed": True, "mass": 3.0}
+    data = {
+        "simfoundry": "scene/1",
+        "name": "set",
+        "objects": {
+            "table": shapes,
+            "bowl": {"shape": {"sphere": 0.05}, "mass": 0.4, "place": {"on": "table"}, **more},
+        },
+    }
+    path = tmp_path / "set.scene.yaml"
+    path.write_text(write_tree(plain_tree(data), SceneSpec))
+    found = lower(load_kind(path, "scene/1")).object("bowl")
+    assert {v.variant for v in found.variants} == {v.name for v in bowls.accepted}
+
+
+def test_a_shape_of_a_scene_varies_too(tmp_path: Path) -> None:
+    path = tmp_path / "box.scene.yaml"
+    path.write_text(
+        "simfoundry: scene/1\nname: box\nmaterials:\n  wood: {density: 650, friction: 0.5, color: [0.2, 0.4, 0.7]}\n"
+        "objects:\n  cube: {shape: {box: [0.05, 0.05, 0.05]}, material: wood, scale: 1, pose: {xyz: [0, 0, 0.025]}}\n"
+    )
+    read = load_kind(path, "scene/1")
+    assert isinstance(read.spec, SceneSpec)
+    found = variants(item_of(read, "cube"), ObjectVariants(count=2))
+    assert len(found.accepted) == 2
+    part = overlay({"cube": "a.asset.yaml"}, read.spec, tmp_path, tmp_path)["objects"]["cube"]
+    assert part == {"asset": "a.asset.yaml", "shape": None, "material": None, "scale": None}
+
+
+def test_what_cannot_be_is_said_with_numbers(tmp_path: Path) -> None:
+    def asked(**kw: object) -> ObjectAxis:
+        return ObjectAxis(objects={"cube": ObjectVariants.model_validate({"count": 1, **kw})})
+
+    table = load_kind(REPOSITORY / "specs" / "scenes" / "clear_table.scene.yaml", "scene/1")
+    with pytest.raises(
+        ImpossibleError, match="`cube` has no variant among 25 candidates: 25 times rules; the first: no rule"
+    ):
+        made_for(asked(components=("handle",)), table, [], 0, tmp_path, None)
+    with pytest.raises(ImpossibleError, match="`cube` has the source `model`, which needs models"):
+        made_for(asked(sources=("model",)), table, [], 0, tmp_path, None)
+    with pytest.raises(SimfoundryError, match="is no folder"):
+        made_for(asked(sources=("library",)), table, [], 0, tmp_path, tmp_path / "nowhere")
+    assert list(made_for(asked(), table, [], 0, tmp_path, None)) == ["cube"]
+
+
+def test_a_recipe_without_its_library_is_found() -> None:
+    path, twin = REPOSITORY / "specs" / "cousins" / "r.cousins.yaml", "../scenes/clear_table.scene.yaml"
+    text = f"simfoundry: cousins/1\nname: r\ntwin: {twin}\nobject: {{objects: {{cup: {{sources: [library]}}}}}}\n"
+    found = load(path, text=text).findings
+    assert [f.message for f in found if "library" in f.message] == [
+        "variants of `cup` come from a library, and there is none"
+    ]

@@ -1,0 +1,246 @@
+"""Task cousins from affordances: proposed, proved, refused with numbers, written."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from simfoundry.cousins.tasks.accept import accept
+from simfoundry.cousins.tasks.choices import task_cousins
+from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
+from simfoundry.cousins.tasks.grip import grip_width
+from simfoundry.cousins.tasks.ideas import Affordances
+from simfoundry.cousins.tasks.meaning import meaning
+from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.witness import Witness, witness
+from simfoundry.cousins.tasks.written import checked, write
+from simfoundry.lint.run import lint
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.cousins import TaskAxis
+from simfoundry.spec.load import load, load_scene
+from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.task import TaskSpec
+from tests.conftest import REPOSITORY
+
+SCENE = """\
+simfoundry: scene/1
+name: bench
+materials: {wood: {density: 600, friction: 0.5}, lead: {density: 11000, friction: 0.5}}
+objects:
+  desk: {fixed: true, shape: {box: [1.6, 1.4, 0.04]}, material: wood, pose: {xyz: [0.6, 0, -0.02]}}
+  bowl: {asset: bowl.asset.yaml, place: {on: desk, xy: [0.5, 0]}}
+  cabinet: {asset: cabinet.asset.yaml, place: {on: desk, xy: [0.45, 0.37]}}
+  ball: {asset: tennis_ball.asset.yaml, place: {on: desk, xy: [0.4, -0.2]}}
+  block: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [0.33, 0.12, 0.015]}}
+  wide: {shape: {box: [0.12, 0.12, 0.12]}, material: wood, pose: {xyz: [0.5, -0.4, 0.06]}}
+  heavy: {shape: {box: [0.07, 0.07, 0.07]}, material: lead, pose: {xyz: [0.4, -0.5, 0.035]}}
+  far: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [1.2, 0, 0.015]}}
+robots: {arm: {model: franka_robotiq}}
+relations: [OnTop(bowl, desk)]
+"""
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bench")
+    for name in ("bowl", "cabinet", "tennis_ball"):
+        shutil.copy(REPOSITORY / "specs" / "assets" / f"{name}.asset.yaml", folder)
+    file = folder / "bench.scene.yaml"
+    file.write_text(SCENE)
+    return file
+
+
+@pytest.fixture(scope="module")
+def setting(path: Path) -> Setting:
+    return Setting.load(path)
+
+
+@pytest.fixture(scope="module")
+def proposals(setting: Setting) -> list[Proposal]:
+    return enumerate_tasks(setting, scene="bench.scene.yaml")
+
+
+def why(setting: Setting, goal: object) -> tuple[str, str]:
+    reasons = accept(goal, setting)
+    return (reasons[0].code, reasons[0].text) if reasons else ("", "")
+
+
+# -- what things afford -----------------------------------------------------------------------------------------------
+
+
+def test_what_can_be_taken_is_measured(setting: Setting) -> None:
+    there = Affordances.of(setting)
+    assert there.things == ("bowl", "ball", "block")
+    assert there.containers == ("bowl", "cabinet.drawer", "cabinet.bottom_drawer")
+    assert there.joints == ("cabinet.drawer", "cabinet.bottom_drawer")
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [
+        ("wide", "too_wide", "12"),
+        ("heavy", "too_heavy", "3.77 kg, and the robot lifts 2 kg"),
+        ("far", "out_of_reach", "1.20 m from `arm`, which reaches 0.855 m"),
+        ("desk", "fixed", "fixed"),
+    ],
+)
+def test_what_cannot_be_taken_says_why(setting: Setting, name: str, code: str, said: str) -> None:
+    reasons = setting.cannot_take(name)
+    assert [r.code for r in reasons] == [code]
+    assert said in reasons[0].text
+
+
+def test_fingers_measure_a_ball_at_its_equator_and_a_bowl_at_its_wall(setting: Setting) -> None:
+    def width(name: str) -> float:
+        return grip_width(setting.twin.item_at(name, setting.twin.state.poses[name]))
+
+    assert width("ball") == pytest.approx(0.067, abs=0.002)
+    assert width("block") == pytest.approx(0.03, abs=0.002)
+    assert width("wide") == pytest.approx(0.12, abs=0.003)
+    assert 0.004 < width("bowl") < 0.02
+
+
+# -- proposals --------------------------------------------------------------------------------------------------------
+
+
+def test_every_accepted_task_has_a_witness_and_is_not_true_yet(setting: Setting, proposals: list[Proposal]) -> None:
+    accepted = [p for p in proposals if p.accepted]
+    assert {"ball_in_bowl", "block_in_bowl", "open_cabinet_drawer", "store_block_in_cabinet_drawer"} <= {
+        p.name for p in accepted
+    }
+    for proposal in accepted:
+        assert proposal.task is not None
+        assert not setting.twin.judge(proposal.task.goal, setting.twin.state).value
+        found = witness(setting, proposal.task.goal)
+        assert isinstance(found, Witness)
+        assert setting.twin.judge(proposal.task.goal, found.state).value
+
+
+def test_what_is_closed_is_opened_on_the_way(setting: Setting) -> None:
+    found = witness(setting, {"all": ["Inside(block, cabinet.drawer)", "Closed(cabinet.drawer)"]})
+    assert isinstance(found, Witness)
+    assert found.opened == ("cabinet.drawer",)
+    assert found.state.joints["cabinet.drawer"] == pytest.approx(0, abs=2e-3)
+
+
+def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:
+    meanings = [meaning(p.task.goal) for p in proposals if p.accepted and p.task is not None]
+    assert len(meanings) == len(set(meanings)) > 5
+
+
+def test_the_same_seed_gives_the_same_and_another_another_order(setting: Setting, path: Path) -> None:
+    first = enumerate_tasks(setting, 3, seed=1)
+    assert enumerate_tasks(Setting.load(path), 3, seed=1) == first
+    assert [p.name for p in enumerate_tasks(setting, 3, seed=2)] != [p.name for p in first]
+
+
+def test_only_what_is_asked_for(setting: Setting) -> None:
+    found = enumerate_tasks(setting, objects=("ball", "bowl"))
+    assert found
+    assert {name for p in found for name in ("block", "cabinet") if name in p.goal} == set()
+
+
+def test_documents_pass_every_check_and_load_as_tasks(proposals: list[Proposal], path: Path) -> None:
+    again = checked(proposals, path.parent)
+    assert [p.accepted for p in again] == [p.accepted for p in proposals]
+    for file in write(again, path.parent):
+        loaded = load(file)
+        assert isinstance(loaded.spec, TaskSpec)
+        assert not loaded.findings
+        assert not [d for d in lint(loaded) if d.file == str(file)]
+    spec = load(path.parent / "ball_in_bowl.task.yaml").spec
+    assert isinstance(spec, TaskSpec)
+    assert spec.instruction == "Pick up the ball, then put it inside the bowl."
+    assert list(spec.subtasks) == ["touch_ball", "pick_up_ball", "ball_in_bowl"]
+    assert {"ball", "bowl"} == spec.reset.objects.keys()
+
+
+# -- acceptance -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("goal", "code", "said"),
+    [
+        ("Inside(ball, bucket)", "unknown_name", "no object is called `bucket`"),
+        ("Inside(ball, cabinet.door)", "unknown_name", "`cabinet` has no part `door`"),
+        ("Boiled(ball)", "bad_goal", "`Boiled` is not a predicate"),
+        ("Inside(ball)", "bad_goal", "takes 2 arguments"),
+        ("Inside(ball, ball)", "bad_goal", "one thing only"),
+        ({"all": []}, "bad_goal", "not 0"),
+        ({"not": "OnTop(ball, bowl)"}, "already_true", "at the start"),
+        ({"not": "OnTop(bowl, desk)"}, "no_change", "asks for nothing"),
+        ("OnTop(bowl, desk)", "already_true", "touches `desk`"),
+        ("Closed(cabinet.drawer)", "already_true", "0.0%"),
+        ("Inside(block, ball)", "impossible", "no cavity"),
+        ("Inside(cabinet, bowl)", "too_heavy", "lifts 2 kg"),
+        ("OnTop(ball, block)", "impossible", "ways to put `ball` (6.7 x 6.7 x 6.7 cm)"),
+        ("Open(bowl)", "impossible", "bowl"),
+        ("At(block, 1.3, 0)", "out_of_reach", "reaches 0.855 m"),
+        ("Lifted(wide)", "too_wide", "fingers open"),
+        ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not come true"),
+    ],
+)
+def test_refused(setting: Setting, goal: object, code: str, said: str) -> None:
+    found = why(setting, goal)
+    assert found[0] == code, found
+    assert said in found[1]
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        "RightOf(block, bowl)",
+        "NextTo(ball, bowl)",
+        "Lifted(ball)",
+        {"any": ["OnTop(wide, bowl)", "OnTop(block, bowl)"]},
+        {"all": ["Open(cabinet.drawer)", {"not": "Open(cabinet.bottom_drawer)"}]},
+        {"all": ["Inside(ball, bowl)", "Released(ball)"]},
+    ],
+)
+def test_accepted(setting: Setting, goal: object) -> None:
+    assert accept(goal, setting) == ()
+
+
+def test_a_duplicate_is_told_by_its_meaning(setting: Setting) -> None:
+    known = {meaning({"all": ["Inside(ball, bowl)", "Released(ball)"]}): "first"}
+    assert [r.code for r in accept("In(ball, bowl)", setting, known)] == ["duplicate"]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("Under(a, b)", "Above(b, a)"),
+        ("RightOf(a, b)", "LeftOf(b, a)"),
+        ("NextTo(a, b)", "NextTo(b, a)"),
+        ({"all": ["Open(a)", "Inside(b, c)"]}, {"all": [{"all": ["Inside(b, c)"]}, "Open(a)", "Open(a)"]}),
+        ({"not": {"not": "Open(a)"}}, "Open(a)"),
+    ],
+)
+def test_one_meaning(one: object, other: object) -> None:
+    assert meaning(one) == meaning(other)
+
+
+def test_released_counts_where_nothing_else_says_it() -> None:
+    assert meaning({"all": ["Lifted(a)", "Released(a)"]}) != meaning("Lifted(a)")
+    assert meaning("Inside(a, b)") != meaning("Inside(b, a)")
+
+
+# -- as an axis of a recipe -------------------------------------------------------------------------------------------
+
+
+def test_a_choice_is_asked_again_in_each_layout(setting: Setting, path: Path) -> None:
+    spec = load_scene(path).spec
+    assert isinstance(spec, SceneSpec)
+    axis = TaskAxis(count=1, objects=("ball", "bowl"))
+    (choice,), seen = task_cousins(setting.twin, spec, axis, reference="bench.scene.yaml")
+    assert len(seen) >= 1
+    twin = setting.twin
+    assert choice.reasons(twin, twin.state) == ()
+    done = witness(setting, choice.spec.goal)
+    assert isinstance(done, Witness)
+    assert [r.code for r in choice.reasons(twin, done.state)] == ["already_true"]
+    away = SceneState.of({**twin.state.poses, "ball": Pose.of((1.1, 0.3, 0.0335))}, twin.state.joints)
+    assert [r.code for r in choice.reasons(twin, away)] == ["out_of_reach"]
