@@ -1,9 +1,9 @@
 """Is every predicate that a recipe allows realised, of every object? ``python -m tests.corpora.coverage [SCENE]``.
 
 Of scenes of specs/, each free object is placed by each side predicate around each anchor, the two alone, with gaps and
-turns as recipes have them; and by ``OnTop`` and ``Inside`` on and in what can carry something. Each pair gets some tries
-until a layout passes every check: ``--tries`` where it is known to be possible, ``--few`` elsewhere. The table says why
-what was not realised was not: certain before any try, or what physics said.
+turns as recipes have them; and by ``OnTop`` and ``Inside`` on and in what can carry something. Each pair gets some
+tries until a layout passes every check: ``--tries`` where it is known to be possible, ``--few`` elsewhere. The table
+says why what was not realised was not: certain before any try, or what physics said.
 
 Exit code 1 where a side predicate is never realised though nothing makes it impossible, or where one of the goals of
 the paper's tasks in the cluttered scene is not: those are known to be possible.
@@ -38,7 +38,8 @@ ANCHORS = {
 }
 """Scenes, and the things around which others are placed; on and in each of which they are dropped as well."""
 
-IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup", "red_bottle")
+# Not the red bottle, which a task asks for: at 16 cm it is never by half in the cavity of a bowl 5.5 cm deep.
+IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup")
 ON_ORGANIZER = ("black_eraser", "orange_cup", "orange_marker", "red_marker", "tennis_ball")
 GOALS = {
     "cluttered": {
