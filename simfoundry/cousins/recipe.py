@@ -84,6 +84,7 @@ class Recipe:
         inputs = record(self.scene, ())
         inputs["task"] = None if self.task_spec is None else to_data(self.task_spec)
         inputs["library"] = [[item.name, item.digest] for item in self.distractors]
+        inputs["objects"] = self._object_files()
         axes = {key: value for key, value in to_data(self.spec).items() if key not in (*NOT_COUNTED, "twin")}
         return {
             "recipe": self.spec.name,
@@ -92,6 +93,15 @@ class Recipe:
             "twin": _hash(inputs),
             "generator": f"simfoundry {inputs['software']['simfoundry']}",
         }
+
+    def _object_files(self) -> dict[str, str]:
+        """What the library of the object axis holds."""
+        axis = self.spec.object
+        if axis is None or axis.library is None:
+            return {}
+        folder = located(axis.library, self.loaded.path)
+        files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+        return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 def _hash(data: object) -> str:

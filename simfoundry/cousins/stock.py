@@ -5,24 +5,22 @@ Files that the cousins need and that lie outside the twin's project are copied b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from math import prod
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from simfoundry.cousins.library import Item
 from simfoundry.cousins.overlay import relative
-from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.files import write_atomically
 from simfoundry.spec.files import ASSET_SUFFIX, located
-from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
+    from simfoundry.cousins.tasks.choices import TaskCousin
     from simfoundry.cousins.twin import Twin
-    from simfoundry.scene.state import SceneState
 
 ASSETS = "assets"
 """The folder below the output for what the cousins bring along."""
@@ -36,24 +34,6 @@ class Choice:
     reference: str
 
 
-class TaskChoice(Protocol):
-    """A task that cousins may have."""
-
-    @property
-    def spec(self) -> TaskSpec:
-        """Its document."""
-        ...
-
-    @property
-    def goal(self) -> str:
-        """What it asks for, as text."""
-        ...
-
-    def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
-        """Why it is no task in a scene as it stands; empty where it is one."""
-        ...
-
-
 @dataclass(frozen=True)
 class Stock:
     """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
@@ -63,7 +43,7 @@ class Stock:
 
     choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
     references: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
-    tasks: tuple[TaskChoice, ...] = ()
+    tasks: tuple[TaskCousin, ...] = ()
     most: int | None = None
 
     def combination(self, k: int) -> dict[str, Choice]:
@@ -79,10 +59,10 @@ def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.stock_tasks import tasks_of
 
-    tasks, others = tasks_of(recipe, out, twin, vlm), choices(recipe, out)
+    others, tasks = choices(recipe, out), tasks_of(recipe, out, twin, vlm)
     most = None
     if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
-        most = prod(len(of) for of in others.values()) * max(1, len(tasks))
+        most = math.prod(map(len, others.values())) * max(1, len(tasks))
     return Stock(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 

@@ -2,9 +2,9 @@
 
 Parts, all by default:
 
-``validity``    N cousins (100) of each recipe of ``specs/cousins``, read back from their files and let go for 2 s in
-                MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than 1 mm or moves
-                farther than 1 cm.
+``validity``    N cousins (100) of each recipe of ``specs/cousins`` that has layouts, read back from their files and let
+                go for 2 s in MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than
+                1 mm or moves farther than 1 cm.
 ``kills``       a run that is killed (SIGKILL) at ten random moments and resumed gives the same bytes.
 ``workers``     so do 1 and 2 processes, and shards in any order.
 ``ray``         and so does Ray, started here.
@@ -39,6 +39,7 @@ from simfoundry.cousins.manifest import read_manifest
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
+from simfoundry.spec.text import parse
 from simfoundry.worlds import open_world
 from tests.conftest import REPOSITORY
 
@@ -118,6 +119,12 @@ def same(first: Path, other: Path) -> bool:
     return not differ
 
 
+def recipes(axis: str) -> list[str]:
+    """The recipes of the project that have an axis, by file."""
+    found = {p.name.removesuffix(".cousins.yaml"): parse(p.read_text()).data for p in RECIPES.glob("*.cousins.yaml")}
+    return sorted(name for name, data in found.items() if axis in data)
+
+
 # -- parts ------------------------------------------------------------------------------------------------------------
 
 
@@ -147,7 +154,7 @@ def validity(root: Path, count: int, jobs: int) -> bool:
     """Every cousin of five recipes, read back."""
     print(f"{'recipe':<18}{'engine':<10}{'cousins':>8}{'hold':>8}{'mm':>7}{'cm':>7}{'valid':>8}")
     good = True
-    for recipe in sorted(p.name.removesuffix(".cousins.yaml") for p in RECIPES.glob("*.cousins.yaml")):
+    for recipe in recipes("scene"):
         out = make(root, recipe, recipe, count, "-j", str(jobs), "--gallery", "0")
         entries = [e for e in read_manifest(out)["cousins"] if "scene" in e["files"]]
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -272,7 +279,7 @@ def scale(root: Path, count: int, jobs: int) -> bool:
     peak, span = max(rss for _, rss in seen), time.perf_counter() - started
     files = len(list((root / "build" / "light").glob("*.scene.yaml")))
     print(
-        f"scale: {facts.get('accepted')} cousins, {files} files, of {facts.get('examined')} candidates in {span:.0f} s; "
+        f"scale: {facts.get('accepted')} cousins, {files} files, {facts.get('examined')} candidates, {span:.0f} s; "
         f"{early / 2**20:.0f} MiB resident after the first hundredth, {peak / 2**20:.0f} MiB at most, of all processes"
     )
     return process.returncode == 0 and files == count and peak - early <= GROWTH

@@ -190,7 +190,9 @@ def main() -> int:
     parser.add_argument("--shard", default="1/1", help="only the cousins i, i+k, ... of i/k")
     parser.add_argument("--cache", type=Path)
     args = parser.parse_args()
-    with TemporaryDirectory(dir=SPECS, prefix=".object_cousins_") as scratch:
+    build = SPECS.parent / "build"  # cousins extend their twin, so they lie in its project
+    build.mkdir(exist_ok=True)
+    with TemporaryDirectory(dir=build, prefix="object_cousins_") as scratch:
         out = args.out or Path(scratch)
         cache = Cache(args.cache) if args.cache else None
         if args.expert:

@@ -82,10 +82,20 @@ def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
         return with_parts(spec, parts | own)
     changed = {}
     for key, part in parts.items():
+        if component.kind is Kind.BUNCH and key in component.parts:
+            changed[key] = part.model_copy(update={"color": _shaded(color, color_of(spec, key), old)})
+            continue
         # What is attached and has a colour of its own keeps it.
         same = key[0] == component.link and color_of(spec, key) == old
         changed[key] = part.model_copy(update={"color": color}) if same else part
     return _gathered(with_parts(spec, changed), component.link, color)
+
+
+def _shaded(color: Color, own: Color | None, first: Color | None) -> Color:
+    """The colour as much lighter or darker as a berry's own is than the first's."""
+    share = 1.0 if own is None or first is None else float(np.clip(sum(own) / max(sum(first), 0.1), 0.6, 1.4))
+    r, g, b = (round(min(v * share, 0.98), 3) for v in color)
+    return r, g, b
 
 
 def _gathered(spec: AssetSpec, link: str, color: Color) -> AssetSpec:

@@ -73,7 +73,7 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     base = at(parts[key])[2]
     added: dict[Key, Part] = {}
     for name, z, wall in (("lower", low, walls[0]), ("upper", high, walls[1])):
-        start = wall - min(profile.wall, 0.002)
+        start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends within the wall
         pose = aimed(np.array([(start + far) / 2, 0.0, z + base]), np.array([1.0, 0.0, 0.0]))
         added[_free(parts, key[0], f"handle_{name}")] = Part(shape=_capsule(thick, far - start), pose=pose)
     grip = Part(shape=_capsule(thick, high - low), pose=aimed(np.array([far, 0.0, (low + high) / 2 + base]), UP))
