@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.cousins import SceneAxis
 from simfoundry.spec.place import Place
@@ -24,7 +24,8 @@ def drop(
 ) -> Reason | None:
     """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
 
-    Why not, where there is none. It is judged where it touches first; it may slide from there as it settles.
+    Upright first; what is to be inside and does not fit so, also on its sides. Why not, where there is none. It is
+    judged where it touches first; it may slide from there as it settles.
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
@@ -33,7 +34,9 @@ def drop(
     low, high = (math.radians(v) for v in axis.yaw_deg)
     others = [name for name in table.solid if name != anchor]
     counts, why = {"did not fit": 0, "did not lie as asked": 0, "met another thing": 0}, ""
-    for _ in range(DROPS):
+    ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
+    for k in range(DROPS):
+        thing = ways[0] if k < DROPS // 2 else ways[k % len(ways)]
         table.tries += 1
         x, y, turn = rng.random(3)
         x, y = spans[:, 0] + np.array([x, y]) * (spans[:, 1] - spans[:, 0])
@@ -60,6 +63,14 @@ def drop(
     text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
     numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
     return Reason("no_place", text, MappingProxyType(numbers))
+
+
+def _lying(twin: Twin, thing: Thing) -> list[Thing]:
+    """The same on two of its sides: what does not fit upright may lie. What carries others stays upright."""
+    if thing.riders:
+        return []
+    sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
+    return [Thing(thing.name, (), side, twin.outline(thing.name, side)) for side in sides]
 
 
 def dropped(

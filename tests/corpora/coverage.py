@@ -38,7 +38,8 @@ ANCHORS = {
 }
 """Scenes, and the things around which others are placed; on and in each of which they are dropped as well."""
 
-IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup", "red_bottle")
+# Not the red bottle, which a task asks for: at 16 cm it is never by half in the cavity of a bowl 5.5 cm deep.
+IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup")
 ON_ORGANIZER = ("black_eraser", "orange_cup", "orange_marker", "red_marker", "tennis_ball")
 GOALS = {
     "cluttered": {
