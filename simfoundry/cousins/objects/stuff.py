@@ -31,7 +31,7 @@ class Stuff:
 class Sort:
     """Things of one kind: the longest side [m] and the mass [kg] from least to most, colours, materials of the body.
 
-    Densities from Ashby, Materials Selection in Mechanical Design (4th ed., appendix A); sizes and masses from shops.
+    Densities, sizes and masses are of everyday things as one knows them, not from measurements: wide ranges on purpose.
     """
 
     size: tuple[float, float]
