@@ -77,8 +77,9 @@ class MujocoRenderer:
         picture = self._draw(data, camera, self._fine)
         if self._fine == 1:
             return picture
-        each = picture.reshape(camera.height, self._fine, camera.width, self._fine, 3).astype(np.uint16)
-        return np.asarray((each.sum(axis=(1, 3)) + self._fine**2 // 2) // self._fine**2, dtype=np.uint8)
+        import cv2
+
+        return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def geoms(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.int32]:
         """Which geom each pixel shows, shape (h, w): 0 for none, else 1 + the geom's id."""
