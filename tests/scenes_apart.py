@@ -28,6 +28,7 @@ from simfoundry.scene.model import (
     Sphere,
     Visual,
 )
+from simfoundry.scene.robot import Robot
 from simfoundry.scene.touching import silent_pairs
 
 RELATIVE, METRES, RADIANS = 1e-6, 1e-6, 1e-6
@@ -46,7 +47,7 @@ class Apart:
 
 
 def apart(one: Scene, two: Scene) -> list[Apart]:
-    """Everything in which ``two`` differs from ``one``; robots and the document behind a scene are not looked at."""
+    """Everything in which ``two`` differs from ``one``; the document behind a scene is not looked at."""
     return list(_scene(one, two))
 
 
@@ -63,10 +64,19 @@ def _scene(one: Scene, two: Scene) -> Iterator[Apart]:
     yield from _same("no_contact", "no_contact", *pairs)
     yield from _each("objects", "pose", _by_name(one.objects), _by_name(two.objects), _object)
     yield from _each("cameras", "cameras", _by_name(one.cameras), _by_name(two.cameras), _camera)
+    machines = [{r.name: r for r in scene.robots} for scene in (one, two)]
+    yield from _each("robots", "robots", machines[0], machines[1], _robot)
     riders = [{f"{m.carrier}.{m.link}.{m.camera.name}": m.camera for m in scene.mounted} for scene in (one, two)]
     yield from _each("mounted", "mounted_cameras", riders[0], riders[1], _camera)
     yield from _each("lights", "distant_lights", _by_name(one.lights), _by_name(two.lights), _light)
     yield from _background(one, two)
+
+
+def _robot(one: Robot, two: Robot) -> Iterator[Apart]:
+    yield from _same("kind", "robots", one.kind, two.kind)
+    yield from _same("positions", "robots", dict(one.positions), dict(two.positions))
+    yield from _same("sizes", "robots", (one.reach, one.opening), (two.reach, two.opening))
+    yield from _pose("pose", "robots", one.X_WB, two.X_WB)
 
 
 def _background(one: Scene, two: Scene) -> Iterator[Apart]:

@@ -192,6 +192,8 @@ def feature_of(loss: Loss, scene: Scene) -> str:
     light = next((light for light in scene.lights if light.name == owner), None)
     if light is not None:
         return _OF_LIGHT[light.type]
+    if any(mounted.camera.name == owner for mounted in scene.mounted):
+        return "mounted_cameras"
     return "cameras" if any(camera.name == owner for camera in scene.cameras) else ""
 
 

@@ -18,6 +18,7 @@ from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, nu
 from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
+from simfoundry.backends.robot_words import robot_words
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.backends.xmltext import DECLARATION, xml_text
@@ -100,7 +101,7 @@ def compile_urdf(scene: Scene) -> Artifact:
     check_names(scene)
     dialect = Dialect(shown=capsule_parts, felt=capsule_parts)
     files = urdf_files(scene, dialect)
-    poses = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
+    poses: dict[str, dict[str, object]] = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
     lost: list[Loss] = []
     converted: list[SceneObject] = []
     for robot in scene.robots:
@@ -115,6 +116,9 @@ def compile_urdf(scene: Scene) -> Artifact:
         if found.item is not None:
             converted.append(found.item)
         poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
+        words = robot_words(robot)
+        if words is not None:
+            poses[robot.name]["robot"] = words
     files["poses.json"] = json_text(poses)
     files["physics.json"] = physics_manifest(scene, capsule_parts, converted)
     files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}

@@ -274,7 +274,9 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     if draft.gravity is not None:
         data["gravity"] = draft.gravity
     robots = Names("robot")
-    data["robots"] = {robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB)} for r in draft.robots}
+    data["robots"] = {
+        robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB), **r.changed} for r in draft.robots
+    }
     data["cameras"] = _cameras(draft, bodies, assets)
     data["no_contact"] = _no_contact(draft, bodies, assets)
     data["relations"] = tuple(draft.relations)
@@ -338,6 +340,10 @@ def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec])
         }
         if camera.mount is not None:
             body, link = camera.mount
+            if body not in bodies:  # a robot, whose frames have names of their own
+                data["mount"] = f"{body}.{link}" if link else body
+                out[names.name(camera.name)] = data
+                continue
             order = [originals[body].root, *(n for n in originals[body].links if n != originals[body].root)]
             asset = assets.get(bodies[body])
             called = (

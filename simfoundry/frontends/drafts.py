@@ -5,9 +5,11 @@ Drafts may be changed while a file is read; names are still those of the file.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -193,11 +195,12 @@ class LightDraft:
 
 @dataclass(eq=False)
 class RobotDraft:
-    """A robot that the language knows, with the pose of its base."""
+    """A robot that the language knows, with the pose of its base, and the fields in which it is not as usual."""
 
     name: str
     model: str
     X_WB: Pose
+    changed: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(eq=False)

@@ -23,6 +23,7 @@ from simfoundry.frontends.mjcf_rest import (
     add_lights,
     count_left_out,
 )
+from simfoundry.frontends.mjcf_robots import take_robots
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array, Pose
 
@@ -93,14 +94,15 @@ class _Mjcf:
     """A compiled model on its way into a draft."""
 
     def __init__(self, path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
-        self.path, self.mujoco, self.model, self.roots = path, mujoco, model, roots
+        self.path, self.mujoco, self.roots = path, mujoco, roots
         name = roots[0].get("model") or path.stem
         self.draft = Draft(name if name != "MuJoCo Model" else path.stem, "MJCF")
+        self.own = said(mujoco, model)
+        self.model = model = model if self.own is None else take_robots(self.draft, path, mujoco, model, self.own)
         self.data = mujoco.MjData(model)
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
         mujoco.mj_kinematics(model, self.data)
-        self.own = said(mujoco, model)
         self.geoms = Geoms(mujoco, model, self.draft, own=self.own is not None)
         self.free: dict[str, str] = {}
         """By body, the name of its free joint."""

@@ -164,31 +164,39 @@ def _exclude(draft: Draft, owners: Owners, one: int, two: int, what: str) -> Non
 def add_cameras(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
     """Cameras that are fixed in the world or to a body."""
     for k in range(model.ncam):
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_CAMERA, k) or f"camera_{k}"
-        if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
-            draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
-        if _is_orthographic(model, k):
-            draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
+        camera = read_camera(draft, mujoco, model, k)
+        if camera is None:
             continue
         body = int(model.cam_bodyid[k])
-        X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
-        width, height = (int(v) for v in model.cam_resolution[k])
-        if width <= 1 or height <= 1:
-            width, height = PICTURE
-            draft.assumed(f"picture size of camera `{name}`", f"none is given; {width} x {height} px")
-        fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
-        camera = CameraDraft(name, (width, height), fy, fy, X_BC)
-        sensor = [float(v) for v in model.cam_sensorsize[k]]
-        if sensor[0] > 0 and sensor[1] > 0:
-            fx, fy, cx, cy = (float(v) for v in model.cam_intrinsic[k])
-            camera.fx, camera.fy = fx / sensor[0] * width, fy / sensor[1] * height
-            camera.cx = (width - 1) / 2 - cx / sensor[0] * width
-            camera.cy = (height - 1) / 2 + cy / sensor[1] * height
         if body != 0:
             owner, link, X_BL = owners[body]
-            camera.X_WC = X_BL.inverse() @ X_BC
+            camera.X_WC = X_BL.inverse() @ camera.X_WC
             camera.mount = (owner.name, link)
         draft.cameras.append(camera)
+
+
+def read_camera(draft: Draft, mujoco: Any, model: Any, k: int) -> CameraDraft | None:
+    """The k-th camera, in the frame of its body; None, with a note, where it is no pinhole."""
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_CAMERA, k) or f"camera_{k}"
+    if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
+        draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
+    if _is_orthographic(model, k):
+        draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
+        return None
+    X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+    width, height = (int(v) for v in model.cam_resolution[k])
+    if width <= 1 or height <= 1:
+        width, height = PICTURE
+        draft.assumed(f"picture size of camera `{name}`", f"none is given; {width} x {height} px")
+    fy = height / 2 / math.tan(math.radians(float(model.cam_fovy[k])) / 2)
+    camera = CameraDraft(name, (width, height), fy, fy, X_BC)
+    sensor = [float(v) for v in model.cam_sensorsize[k]]
+    if sensor[0] > 0 and sensor[1] > 0:
+        fx, fy, cx, cy = (float(v) for v in model.cam_intrinsic[k])
+        camera.fx, camera.fy = fx / sensor[0] * width, fy / sensor[1] * height
+        camera.cx = (width - 1) / 2 - cx / sensor[0] * width
+        camera.cy = (height - 1) / 2 + cy / sensor[1] * height
+    return camera
 
 
 def _is_orthographic(model: Any, camera: int) -> bool:

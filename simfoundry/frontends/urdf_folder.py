@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.robot_words import robot_draft
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.scene.frames import Pose
 from simfoundry.spec.base import CapsuleShape, CylinderShape, Round, SphereShape
@@ -33,6 +34,9 @@ def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
     for name, entry in data.items():
         try:
+            if "robot" in entry:
+                draft.robots.append(robot_draft(path, name, entry["robot"], Pose.of(entry["p"], entry["q_wxyz"])))
+                continue
             body = _body(draft, path, name, entry, packages)
         except (KeyError, TypeError, ValueError) as error:
             raise ImportRefusedError(path, f"`{name}` is not as compiled files have it: {error!r}") from None

@@ -87,6 +87,10 @@ class NativeModel:
         return self.links.get(name) or LinkFrame(name)
 
 
+FILES_ONLY = "robot"
+"""The kind of a robot that a document knows by its files alone."""
+
+
 @dataclass(frozen=True, eq=False)
 class Robot:
     """A robot whose base is welded to the world at ``X_WB``.

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.poses import pose
-from simfoundry.scene.robot import Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import FILES_ONLY, Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import NoModelError, digest, find_model, model_files
 from simfoundry.spec.robot import RobotSpec
 from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec
@@ -37,7 +37,7 @@ def lower_robot(name: str, spec: RobotSpec, document: Path) -> Robot:
     positions = home | (spec.joints if isinstance(spec.joints, dict) else {})
     return Robot(
         name=name,
-        kind=spec.model if isinstance(spec.model, str) else "robot",
+        kind=spec.model if isinstance(spec.model, str) else FILES_ONLY,
         X_WB=pose(spec.pose),
         positions=MappingProxyType(positions),
         reach=spec.reach or (known.reach if known is not None else None),

@@ -5,17 +5,21 @@ the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which
 ``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cup:restitution`` what is too
 little for a contact to be damped to, for all colliders of a link or for each in turn; ``cup:surface`` friction,
 restitution, and resistance against spinning and rolling [m], likewise, where geoms are written as the contact that they
-decide on; ``sky:dome`` the colour of a dome light times its intensity.
+decide on; ``sky:dome`` the colour of a dome light times its intensity; ``arm:robot`` the fields of a robot in JSON, and
+``wrist:mount`` which of its frames a camera rides on, where that is a site ``arm.hand``.
 """
 
 from __future__ import annotations
 
+import json
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
 from simfoundry.backends.mjcf.bounce import CRITICAL_REBOUND
 from simfoundry.backends.mjcf.contacts import Contacts
 from simfoundry.backends.mjcf.surfaces import surface_of
+from simfoundry.backends.robot_words import robot_words
+from simfoundry.backends.robots import mujoco_model
 from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
 
 MARK = "simfoundry:scene"
@@ -36,6 +40,7 @@ def add_texts(root: ET.Element, scene: Scene, contacts: Contacts) -> None:
             _surfaces(custom, item.qualified(link.name), link, contacts)
     if scene.relations:
         _text(custom, "relations", "; ".join(str(r) for r in scene.relations))
+    _robots(custom, scene)
     for light in scene.lights:
         if light.type is LightType.DOME:
             _numeric(custom, f"{light.name}:dome", numbers(light.intensity * light.rgb))
@@ -50,6 +55,15 @@ def _names(custom: ET.Element, item: SceneObject) -> None:
         elif joint.type is JointType.FREE:
             _text(custom, f"{child}:parent", joint.parent)
             _numeric(custom, f"{child}:zero", numbers([*joint.X_PC.p, *joint.X_PC.q]))
+
+
+def _robots(custom: ET.Element, scene: Scene) -> None:
+    known = {robot.name: words for robot in scene.robots if mujoco_model(robot) and (words := robot_words(robot))}
+    for name, words in known.items():
+        _text(custom, f"{name}:robot", json.dumps(words))
+    for mounted in scene.mounted:
+        if mounted.carrier in known and mounted.link:
+            _text(custom, f"{mounted.camera.name}:mount", mounted.link)
 
 
 def _surfaces(custom: ET.Element, name: str, link: Link, contacts: Contacts) -> None:
