@@ -38,8 +38,7 @@ ANCHORS = {
 }
 """Scenes, and the things around which others are placed; on and in each of which they are dropped as well."""
 
-# Not the red bottle, which a task asks for: at 16 cm it is never by half in the cavity of a bowl 5.5 cm deep.
-IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup")
+IN_BOWL = ("baseball", "tennis_ball", "burger", "black_eraser", "orange_cup", "red_bottle")
 ON_ORGANIZER = ("black_eraser", "orange_cup", "orange_marker", "red_marker", "tennis_ball")
 GOALS = {
     "cluttered": {
