@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -74,12 +75,18 @@ def _entry(key: str, value: object) -> str:
 _line = json.JSONEncoder(ensure_ascii=False).encode
 
 
+@lru_cache(maxsize=16384)  # a scene has few numbers, and each target writes them all
 def number(value: float) -> str:
     """A number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
 
     What is smaller than any quantity of ours is zero: readers refuse the denormal numbers that rounding leaves.
     """
     return f"{value:.12g}" if abs(value) > 1e-100 else "0"
+
+
+def rounded(value: float) -> float:
+    """What :func:`number` writes, as a number: the last bits of a double differ between CPUs."""
+    return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, rounded
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
@@ -148,26 +148,26 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
 def _robot(robot: RobotUrdf) -> dict[str, object]:
     """A robot in ``world.json``: where it stands, what its motors hold, and which joints follow others."""
     motors = {
-        name: {"target": _number(position), "force": _number(robot.efforts[name])}
+        name: {"target": rounded(position), "force": rounded(robot.efforts[name])}
         for name, position in robot.positions.items()
         if name in robot.efforts and name not in robot.follow
     }
     follow = {
-        name: {"joint": leader.joint, "multiplier": _number(leader.multiplier), "offset": _number(leader.offset)}
+        name: {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
         for name, leader in robot.follow.items()
     }
     links = robot.item.links if robot.item is not None else ()
-    surfaces = {k.name: {"lateral_friction": _number(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
+    surfaces = {k.name: {"lateral_friction": rounded(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
     return {
         "urdf": robot.path,
         "p": _numbers(robot.X_WB.p),
         "q_wxyz": _numbers(robot.X_WB.q),
-        "joints": {name: _number(position) for name, position in robot.positions.items()},
+        "joints": {name: rounded(position) for name, position in robot.positions.items()},
         "motors": motors,
         "follow": follow,
         "links": surfaces,
         "arm": dict(robot.joints),
-        "gripper": {name: [_number(v) for v in pair] for name, pair in robot.gripper.items()},
+        "gripper": {name: [rounded(v) for v in pair] for name, pair in robot.gripper.items()},
         "frames": {
             name: {"link": frame.link, "p": _numbers(frame.X_LF.p), "q_wxyz": _numbers(frame.X_LF.q)}
             for name, frame in robot.frames.items()
@@ -226,8 +226,8 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) 
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     rest: dict[str, object] = {
         "links": links,
-        "joint_friction": {joint.name: _number(joint.friction) for joint in moving},
-        "joint_damping": {joint.name: _number(joint.damping) for joint in moving},
+        "joint_friction": {joint.name: rounded(joint.friction) for joint in moving},
+        "joint_damping": {joint.name: rounded(joint.damping) for joint in moving},
     }
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
     more: dict[str, object] = {
@@ -246,24 +246,24 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) 
 
 def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:
     surface = {
-        "lateral_friction": _number(math.sqrt(link_friction(link))),
-        "restitution": _number(math.sqrt(link_restitution(link))),
+        "lateral_friction": rounded(math.sqrt(link_friction(link))),
+        "restitution": rounded(math.sqrt(link_restitution(link))),
     }
     for key, found in resistances.items():  # Bullet calls the first one spinning friction
         if value := found.written.get(item.qualified(link.name)):
-            surface[key.replace("torsional", "spinning")] = _number(value)
+            surface[key.replace("torsional", "spinning")] = rounded(value)
     return surface
 
 
 def _mimic(mimic: Mimic) -> dict[str, object]:
-    return {"joint": mimic.joint, "multiplier": _number(mimic.multiplier), "offset": _number(mimic.offset)}
+    return {"joint": mimic.joint, "multiplier": rounded(mimic.multiplier), "offset": rounded(mimic.offset)}
 
 
 def _drive(drive: Drive) -> dict[str, float]:
     found = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
     if drive.force_limit is not None:
         found["force_limit"] = drive.force_limit
-    return {key: _number(value) for key, value in found.items()}
+    return {key: rounded(value) for key, value in found.items()}
 
 
 def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]]:
@@ -291,13 +291,13 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
-    lighting: dict[str, object] = {"lightAmbientCoeff": _number(dome), "lightSpecularCoeff": 0.0}
+    lighting: dict[str, object] = {"lightAmbientCoeff": rounded(dome), "lightSpecularCoeff": 0.0}
     sun = _shining(lights)
     if sun is None:
         return lighting | {"lightDiffuseCoeff": 0.0}
     towards = sun.X_WL.rotation[:, 2] if sun.type is LightType.DISTANT else sun.X_WL.p
     color = {"lightDirection": _numbers(towards), "lightColor": _numbers(sun.rgb)}
-    return lighting | color | {"lightDiffuseCoeff": _number(sun.intensity)}
+    return lighting | color | {"lightDiffuseCoeff": rounded(sun.intensity)}
 
 
 def _shining(lights: tuple[Light, ...]) -> Light | None:
@@ -319,12 +319,8 @@ def projection_matrix(camera: Camera) -> Array:
     )
 
 
-def _number(value: float) -> float:
-    return float(number(value))
-
-
 def _numbers(values: Array) -> list[float]:
-    return [_number(v) for v in np.asarray(values).ravel().tolist()]
+    return [rounded(v) for v in np.asarray(values).ravel().tolist()]
 
 
 def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
 from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
@@ -128,9 +128,9 @@ def compile_urdf(scene: Scene) -> Artifact:
 def _robot_placement(robot: RobotUrdf) -> dict[str, object]:
     return {
         "fixed": True,
-        "p": [_rounded(v) for v in robot.X_WB.p],
-        "q_wxyz": [_rounded(v) for v in robot.X_WB.q],
-        "joints": {name: _rounded(position) for name, position in robot.positions.items()},
+        "p": [rounded(v) for v in robot.X_WB.p],
+        "q_wxyz": [rounded(v) for v in robot.X_WB.q],
+        "joints": {name: rounded(position) for name, position in robot.positions.items()},
     }
 
 
@@ -281,14 +281,10 @@ def placement(tree: Tree) -> dict[str, object]:
     """What URDF does not hold: whether a part of an object is fixed, its pose in the world and its joint positions."""
     return {
         "fixed": tree.fixed,
-        "p": [_rounded(v) for v in tree.X_WT.p.tolist()],
-        "q_wxyz": [_rounded(v) for v in tree.X_WT.q.tolist()],
-        "joints": {j.name: _rounded(j.position) for j in tree.joints if j.has_axis},
+        "p": [rounded(v) for v in tree.X_WT.p.tolist()],
+        "q_wxyz": [rounded(v) for v in tree.X_WT.q.tolist()],
+        "joints": {j.name: rounded(j.position) for j in tree.joints if j.has_axis},
     }
-
-
-def _rounded(value: float) -> float:
-    return float(number(value))
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
@@ -300,7 +296,7 @@ def _loose(tree: Tree) -> dict[str, object]:
     joint = tree.free_joint
     if joint is None:
         return {}
-    zero, motion = ([_rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
+    zero, motion = ([rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
     said = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
     return {"free": said}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Protocol
 
-from simfoundry.backends.artifact import json_text, number
+from simfoundry.backends.artifact import json_text, rounded
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Geometry, JointType, Link, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
@@ -26,7 +26,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Iterable[SceneObject] =
     ``robots`` are those that were converted; of one with a URDF of its own there is nothing to add.
     """
     data: dict[str, object] = {
-        "gravity": [_number(v) for v in scene.gravity],
+        "gravity": [rounded(v) for v in scene.gravity],
         "objects": {tree.name: _object(tree, split) for item in (*scene.objects, *robots) for tree in trees(item)},
     }
     return json_text(data)
@@ -35,7 +35,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Iterable[SceneObject] =
 def _object(tree: Tree, split: Split) -> dict[str, object]:
     """What one URDF lacks: an object, or a part of one that moves freely."""
     joints = {
-        joint.name: {"friction": _number(joint.friction), "armature": _number(joint.armature)}
+        joint.name: {"friction": rounded(joint.friction), "armature": rounded(joint.armature)}
         for joint in tree.joints
         if joint.type is not JointType.FIXED
     }
@@ -47,13 +47,9 @@ def _object(tree: Tree, split: Split) -> dict[str, object]:
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
     return {
         collider.name + suffix: {
-            "friction": _number(collider.friction),
-            "restitution": _number(collider.restitution),
+            "friction": rounded(collider.friction),
+            "restitution": rounded(collider.restitution),
         }
         for collider in link.colliders
         for suffix, _, _ in split(collider.geometry)
     }
-
-
-def _number(value: float) -> float:
-    return float(number(value))

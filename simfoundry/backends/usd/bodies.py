@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.joints import define_anchor, define_joint
 from simfoundry.backends.usd.materials import contact_material, visual_material
@@ -16,7 +17,6 @@ from simfoundry.backends.usd.prims import (
     place,
     quat,
     relate,
-    rounded,
     settled,
     vec3,
 )

@@ -7,11 +7,11 @@ layers takes five times as long. A vector, a quaternion (w first) or a row of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from simfoundry.backends.artifact import number
+from simfoundry.backends.artifact import rounded
 from simfoundry.scene.frames import IDENTITY, Pose
 
 
@@ -34,10 +34,6 @@ class Targets(NamedTuple):
     """What a relationship points at: paths as they are called on the stage."""
 
     paths: tuple[str, ...]
-
-
-Written = dict[str, dict[str, Any]]
-"""Values of attributes, and :class:`Targets` of relationships, by the path of their prim and their name."""
 
 
 @dataclass(eq=False)
@@ -67,23 +63,6 @@ class Prim:
         """Add the variant ``name``; what is drawn on it is there where it is selected."""
         self.variants[name] = Prim(self.name, self.type_name, self.path, f"{self.place}{{variant={name}}}")
         return self.variants[name]
-
-    def walk(self) -> Iterator[Prim]:
-        """This prim, its variants and all prims below them, in the order in which they were drawn."""
-        yield self
-        for below in (*self.variants.values(), *self.children.values()):
-            yield from below.walk()
-
-    def written(self) -> Written:
-        """What is said from this prim downwards, without attributes that have no value."""
-        return {prim.place: dict(_said(prim)) for prim in self.walk()}
-
-
-def _said(prim: Prim) -> Iterator[tuple[str, Any]]:
-    for name, found in prim.properties.items():
-        value = found.value if isinstance(found, Attribute) else found
-        if value is not None:
-            yield name, value
 
 
 def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
@@ -129,11 +108,6 @@ def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
         operations.append("xformOp:scale")
     if operations:
         attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
-
-
-def rounded(value: float) -> float:
-    """A number to twelve significant digits: the last bits of a double differ between CPUs."""
-    return float(number(value))
 
 
 def settled(value: float) -> float:
