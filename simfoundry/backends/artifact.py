@@ -72,7 +72,7 @@ def _entry(key: str, value: object) -> str:
     return f"{_line(key)}: {_line(value)}"
 
 
-_line = json.JSONEncoder(ensure_ascii=False).encode
+_line = json.JSONEncoder(ensure_ascii=False, check_circular=False).encode
 
 
 @lru_cache(maxsize=16384)  # a scene has few numbers, and each target writes them all

@@ -123,7 +123,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep), *lost))
+    return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep, resistances), *lost))
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
@@ -323,14 +323,14 @@ def _numbers(values: Array) -> list[float]:
     return [rounded(v) for v in np.asarray(values).ravel().tolist()]
 
 
-def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
+def _losses(scene: Scene, timestep: float, resistances: Mapping[str, Resistance]) -> Iterator[Loss]:
     if any(collider.friction > 0 for collider in _colliders(scene)):
         reason = "Bullet's friction depends on the direction: up to 9 % below Coulomb's between its two axes"
         yield Loss("friction", Fidelity.APPROXIMATED, reason)
     if any(collider.restitution > 0 for collider in _colliders(scene)):
         reason = "Bullet acts on an impact at whole steps: a rebound differs from the coefficient by up to 0.15"
         yield Loss("restitution", Fidelity.APPROXIMATED, reason)
-    for key, found in _resistances(scene).items():
+    for key, found in resistances.items():
         if found.error > 1e-9:
             reason = f"Bullet mixes it with the sliding friction, one number a link: some pair is {found.error:.0%} off"
             yield Loss(key, Fidelity.APPROXIMATED, reason)

@@ -13,6 +13,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
 from simfoundry.backends.features import Cell, dropped, exact
@@ -38,7 +39,6 @@ from simfoundry.scene.model import (
     SceneObject,
     Sphere,
     Visual,
-    principal_inertia,
 )
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
@@ -137,14 +137,37 @@ def _robot_placement(robot: RobotUrdf) -> dict[str, object]:
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
     """The URDF of every object, one for each part that moves freely, and the assets that they share, by path."""
     files: dict[str, bytes] = {}
-    for tree in (tree for item in scene.objects for tree in trees(item)):
-        root = ET.Element("robot", name=tree.name)
-        for link in tree.links:
-            _add_link(root, link, dialect, files)
-        for joint in tree.joints:
-            _add_joint(root, joint, dialect)
-        files[f"{tree.name}.urdf"] = DECLARATION + xml_text(root)
+    for item in scene.objects:
+        written = _WRITTEN.get(item)
+        if written is not None:
+            files |= written
+            continue
+        texts = {f"{tree.name}.urdf": _tree_text(tree, dialect, files) for tree in trees(item)}
+        if _is_plain(item):
+            _WRITTEN[item] = texts
+        files |= texts
     return files
+
+
+_WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
+"""What all dialects write alike, as long as the object lives: most scenes are compiled for two of them."""
+
+
+def _is_plain(item: SceneObject) -> bool:
+    """Whether all dialects write an object alike: it has no geometries to split, and no joints to name."""
+    shapes = [part.geometry for link in item.links for part in (*link.visuals, *link.colliders)]
+    joints = [joint for joint in item.joints if joint.type is JointType.BALL]
+    return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
+
+
+def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
+    """The URDF of what hangs together; its assets are added to ``files``."""
+    root = ET.Element("robot", name=tree.name)
+    for link in tree.links:
+        _add_link(root, link, dialect, files)
+    for joint in tree.joints:
+        _add_joint(root, joint, dialect)
+    return DECLARATION + xml_text(root)
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -181,7 +204,7 @@ def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
     element = ET.SubElement(root, "link", name=link.name)
-    moments, q = principal_inertia(link.inertia)
+    moments, q = link.principal
     inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, Pose.of(link.com, q))
     ET.SubElement(inertial, "mass", value=number(link.mass))

@@ -21,7 +21,7 @@ from simfoundry.backends.usd.prims import (
     vec3,
 )
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
+from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -165,7 +165,7 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 
 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
-    moments, axes = principal_inertia(link.inertia)
+    moments, axes = link.principal
     # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
     attribute(body, "physics:centerOfMass", "point3f", vec3(link.com))
     attribute(body, "physics:diagonalInertia", "float3", vec3(moments))

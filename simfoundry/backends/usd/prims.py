@@ -35,6 +35,11 @@ class Targets(NamedTuple):
 
     paths: tuple[str, ...]
 
+    @property
+    def value(self) -> Targets:
+        """Itself, where that of an attribute is asked for."""
+        return self
+
 
 @dataclass(eq=False)
 class Prim:

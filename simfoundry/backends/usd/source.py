@@ -9,7 +9,8 @@ them along. ``built`` is what the backend wrote, so that a reader knows what a p
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from simfoundry.backends.usd.prims import Prim, Targets
@@ -29,7 +30,7 @@ VIEW_ONLY = (
 
 _NUMBER = "%.9g"
 
-_json = json.JSONEncoder(ensure_ascii=False).encode
+_json = json.JSONEncoder(ensure_ascii=False, check_circular=False).encode
 
 
 def write_source(world: Prim, source: Source) -> dict[str, str]:
@@ -41,7 +42,8 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
         prims = world.children[scope].children if scope in world.children else {}
         for name, data in members.items():
             if name in prims:
-                said = dict(_built(prims[name], "", materials))
+                said: dict[str, dict[str, Any]] = {}
+                _collect(prims[name], "", materials, said)
                 said = _posture(said) if section == "robots" else said
                 _add(prims[name], {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
                 members[name] = None
@@ -52,8 +54,8 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
     return about
 
 
-def _built(prim: Prim, path: str, materials: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """What a part and the prims below it say, by ``path`` relative to it; of itself by the empty path."""
+def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[str, dict[str, Any]]) -> None:
+    """Collect what a part and the prims below it say, by ``path`` relative to it; of itself by the empty path."""
     values = _values(prim)
     said = observed(values)
     for binding, name in _BINDINGS.items():
@@ -62,15 +64,14 @@ def _built(prim: Prim, path: str, materials: Mapping[str, Any]) -> Iterator[tupl
     if "xformOpOrder" in values:
         said["at"] = _transform(values)
     if said:
-        yield path, said
+        said_by[path] = said
     for name, child in prim.children.items():
-        yield from _built(child, f"{path}/{name}" if path else name, materials)
+        _collect(child, f"{path}/{name}" if path else name, materials, said_by)
 
 
 def _values(prim: Prim) -> dict[str, Any]:
     """What the properties of a prim say, without attributes that have no value."""
-    every = {n: found if isinstance(found, Targets) else found.value for n, found in prim.properties.items()}
-    return {name: value for name, value in every.items() if value is not None}
+    return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
 _BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
@@ -95,9 +96,14 @@ def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """The values among those of a prim's attributes that mean something to the document, as plain data."""
     said = {}
     for name in sorted(attributes):
-        if not name.startswith(VIEW_ONLY) and (value := plain(attributes[name])) is not None:
+        if not _is_view_only(name) and (value := plain(attributes[name])) is not None:
             said[name] = value
     return said
+
+
+@lru_cache(maxsize=1024)
+def _is_view_only(name: str) -> bool:
+    return name.startswith(VIEW_ONLY)
 
 
 def plain(value: Any) -> Any:
