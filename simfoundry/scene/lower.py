@@ -42,7 +42,7 @@ from simfoundry.scene.robot_files import NoModelError
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.source import Source
 from simfoundry.spec import base
-from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec
 from simfoundry.spec.asset import Drive as DriveSpec
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.expressions import parse_call
@@ -226,7 +226,7 @@ class _Lowering:
         if item.visual is not None:
             with _At(self, self.loaded, (*place, "visual")):
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
-        return self._built(builder, item, self.loaded, place, item.fixed, before)
+        return self._built(builder, None, self.loaded, place, item.fixed, before)
 
     def articulated(self, asset: Loaded, spec: AssetSpec, item: ObjectSpec) -> tuple[list[Link], tuple[Joint, ...]]:
         """The links of an asset document in topological order, and its joints at the positions the object asks for."""
@@ -241,17 +241,18 @@ class _Lowering:
                         builder.add_shape(part_name, part.shape, pose(part.pose), part)
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
-            links += self._built(builder, link, asset, ("links", name), False, before)
+            links += self._built(builder, link.inertial, asset, ("links", name), False, before)
         return links, lower_joints(spec, item.joints)
 
     def _built(
-        self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool, before: int
-    ) -> list[Link]:
+        self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,
+        before: int,
+    ) -> list[Link]:  # fmt: skip
         """The finished link, alone in a list; empty where there are more findings than ``before`` it."""
         if len(self.findings) > before:
             return []
         with _At(self, source, place):
-            return [builder.link(fixed, getattr(body, "inertial", None))]
+            return [builder.link(fixed, inertial)]
         return []
 
 

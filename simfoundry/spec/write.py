@@ -43,27 +43,30 @@ def to_yaml(spec: Model, comment: str = "") -> str:
 def to_data(spec: Model) -> dict[str, Any]:
     """Plain data of a document, in canonical order, without what equals its default."""
     out: dict[str, Any] = {}
+    given = spec.model_fields_set
     for name, needed, default in _fields(type(spec)):
-        value = getattr(spec, name)
-        if not needed and value == default:
+        if not needed and name not in given:
             continue
-        data = _data(value)
+        data = _data(getattr(spec, name))
         # What is written like the default would be read as the default, and then not be written again.
-        if needed or not _written_alike(data, _data(default)):
+        if needed or not _written_alike(data, default):
             out[name] = data
     return out
 
 
 @cache
 def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
-    """Name of each field in canonical order, whether it is always written, and its default."""
+    """Name of each field in canonical order, whether it is always written, and the data of its default."""
     fields = model.model_fields
     needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
-    return tuple((name, name in needed, fields[name].default) for name in field_order(model))
+    return tuple((name, name in needed, _data(fields[name].default)) for name in field_order(model))
+
+
+_SCALARS = (str, float, int, type(None))
 
 
 def _data(value: Any) -> Any:
-    if value is None or isinstance(value, str | float | int):
+    if isinstance(value, _SCALARS):
         return value
     match value:
         case Model():

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from simfoundry.backends.usd.prims import Prim, Targets
+from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.source import Source
 
 KEY = "simfoundry"
