@@ -208,7 +208,7 @@ def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, b
     inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, Pose.of(link.com, q))
     ET.SubElement(inertial, "mass", value=number(link.mass))
-    ixx, iyy, izz = (number(moment) for moment in moments)
+    ixx, iyy, izz = (number(moment) for moment in moments.tolist())
     ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
     for visual in link.visuals:
         for suffix, geometry, X_GP in dialect.shown(visual.geometry):

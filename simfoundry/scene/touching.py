@@ -13,6 +13,8 @@ from simfoundry.scene.model import JointType, SceneObject
 
 def silent_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Pairs of links of an object that do not touch, by name, in the order of the links."""
+    if len(item.links) == 1:
+        return ()
     welded = weld_groups(item)
     joined = {
         frozenset((welded[joint.parent], welded[joint.child]))

@@ -130,8 +130,11 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
     for each in scene.objects:
         for item in (each, *each.variants):
+            silent = silent_pairs(item)
+            if not silent and not scene.no_contact:
+                continue
             movers, touched = _touchable(_content(scopes, item), item)
-            for a, b in silent_pairs(item):
+            for a, b in silent:
                 silence(movers, touched, item.qualified(a), item.qualified(b))
             for name, prims in movers.items():
                 bodies.setdefault(name, []).extend(prims)
@@ -167,10 +170,10 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
     moments, axes = link.principal
     # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
-    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com))
-    attribute(body, "physics:diagonalInertia", "float3", vec3(moments))
+    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com.tolist()))
+    attribute(body, "physics:diagonalInertia", "float3", vec3(moments.tolist()))
     attribute(body, "physics:mass", "float", rounded(link.mass))
-    attribute(body, "physics:principalAxes", "quatf", quat(axes))
+    attribute(body, "physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
         _define_visuals(scopes, define(body, "Visuals", "Scope"), link)
     if link.colliders:

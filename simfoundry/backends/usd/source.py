@@ -8,11 +8,11 @@ them along. ``built`` is what the backend wrote, so that a reader knows what a p
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
+from simfoundry.backends.artifact import json_line
 from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.source import Source
 
@@ -29,8 +29,6 @@ VIEW_ONLY = (
 """Starts of attributes that say how a prim is shown or found; ``at`` has what the transforms come to."""
 
 _NUMBER = "%.9g"
-
-_json = json.JSONEncoder(ensure_ascii=False, check_circular=False).encode
 
 
 def write_source(world: Prim, source: Source) -> dict[str, str]:
@@ -161,7 +159,7 @@ def contact(material: Mapping[str, Any]) -> list[float] | None:
 
 def _lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
-    entries = [f"{_json(key)}: {_json(value)}" for key, value in data.items()]
+    entries = [f"{json_line(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 
 

@@ -71,7 +71,7 @@ def _dictionary(name: str, entries: Mapping[str, Any], indent: str) -> Iterator[
     yield f"{indent}{name} = {{"
     for key, value in sorted(entries.items()):
         match value:
-            case Mapping():
+            case dict():
                 yield from _dictionary(f"dictionary {key}", value, indent + _STEP)
             case str():
                 yield f"{indent}{_STEP}string {key} = {quoted(value)}"
