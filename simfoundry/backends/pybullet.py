@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,6 @@ from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
-from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
@@ -49,6 +49,9 @@ from simfoundry.scene.model import (
 )
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
+
+if TYPE_CHECKING:
+    from simfoundry.backends.robot_urdf import RobotUrdf, Write
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
@@ -130,6 +133,8 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
     """The robots of a scene as URDF by name, and what is lost with them and with the cameras that ride on links."""
     robots, losses = {}, []
     for robot in scene.robots:
+        from simfoundry.backends.robot_urdf import robot_urdf  # reads models with MuJoCo
+
         found = robot_urdf(robot, write)
         if found is None:
             reason = "it has no model in URDF or MJCF, and USD is not converted"

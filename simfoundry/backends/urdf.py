@@ -13,12 +13,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
 from simfoundry.backends.features import Cell, dropped, exact
 from simfoundry.backends.names import check_names
-from simfoundry.backends.robot_urdf import RobotUrdf, robot_urdf
 from simfoundry.backends.robot_words import robot_words
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
@@ -42,6 +42,9 @@ from simfoundry.scene.model import (
 )
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
+
+if TYPE_CHECKING:
+    from simfoundry.backends.robot_urdf import RobotUrdf
 
 FEATURES: dict[str, Cell] = {
     "robots": dropped("not compiled yet"),
@@ -105,6 +108,8 @@ def compile_urdf(scene: Scene) -> Artifact:
     lost: list[Loss] = []
     converted: list[SceneObject] = []
     for robot in scene.robots:
+        from simfoundry.backends.robot_urdf import robot_urdf  # reads models with MuJoCo
+
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
         if found is None:
             lost.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in URDF or MJCF, and USD is not converted"))
@@ -155,7 +160,7 @@ _WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
 
 def _is_plain(item: SceneObject) -> bool:
     """Whether all dialects write an object alike: it has no geometries to split, and no joints to name."""
-    shapes = [part.geometry for link in item.links for part in (*link.visuals, *link.colliders)]
+    shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
     joints = [joint for joint in item.joints if joint.type is JointType.BALL]
     return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
 

@@ -45,15 +45,14 @@ class Targets(NamedTuple):
 class Prim:
     """A prim as it grows.
 
-    ``path`` is how the stage calls it; ``place`` also says in which variants it is drawn, as ``/cup{variant=red}lid``.
-    ``references`` are as USD writes them. A prim with ``variants`` has one set of them, called ``variant``, of which
-    one is ``selected``; each is a prim of its own name and type.
+    ``path`` is how the stage calls it, whichever variants it is drawn in; ``references`` are as USD writes them. A prim
+    with ``variants`` has one set of them, called ``variant``, of which one is ``selected``; each is a prim of its own
+    name and type.
     """
 
     name: str
     type_name: str
     path: str
-    place: str
     specifier: str = "def"
     kind: str = ""
     schemas: list[str] = field(default_factory=list)
@@ -66,14 +65,13 @@ class Prim:
 
     def variant(self, name: str) -> Prim:
         """Add the variant ``name``; what is drawn on it is there where it is selected."""
-        self.variants[name] = Prim(self.name, self.type_name, self.path, f"{self.place}{{variant={name}}}")
+        self.variants[name] = Prim(self.name, self.type_name, self.path)
         return self.variants[name]
 
 
 def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
     """Define a child prim of a type, with the API schemas applied to it."""
-    place = f"{parent.place}{'' if parent.place.endswith('}') else '/'}{name}"
-    prim = Prim(name, type_name, f"{parent.path}/{name}", place, specifier, schemas=list(schemas))
+    prim = Prim(name, type_name, f"{parent.path}/{name}", specifier, schemas=list(schemas))
     parent.children[name] = prim
     return prim
 

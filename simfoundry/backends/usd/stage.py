@@ -33,7 +33,7 @@ def compile_usd(scene: Scene) -> Artifact:
     is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     check_names(scene)
-    world = Prim("World", "Xform", "/World", "/World", kind="assembly")
+    world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     loader = files("simfoundry.backends") / "templates" / "usd_load.py"
