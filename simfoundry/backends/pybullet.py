@@ -38,6 +38,7 @@ from simfoundry.scene.model import (
     Collider,
     Drive,
     Geometry,
+    Joint,
     JointType,
     Light,
     LightType,
@@ -234,19 +235,25 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) 
         "joint_friction": {joint.name: rounded(joint.friction) for joint in moving},
         "joint_damping": {joint.name: rounded(joint.damping) for joint in moving},
     }
+    if len(item.links) > 1:
+        rest |= {key: value for key, value in _joined(tree, moving, timestep).items() if value}
+    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
+
+
+def _joined(tree: Tree, moving: Iterable[Joint], timestep: float) -> dict[str, object]:
+    """How the links of a body move and touch each other."""
+    item = tree.owner
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
-    more: dict[str, object] = {
+    touching = any(names.issuperset(pair) for pair in touching_pairs(item))
+    silent = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
+    drives = stable_drives(item, timestep, False)
+    return {
         "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
         "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
-        "drives": {
-            name: _drive(drive) for name, drive in stable_drives(item, timestep, False).items() if name in joints
-        },
-        "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
+        "drives": {name: _drive(drive) for name, drive in drives.items() if name in joints},
+        "self_collision": touching,
+        "no_contact": silent if touching else [],
     }
-    if more["self_collision"]:
-        more["no_contact"] = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
-    rest |= {key: value for key, value in more.items() if value}
-    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
 
 
 def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:

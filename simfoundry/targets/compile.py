@@ -26,9 +26,9 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
     if target.loader is not None:
         files = {path: data for path, data in files.items() if not path.startswith("load_")}
         files["load.py"] = target.loader
-    from simfoundry.targets.writers import WRITERS
-
     for name in profile.writes:
+        from simfoundry.targets.writers import WRITERS
+
         files |= WRITERS[name](scene)
     return replace(artifact, files=files, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
 from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
 
+_LOADER = Path(__file__).parents[1] / "templates" / "usd_load.py"
+
 
 def compile_usd(scene: Scene) -> Artifact:
     """Compile ``scene`` into ``scene.usda`` with its meshes and textures in ``assets/`` and a loader ``load.py``.
@@ -36,8 +38,7 @@ def compile_usd(scene: Scene) -> Artifact:
     world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
-    loader = files("simfoundry.backends") / "templates" / "usd_load.py"
-    contents = {"scene.usda": usda(world, about), "load.py": loader.read_bytes()}
+    contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
     return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 from simfoundry.backends.artifact import number
@@ -55,7 +56,7 @@ def _append_body(lines: list[str], prim: Prim, opening: str, before_brace: str, 
 
 def _metadata(prim: Prim, indent: str) -> Iterator[str]:
     if prim.schemas:
-        yield f"{indent}prepend apiSchemas = {_list(map(quoted, prim.schemas))}"
+        yield f"{indent}prepend apiSchemas = {_schemas(tuple(prim.schemas))}"
     if prim.custom_data:
         yield from _dictionary("customData", prim.custom_data, indent)
     if prim.kind:
@@ -65,6 +66,11 @@ def _metadata(prim: Prim, indent: str) -> Iterator[str]:
     if prim.variants:
         yield from _dictionary("variants", {"variant": prim.selected}, indent)
         yield f'{indent}prepend variantSets = "variant"'
+
+
+@lru_cache(maxsize=256)
+def _schemas(names: tuple[str, ...]) -> str:
+    return _list(map(quoted, names))
 
 
 def _dictionary(name: str, entries: Mapping[str, Any], indent: str) -> Iterator[str]:
