@@ -8,7 +8,7 @@ convex meshes that no setting removes; they are written smaller by that much, so
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
-from simfoundry.backends.robot_urdf import RobotUrdf, Write, robot_urdf
+from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, Write, robot_urdf
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
@@ -32,6 +32,7 @@ from simfoundry.backends.urdf import (
     urdf_files,
     whole,
 )
+from simfoundry.backends.urdf_physics import silent_between
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
@@ -63,8 +64,10 @@ _SUN = {
 }
 
 FEATURES: dict[str, Cell] = {
-    "robots": dropped("not compiled yet"),
-    "mounted_cameras": dropped("not compiled yet"),
+    "robots": approximated(ROBOT),
+    "robot_motors": approximated("a motor holds its joint with all its force, whatever the gains in the robot's file"),
+    "robot_contacts": approximated("as its file has them, multiplied with the roots of the scene's"),
+    "mounted_cameras": dropped("cameras in its files stand still"),
     **exact("gravity", "relations", "cameras", "background_mesh"),
     "distant_lights": approximated("one light a picture: the first; its brightness differs"),
     "point_lights": approximated("one light a picture: the first, as parallel rays"),
@@ -119,7 +122,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)
         world["background"] = BACKGROUND
-    if between := _silent_between(scene, parts):
+    if between := silent_between(scene, parts):
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
@@ -139,6 +142,8 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses.extend(found.losses)
         reason = "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's"
         losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
+        reason = "a motor of Bullet holds its joint with all its force, whatever the gains in the robot's file"
+        losses.append(Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason))
     for mounted in scene.mounted:
         reason = f"it rides on `{mounted.carrier}`, and cameras in the files of PyBullet stand still"
         losses.append(Loss(mounted.camera.name, Fidelity.DROPPED, reason))
@@ -264,14 +269,6 @@ def _drive(drive: Drive) -> dict[str, float]:
     if drive.force_limit is not None:
         found["force_limit"] = drive.force_limit
     return {key: _number(value) for key, value in found.items()}
-
-
-def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]]:
-    """Pairs of links of different bodies that do not touch, each link as its body and its own name."""
-    home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
-    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
-    pairs = ((home[a], home[b]) for a, b in (*own, *scene.no_contact))
-    return [[a, b] for a, b in pairs if a[0] != b[0]]
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
