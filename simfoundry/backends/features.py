@@ -95,8 +95,13 @@ def _silent(scene: Scene) -> list[str]:
     return [*pairs, *(["no_contact"] if scene.no_contact else [])]
 
 
-def _left_out(start: str) -> Users:
-    return lambda scene: [part.path for part in scene.left_out if part.path.startswith(start)]
+def _left_out(scene: Scene, start: str) -> list[str]:
+    return [part.path for part in scene.left_out if part.path.startswith(start)]
+
+
+def _robots(scene: Scene) -> list[str]:
+    """Those with a model; one without has no motors or surfaces that could be kept, either."""
+    return [*(robot.name for robot in scene.robots), *_left_out(scene, "robots.")]
 
 
 def _always(scene: Scene) -> list[str]:
@@ -106,8 +111,14 @@ def _always(scene: Scene) -> list[str]:
 FEATURES: dict[str, Feature] = {
     "gravity": Feature("scene", "gravity", _always),
     "relations": Feature("scene", "stated relations", lambda s: [str(r) for r in s.relations]),
-    "robots": Feature("scene", "robots", _left_out("robots.")),
-    "mounted_cameras": Feature("scene", "cameras on robots and objects", _left_out("cameras.")),
+    "robots": Feature("scene", "robots: base, links, joints", _robots),
+    "robot_motors": Feature("scene", "motors of robots", _robots),
+    "robot_contacts": Feature("scene", "surfaces of robots", _robots),
+    "mounted_cameras": Feature(
+        "scene",
+        "cameras on robots and objects",
+        lambda s: [*(m.camera.name for m in s.mounted), *_left_out(s, "cameras.")],
+    ),
     "cameras": Feature("scene", "cameras: pose and intrinsics", lambda s: [c.name for c in s.cameras]),
     "distant_lights": Feature("scene", "lights of parallel rays", _lights(LightType.DISTANT)),
     "point_lights": Feature("scene", "point lights", _lights(LightType.POINT)),
@@ -167,6 +178,7 @@ _OF_JOINT = {
     "drive": "drive",
 }
 _OF_OBJECT = {"colliders": "convex_mesh"}
+_OF_ROBOT = {"actuators": "robot_motors", "friction": "robot_contacts", "gripper": "robot_contacts"}
 _OF_LIGHT = {
     LightType.DISTANT: "distant_lights",
     LightType.POINT: "point_lights",
@@ -183,6 +195,10 @@ def feature_of(loss: Loss, scene: Scene) -> str:
     owner, *below = loss.path.split(".")
     if any(part.path == loss.path for part in scene.left_out):
         return {"robots": "robots", "cameras": "mounted_cameras"}.get(owner, "")
+    if any(robot.name == owner for robot in scene.robots):
+        return _OF_ROBOT.get(below[0] if below else "", "robots")
+    if any(mounted.camera.name == owner for mounted in scene.mounted):
+        return "mounted_cameras"
     word = below[-1] if below else ""
     item = scene.by_name.get(owner)
     if item is not None and word:
@@ -210,11 +226,11 @@ def fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
     found: dict[str, dict[str, Fidelity]] = {}
     users = _users(scene)
     for loss in losses:
-        name = feature_of(loss, scene)
-        worst = found.setdefault(name, {})
-        for user in users[name].meant(loss) if name in users else ():
-            if worst.get(user) is not Fidelity.DROPPED:
-                worst[user] = loss.fidelity
+        for name in _concerned(loss, scene):
+            worst = found.setdefault(name, {})
+            for user in users[name].meant(loss) if name in users else ():
+                if worst.get(user) is not Fidelity.DROPPED:
+                    worst[user] = loss.fidelity
     return {name: dict(_count(using.all, found.get(name, {}))) for name, using in users.items() if using.all}
 
 
@@ -226,6 +242,13 @@ def _users(scene: Scene) -> dict[str, _Users]:
 
 
 _USERS: WeakKeyDictionary[Scene, dict[str, _Users]] = WeakKeyDictionary()
+
+
+def _concerned(loss: Loss, scene: Scene) -> tuple[str, ...]:
+    """The features that a loss is about: with a robot go its motors and its surfaces."""
+    name = feature_of(loss, scene)
+    gone = name == "robots" and loss.fidelity is Fidelity.DROPPED
+    return ("robots", "robot_motors", "robot_contacts") if gone else (name,)
 
 
 class _Users(NamedTuple):

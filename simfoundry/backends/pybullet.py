@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
+from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, Write, robot_urdf
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
@@ -32,6 +32,7 @@ from simfoundry.backends.urdf import (
     urdf_files,
     whole,
 )
+from simfoundry.backends.urdf_physics import silent_between
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
@@ -51,9 +52,6 @@ from simfoundry.scene.model import (
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
-if TYPE_CHECKING:
-    from simfoundry.backends.robot_urdf import RobotUrdf, Write
-
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
@@ -67,8 +65,10 @@ _SUN = {
 }
 
 FEATURES: dict[str, Cell] = {
-    "robots": dropped("not compiled yet"),
-    "mounted_cameras": dropped("not compiled yet"),
+    "robots": approximated(ROBOT),
+    "robot_motors": approximated("a motor holds its joint with all its force, whatever the gains in the robot's file"),
+    "robot_contacts": approximated("as its file has them, multiplied with the roots of the scene's"),
+    "mounted_cameras": dropped("cameras in its files stand still"),
     **exact("gravity", "relations", "cameras", "background_mesh"),
     "distant_lights": approximated("one light a picture: the first; its brightness differs"),
     "point_lights": approximated("one light a picture: the first, as parallel rays"),
@@ -123,7 +123,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)
         world["background"] = BACKGROUND
-    if between := _silent_between(scene, parts):
+    if between := silent_between(scene, parts):
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
@@ -134,8 +134,6 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
     """The robots of a scene as URDF by name, and what is lost with them and with the cameras that ride on links."""
     robots, losses = {}, []
     for robot in scene.robots:
-        from simfoundry.backends.robot_urdf import robot_urdf  # reads models with MuJoCo
-
         found = robot_urdf(robot, write)
         if found is None:
             reason = "it has no model in URDF or MJCF, and USD is not converted"
@@ -145,6 +143,8 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
         losses.extend(found.losses)
         reason = "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's"
         losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
+        reason = "a motor of Bullet holds its joint with all its force, whatever the gains in the robot's file"
+        losses.append(Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason))
     for mounted in scene.mounted:
         reason = f"it rides on `{mounted.carrier}`, and cameras in the files of PyBullet stand still"
         losses.append(Loss(mounted.camera.name, Fidelity.DROPPED, reason))
@@ -276,14 +276,6 @@ def _drive(drive: Drive) -> dict[str, float]:
     if drive.force_limit is not None:
         found["force_limit"] = drive.force_limit
     return {key: rounded(value) for key, value in found.items()}
-
-
-def _silent_between(scene: Scene, parts: Iterable[Tree]) -> list[list[list[str]]]:
-    """Pairs of links of different bodies that do not touch, each link as its body and its own name."""
-    home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
-    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
-    pairs = ((home[a], home[b]) for a, b in (*own, *scene.no_contact))
-    return [[a, b] for a, b in pairs if a[0] != b[0]]
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:

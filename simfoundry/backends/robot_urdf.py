@@ -20,6 +20,9 @@ from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 Write = Callable[[SceneObject], Mapping[str, bytes]]
 """Writes an object as ``<name>.urdf`` and the assets that it names."""
 
+ROBOT = "its own model of this format, as it is; else converted, with hulls as colliders and closed loops cut"
+"""What formats other than MuJoCo's make of a robot."""
+
 _MOVING = ("revolute", "continuous", "prismatic")
 _STRONG = 100.0
 """Force [N m or N] of a joint whose URDF has no limit of it."""

@@ -13,12 +13,12 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
-from simfoundry.backends.features import Cell, dropped, exact
+from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.names import check_names
+from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, robot_urdf
 from simfoundry.backends.robot_words import robot_words
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
@@ -43,12 +43,11 @@ from simfoundry.scene.model import (
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
-if TYPE_CHECKING:
-    from simfoundry.backends.robot_urdf import RobotUrdf
-
 FEATURES: dict[str, Cell] = {
-    "robots": dropped("not compiled yet"),
-    "mounted_cameras": dropped("not compiled yet"),
+    "robots": approximated(ROBOT),
+    "robot_motors": dropped("URDF has no motors"),
+    "robot_contacts": dropped("URDF has no contact friction"),
+    "mounted_cameras": dropped("URDF has none"),
     "gravity": dropped("URDF describes objects, not a world"),
     "relations": dropped("URDF describes objects, not a world"),
     "cameras": dropped("URDF has none"),
@@ -106,26 +105,25 @@ def compile_urdf(scene: Scene) -> Artifact:
     files = urdf_files(scene, dialect)
     poses: dict[str, dict[str, object]] = {tree.name: _manifest(tree) for item in scene.objects for tree in trees(item)}
     lost: list[Loss] = []
-    converted: list[SceneObject] = []
+    robots: dict[str, RobotUrdf] = {}
     for robot in scene.robots:
-        from simfoundry.backends.robot_urdf import robot_urdf  # reads models with MuJoCo
-
         found = robot_urdf(robot, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
         if found is None:
             lost.append(Loss(robot.name, Fidelity.DROPPED, "it has no model in URDF or MJCF, and USD is not converted"))
             continue
         files |= found.files
         lost.extend(found.losses)
-        reason = "URDF has no motors, nor surfaces: nothing holds its joints until the simulator drives them"
+        reason = "URDF has no motors: nothing holds its joints until the simulator drives them"
         lost.append(Loss(f"{robot.name}.actuators", Fidelity.DROPPED, reason))
-        if found.item is not None:
-            converted.append(found.item)
+        reason = "URDF has no contact friction: the simulator's default applies"
+        lost.append(Loss(f"{robot.name}.friction", Fidelity.DROPPED, reason))
+        robots[robot.name] = found
         poses[robot.name] = {"urdf": found.path, "category": "robot"} | _robot_placement(found)
         words = robot_words(robot)
         if words is not None:
             poses[robot.name]["robot"] = words
     files["poses.json"] = json_text(poses)
-    files["physics.json"] = physics_manifest(scene, capsule_parts, converted)
+    files["physics.json"] = physics_manifest(scene, capsule_parts, robots.items())
     files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
 

@@ -6,6 +6,7 @@ import json
 import os
 from pathlib import Path
 from types import MappingProxyType
+from weakref import WeakValueDictionary
 
 import yaml
 from pydantic import ValidationError
@@ -19,6 +20,10 @@ from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec
 
 OWN_MODELS = "SIMFOUNDRY_ROBOTS"
 """The environment variable that names a folder of one's own robot files, `franka_robotiq.yaml` and so on."""
+
+_ROBOTS: WeakValueDictionary[tuple[object, ...], Robot] = WeakValueDictionary()
+_MODELS: WeakValueDictionary[tuple[object, ...], NativeModel] = WeakValueDictionary()
+"""What is alive of each content: the scenes of a batch share a robot, and what backends have read of it."""
 
 _BUILT_IN = Path(__file__).parents[1] / "robots"
 _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
@@ -35,7 +40,8 @@ def lower_robot(name: str, spec: RobotSpec, document: Path) -> Robot:
         raise NoModelError(missing)
     home = dict(known.home) if known is not None else {}
     positions = home | (spec.joints if isinstance(spec.joints, dict) else {})
-    return Robot(
+    key = (name, spec.model_dump_json(), *(id(model) for model in models.values()))
+    robot = _ROBOTS.get(key) or Robot(
         name=name,
         kind=spec.model if isinstance(spec.model, str) else FILES_ONLY,
         X_WB=pose(spec.pose),
@@ -44,6 +50,7 @@ def lower_robot(name: str, spec: RobotSpec, document: Path) -> Robot:
         opening=spec.opening or (known.opening if known is not None else None),
         models=MappingProxyType(models),
     )
+    return _ROBOTS.setdefault(key, robot)
 
 
 def _as_models(spec: RobotSpec) -> dict[str, ModelSpec]:
@@ -98,16 +105,19 @@ def _model(key: ModelFormat, spec: ModelSpec, document: Path) -> NativeModel:
         files = [part.file] if isinstance(part.file, str) else part.file
         attached.append(Attached(name, _first(files, document, _SUFFIX[key]), part.to, pose(part.pose)))
     needed = [path for one in (file, *(a.file for a in attached)) for path in model_files(one)]
-    return NativeModel(
+    content = digest(needed)
+    same = (key, content, file, *(a.file for a in attached), spec.model_dump_json())
+    model = _MODELS.get(same) or NativeModel(
         format=key,
         file=file,
-        digest=digest(needed),
+        digest=content,
         attached=tuple(attached),
         links=MappingProxyType({n: LinkFrame(f.link, pose(f.pose)) for n, f in spec.links.items()}),
         joints=MappingProxyType({f"joint{k}": joint for k, joint in enumerate(spec.joints, 1)}),
         gripper=_gripper(spec),
         effort=MappingProxyType(dict(spec.effort)),
     )
+    return _MODELS.setdefault(same, model)
 
 
 def _first(references: list[str], document: Path, suffix: str) -> Path:

@@ -34,10 +34,12 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
 
 
 def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
-    """Losses of the backend that the loader does not give back."""
+    """Losses of the backend that the loader does not give back; no loader knows of what was left out before."""
+    absent = {part.path for part in scene.left_out}
     combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
+    told = profile.restores.keys() | combined | profile.gaps.keys()
     for loss in artifact.losses:
-        if feature_of(loss, scene) not in profile.restores.keys() | combined | profile.gaps.keys():
+        if loss.path in absent or feature_of(loss, scene) not in told:
             yield loss
 
 

@@ -70,6 +70,8 @@ def _object_layer(scene: Scene, item: SceneObject) -> bytes:
         scene,
         objects=(replace(item, X_WO=IDENTITY, joints=rest, variant="", variants=()),),
         cameras=(),
+        robots=(),
+        mounted=(),
         lights=(),
         relations=(),
         background=None,

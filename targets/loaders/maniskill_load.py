@@ -5,7 +5,8 @@
     env.reset(seed=0)
     env.unwrapped.things["cup"].pose
 
-Poses, contact materials and joint friction come from ``poses.json`` and ``physics.json``, which URDF has no place for.
+Poses, contact materials, joint friction and motors come from ``poses.json`` and ``physics.json``, which URDF has no
+place for.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 HERE = Path(__file__).resolve().parent
 POSES: dict[str, Any] = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
 PHYSICS: dict[str, Any] = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
+FAR = 3.4e38
+"""No limit of the force of a motor [N or N m]."""
 
 
 @register_env("SimFoundryScene-v1", max_episode_steps=600)
@@ -53,19 +56,25 @@ class SceneEnv(BaseEnv):
         loader.name, loader.fix_root_link = name, item["fixed"]
         parsed = loader.parse(str(HERE / item["urdf"]))
         pose = sapien.Pose(item["p"], item["q_wxyz"])
-        surfaces = PHYSICS["objects"][name]["links"]
+        said = PHYSICS["objects"].get(name)  # nothing of a robot with a URDF of its own: it keeps ManiSkill's surfaces
+        surfaces = {} if said is None else said["links"]
         if parsed["actor_builders"]:
             (builder,) = parsed["actor_builders"]
             set_surfaces(builder, next(iter(surfaces.values())))
             builder.initial_pose = pose
             return builder.build_static(name) if item["fixed"] else builder.build(name)
         (builder,) = parsed["articulation_builders"]
-        for link in builder.link_builders:
+        for link in builder.link_builders if said is not None else ():
             set_surfaces(link, surfaces[link.name])
         builder.initial_pose = pose
         articulation = builder.build(name, fix_root_link=item["fixed"])
         for joint in articulation.active_joints:
-            joint.set_friction(PHYSICS["objects"][name]["joints"][joint.name]["friction"])
+            if said is not None:
+                joint.set_friction(said["joints"][joint.name]["friction"])
+            if joint.name in (drives := drives_of(name)):
+                drive = drives[joint.name]
+                damping = drive["damping"] + float(joint.get_damping()[0])  # PhysX's drive also is the joint's damping
+                joint.set_drive_properties(drive["stiffness"], damping, drive.get("force_limit", FAR))
         return articulation
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
@@ -75,12 +84,25 @@ class SceneEnv(BaseEnv):
                 if joints:
                     order = [joints[joint.name] for joint in thing.active_joints]
                     thing.set_qpos(torch.tensor([order]).repeat(len(env_idx), 1))
+                drives = drives_of(name)
+                driven = [joint for joint in thing.active_joints if joint.name in drives] if drives else []
+                if driven:
+                    targets = torch.tensor([[drives[joint.name]["target"] for joint in driven]])
+                    thing.set_joint_drive_targets(targets.repeat(len(env_idx), 1), joints=driven)
                 if not item["fixed"]:
                     thing.set_pose(sapien.Pose(item["p"], item["q_wxyz"]))
 
     def evaluate(self) -> dict[str, Any]:
         """A scene has no goal."""
         return {}
+
+
+def drives_of(name: str) -> dict[str, dict[str, float]]:
+    """The motors of an object or a robot by joint."""
+    if name in PHYSICS.get("robots", {}):
+        motors: dict[str, dict[str, float]] = PHYSICS["robots"][name]["motors"]
+        return motors
+    return {joint: said["drive"] for joint, said in PHYSICS["objects"][name]["joints"].items() if "drive" in said}
 
 
 def set_surfaces(builder: Any, surfaces: dict[str, dict[str, float]]) -> None:

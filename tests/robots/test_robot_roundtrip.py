@@ -81,3 +81,13 @@ def test_words_that_were_edited_into_nonsense_are_refused(cell: Scene, tmp_path:
 def test_a_camera_on_a_robot_is_a_loss_of_urdf(cell: Scene) -> None:
     losses = compile_scene(cell, "urdf").losses
     assert {feature_of(loss, cell) for loss in losses if loss.path == "wrist"} == {"mounted_cameras"}
+
+
+def test_scenes_share_a_robot_until_its_model_changes(cell: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "cell.scene.yaml"
+    assert lower_file(path).robots[0] is cell.robots[0]
+    (tmp_path / "mini.xml").write_text(MODEL.replace('mass="2"', 'mass="3"'))
+    changed = lower_file(path).robots[0]
+    assert changed is not cell.robots[0]
+    path.write_text(SCENE.replace("yaw_deg: 30", "yaw_deg: 31"))
+    assert lower_file(path).robots[0] is not changed

@@ -79,6 +79,25 @@ LIGHTS = {
     "dome_lights": "  sky: {type: dome, intensity: 0.3}\n",
 }
 
+ROBOT = """\
+<mujoco model="arm">
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="foot">
+      <geom name="foot" type="cylinder" size="0.05 0.05" mass="2"/>
+      <body name="hand" pos="0 0 0.1">
+        <joint name="turn" axis="0 1 0" range="-1.5 1.5" damping="0.5"/>
+        <geom name="hand" type="box" size="0.02 0.03 0.1" pos="0 0 0.1" mass="0.5" friction="0.9"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="turn" joint="turn" kp="100" kv="5" ctrlrange="-1.5 1.5" forcerange="-20 20"/>
+  </actuator>
+</mujoco>
+"""
+"""A robot whose model is a file of its own, for features called ``robots``."""
+
 TILE = (
     "mtllib tile.mtl\n"
     + "".join(
@@ -103,10 +122,13 @@ def splat_ply(count: int = 7, degree: int = 1, seed: int = 3) -> tuple[bytes, di
 
 
 def write_everything(folder: Path, *features: str) -> Path:
-    """The scene, with lights and background where ``features`` names them; returns the path of its document."""
+    """The scene, with lights, background, a robot's model where ``features`` names them; the path of its document."""
     from PIL import Image
 
     text = SCENE
+    if "robots" in features:
+        text = text.replace("model: franka_robotiq", "model: {mjcf: arm.xml}, joints: {turn: 0.3}")
+        (folder / "arm.xml").write_text(ROBOT)
     shone = [LIGHTS[name] for name in LIGHTS if name in features]
     text += "lights:\n" + "".join(shone) if shone else ""
     if "background_mesh" in features:

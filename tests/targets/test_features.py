@@ -19,18 +19,24 @@ from simfoundry.targets.support import cells_of
 from tests.scenes import all_scenes, full_scene
 from tests.targets.everything import LIGHTS, write_everything
 
-APART = (*LIGHTS, "background_mesh", "background_splat")
-"""Features that are looked at one at a time: a picture has one light, a scene one background."""
+OF_ROBOTS = ("robots", "robot_motors", "robot_contacts", "mounted_cameras")
+
+APART = {name: name for name in (*LIGHTS, "background_mesh", "background_splat")} | dict.fromkeys(OF_ROBOTS, "robots")
+"""Features that are looked at one at a time: a picture has one light, a scene one background; and a robot's.
+
+Without its model a robot is left out, in all targets alike.
+"""
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
     """The scene by the feature that is added to it; without any by ``""``."""
-    return {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in ("", *APART)}
+    names = ("", *dict.fromkeys(APART.values()))
+    return {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in names}
 
 
 def test_the_scene_uses_every_feature(scenes: dict[str, Scene]) -> None:
-    unused = [name for name, f in FEATURES.items() if not any(f.users(scenes[name if name in APART else ""]))]
+    unused = [name for name, f in FEATURES.items() if not any(f.users(scenes[APART.get(name, "")]))]
     assert unused == []
 
 
@@ -43,7 +49,7 @@ def test_every_backend_decides_on_every_feature(backend: str) -> None:
 @pytest.mark.parametrize("feature", FEATURES)
 @pytest.mark.parametrize("target", target_names())
 def test_a_compile_reports_what_the_table_says(target: str, feature: str, scenes: dict[str, Scene]) -> None:
-    scene, chosen = scenes[feature if feature in APART else ""], find_target(target)
+    scene, chosen = scenes[APART.get(feature, "")], find_target(target)
     losses = compile_target(scene, chosen).losses
     reported = {loss.fidelity for loss in losses if feature_of(loss, scene) == feature}
     fidelity = cells_of(chosen)[feature].fidelity
@@ -90,6 +96,8 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
     assert lines[0].split() == ["not", "kept", "mjcf", "usd"]
     assert [line.split()[0] for line in lines[1:-1]] == [
         "robots",
+        "robot_motors",
+        "robot_contacts",
         "mounted_cameras",
         "variants",
         "friction",
@@ -98,9 +106,23 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
         "rolling_friction",
     ]
     assert lines[1].split() == ["robots", "-1", "-1"]
-    assert lines[3].split() == ["variants", "-1"]
+    assert lines[5].split() == ["variants", "-1"]
     in_use = sum(1 for f in FEATURES.values() if any(f.users(scene)))
-    assert lines[-1] == f"kept by all: {in_use - 7} of the {in_use} fields in use"
+    assert lines[-1] == f"kept by all: {in_use - 9} of the {in_use} fields in use"
+
+
+def test_a_robot_that_is_there_is_told_from_one_that_is_not(scenes: dict[str, Scene]) -> None:
+    def told(name: str, target: str) -> list[dict[str, int]]:
+        found = fates(scenes[name], compile_target(scenes[name], find_target(target)).losses)
+        return [found[feature] for feature in OF_ROBOTS]
+
+    kept, near, lost = ({fate: 1} for fate in ("kept", "approximated", "dropped"))
+    assert scenes[""].robots == () and all(told("", target) == [lost] * 4 for target in target_names())
+    assert told("robots", "mujoco") == [kept, kept, near, kept]
+    assert told("robots", "pybullet") == [near, near, near, lost]
+    assert told("robots", "urdf") == [near, lost, lost, lost]
+    assert told("robots", "sapien") == told("robots", "drake") == [near, kept, near, lost]
+    assert told("robots", "usd") == [near, kept, near, kept]
 
 
 def test_the_page_is_what_the_tables_say() -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 
 FEATURES: dict[str, Cell] = {
-    "robots": dropped("not compiled yet"),
-    "mounted_cameras": dropped("not compiled yet"),
+    "robots": Cell(reason="its own MJCF; else its URDF as MuJoCo reads it, with hulls as colliders"),
+    "robot_motors": Cell(reason="a model without actuators gets a stiff servo in each joint"),
+    "robot_contacts": approximated("as its file has them; against the scene's, MuJoCo takes the larger friction"),
+    **exact("mounted_cameras"),
     **exact("gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
     "dome_lights": approximated("its colour lights everything alike, without shading"),
     "background_splat": dropped("MuJoCo shows surfaces only"),

@@ -3,8 +3,12 @@
     diagram, plant, models = load()
     simulator = pydrake.systems.analysis.Simulator(diagram)
 
-Contact friction, gravity and armature come from ``physics.json``, because URDF has no place for them. Drake takes the
-harmonic mean of the frictions of a pair, and has no restitution and no Coulomb friction of joints.
+Contact friction, gravity, armature and motors come from ``physics.json``, because URDF has no place for them. Drake
+takes the harmonic mean of the frictions of a pair, and has no restitution and no Coulomb friction of joints.
+
+A motor is an actuator with a controller that Drake steps implicitly. Where it goes is a source in the diagram:
+
+    set_targets(diagram, plant, simulator.get_mutable_context(), models["arm"], {"joint1": 0.2})
 """
 
 from __future__ import annotations
@@ -30,10 +34,14 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.multibody.tree import Joint, JointActuator, ModelInstanceIndex, PdControllerGains
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
 HERE = Path(__file__).resolve().parent
+
+LEAST = 1e-9
+"""Drake wants some stiffness of every controller [N/m or N m/rad]."""
 
 STILL = 1e-4
 """Below this speed [m/s] contacts stick."""
@@ -53,13 +61,78 @@ def load(time_step: float = 1e-3) -> tuple[Diagram, MultibodyPlant, dict[str, Mo
     plant.mutable_gravity_field().set_gravity_vector(physics["gravity"])
     plant.set_stiction_tolerance(STILL)
     scene_graph.set_config(SceneGraphConfig(default_proximity_properties=COMPLIANT))
-    models = {}
+    models, targets = {}, {}
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as temporary:
         for name, item in poses.items():
             urdf = convex(HERE / item["urdf"], Path(temporary))
-            models[name] = load_object(plant, scene_graph, urdf, item, physics["objects"].get(name))
+            said, robot = physics["objects"].get(name), physics.get("robots", {}).get(name)
+            models[name] = load_object(plant, scene_graph, urdf, item, said)
+            drives = {n: j["drive"] for n, j in said["joints"].items() if "drive" in j} if said else robot["motors"]
+            for joint, drive in drives.items():
+                add_motor(plant, plant.GetJointByName(joint, models[name]), drive)
+            for joint, law in robot["follow"].items() if robot else ():
+                follow(plant, models[name], urdf, joint, law)
+            targets[name] = {joint: drive["target"] for joint, drive in drives.items()}
+    between = physics.get("no_contact", [])
+    silence(plant, scene_graph, [[(models[name], link) for name, link in pair] for pair in between])
     plant.Finalize()
+    for name, model in models.items():
+        if targets[name]:
+            source = ConstantVectorSource(desired(plant, model, targets[name]))
+            builder.AddNamedSystem(source_name(plant, model), source)
+            builder.Connect(source.get_output_port(), plant.get_desired_state_input_port(model))
     return builder.Build(), plant, models
+
+
+def set_targets(
+    diagram: Diagram, plant: MultibodyPlant, context: Context, model: ModelInstanceIndex, targets: dict[str, float]
+) -> None:
+    """Let motors of an object or a robot go to other targets [rad or m] by joint; ``context`` is the diagram's."""
+    source = diagram.GetSubsystemByName(source_name(plant, model))
+    value = source.get_mutable_source_value(source.GetMyMutableContextFromRoot(context))
+    names = actuated(plant, model)
+    for joint, target in targets.items():
+        value[names.index(joint)] = target
+
+
+def source_name(plant: MultibodyPlant, model: ModelInstanceIndex) -> str:
+    """The system that says where the motors of a model go."""
+    return f"{plant.GetModelInstanceName(model)}_targets"
+
+
+def desired(plant: MultibodyPlant, model: ModelInstanceIndex, targets: dict[str, float]) -> np.ndarray:
+    """Positions and then speeds for all actuators of a model, those without a controller as well."""
+    names = actuated(plant, model)
+    return np.array([targets.get(name, 0.0) for name in names] + [0.0] * len(names))
+
+
+def actuated(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[str]:
+    """The joints that have an actuator, in Drake's order."""
+    return [plant.get_joint_actuator(k).joint().name() for k in plant.GetJointActuatorIndices(model)]
+
+
+def add_motor(plant: MultibodyPlant, joint: Joint, drive: dict[str, float]) -> None:
+    """A motor that pulls a joint to its target like a spring with a damper, up to its force limit."""
+    actuator = actuator_of(plant, joint)
+    actuator.set_effort_limit(drive.get("force_limit", np.inf))
+    actuator.set_controller_gains(PdControllerGains(p=max(drive["stiffness"], LEAST), d=drive["damping"]))
+
+
+def actuator_of(plant: MultibodyPlant, joint: Joint) -> JointActuator:
+    """The actuator of a joint, a new one where its URDF has none."""
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        if actuator.joint().index() == joint.index():
+            return actuator
+    return plant.AddJointActuator(joint.name(), joint)
+
+
+def follow(plant: MultibodyPlant, model: ModelInstanceIndex, urdf: Path, name: str, law: dict[str, Any]) -> None:
+    """Let a joint follow another, unless its URDF says so already."""
+    said = ET.parse(urdf).getroot().findall("joint")
+    if not any(joint.get("name") == name and joint.find("mimic") is not None for joint in said):
+        joint, leader = (plant.GetJointByName(n, model) for n in (name, law["joint"]))
+        plant.AddCouplerConstraint(joint, leader, law["multiplier"], law["offset"])
 
 
 def convex(urdf: Path, folder: Path) -> Path:
@@ -89,23 +162,31 @@ def load_object(
         plant.WeldFrames(plant.world_frame(), bodies[0].body_frame(), X_WO)
     else:
         plant.SetDefaultFloatingBaseBodyPose(bodies[0], X_WO)
-    geometries = {body.name(): plant.GetCollisionGeometriesForBody(body) for body in bodies}
-    for link, found in geometries.items():
-        if physics is not None:
-            set_friction(plant, scene_graph, found, physics["links"][link])
-    silent = CollisionFilterDeclaration()
-    for a, b in physics["silent"] if physics else combinations(geometries, 2):
-        silent.ExcludeBetween(GeometrySet(geometries[a]), GeometrySet(geometries[b]))
-    scene_graph.collision_filter_manager().Apply(silent)
+    names = [body.name() for body in bodies]
+    if physics is not None:
+        for body in bodies:
+            found = plant.GetCollisionGeometriesForBody(body)
+            set_friction(plant, scene_graph, found, physics["links"][body.name()])
+    silent = physics["silent"] if physics is not None else combinations(names, 2)
+    silence(plant, scene_graph, [[(model, link) for link in pair] for pair in silent])
     for name, position in item["joints"].items():
         joint = plant.GetJointByName(name, model)
         joint.set_default_positions([position])
         armature = physics["joints"][name]["armature"] if physics else 0.0
-        if armature > 0:  # a motor that nobody drives, for the inertia of its rotor
-            rotor = plant.AddJointActuator(f"{name}_rotor", joint)
+        if armature > 0:  # the inertia of a rotor, which a motor has and here also a joint without one
+            rotor = actuator_of(plant, joint)
             rotor.set_default_rotor_inertia(armature)
             rotor.set_default_gear_ratio(1.0)
     return model
+
+
+def silence(plant: MultibodyPlant, scene_graph: SceneGraph, pairs: list[list[tuple[ModelInstanceIndex, str]]]) -> None:
+    """Let links pass through each other, each named with its model."""
+    filtered = CollisionFilterDeclaration()
+    for pair in pairs:
+        bodies = (plant.GetBodyByName(link, model) for model, link in pair)
+        filtered.ExcludeBetween(*(GeometrySet(plant.GetCollisionGeometriesForBody(body)) for body in bodies))
+    scene_graph.collision_filter_manager().Apply(filtered)
 
 
 def set_friction(

@@ -3,8 +3,9 @@
     scene, objects = load()
     scene.step()
 
-An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature and
-joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a pair.
+An object with joints is a ``PhysxArticulation``, any other an ``Entity``. Contact materials, gravity, armature, motors
+and joint friction come from ``physics.json``, because URDF has no place for them. PhysX averages the frictions of a
+pair. A motor goes where ``joint.set_drive_target`` says; it starts at the target of the scene.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ from __future__ import annotations
 import json
 import tempfile
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import sapien
@@ -25,10 +27,30 @@ HERE = Path(__file__).resolve().parent
 HOLD = 1e5
 """Damping [N s/m or N m s/rad] of the drive that stands for Coulomb friction, up to whose force it holds."""
 
+FAR = 3.4e38
+"""No limit of the force of a motor [N or N m]: the largest that PhysX can write."""
+
 TENDON = 1e5
 """Stiffness of the tendon that lets a joint follow another [N/m or N m/rad]."""
 
+FIRST, EVERY = 1, 0xFFFFFFFF
+"""The kind of most collision shapes, and all kinds."""
+
+SOFT = 1e3
+"""That of a tendon to a joint which hangs on a tendon itself: stiffer, the two shake each other."""
+
+
+class Law(NamedTuple):
+    """A joint's position is ``multiplier`` times that of its ``leader`` plus ``offset`` [rad or m]."""
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
 Loaded: TypeAlias = physx.PhysxArticulation | sapien.Entity
+Link: TypeAlias = tuple[str, str]
+"""An object and one of its links."""
 
 
 def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapien.Scene, dict[str, Loaded]]:
@@ -46,7 +68,55 @@ def load(scene: sapien.Scene | None = None, visuals: bool = False) -> tuple[sapi
         for group, (name, item) in enumerate(poses.items(), start=1):
             path = prepared(HERE / item["urdf"], Path(temporary), item["fixed"], visuals)
             world[name] = load_object(scene, path, item, physics["objects"].get(name), group)
+            if name in physics.get("robots", {}):
+                drive_robot(world[name], physics["robots"][name])
+    part(world, physics.get("no_contact", []))
     return scene, world
+
+
+def part(world: dict[str, Loaded], pairs: list[list[list[str]]]) -> None:
+    """Let links of different objects pass through each other, each named with its object."""
+    found = kinds([((a, link_a), (b, link_b)) for (a, link_a), (b, link_b) in pairs])
+    for (name, link), (kind, met) in found.items():
+        for shape in link_of(world[name], link).collision_shapes:
+            _, _, ignored, group = shape.collision_groups
+            shape.set_collision_groups([kind, met, ignored, group])
+
+
+def kinds(pairs: list[tuple[Link, Link]]) -> dict[Link, tuple[int, int]]:
+    """For each link its kind and the kinds that it meets, such that the two of a pair do not: of two, one must meet.
+
+    Links that pass through the same others are of one kind; everything else is of the first. PhysX has 32 kinds: links
+    for which none is left pass through nothing.
+    """
+    passed: dict[Link, set[Link]] = {}
+    for a, b in pairs:
+        passed.setdefault(a, set()).add(b)
+        passed.setdefault(b, set()).add(a)
+    groups = sorted({tuple(sorted(others)) for others in passed.values()})
+    if (left := len(groups) - 31) > 0:
+        print(f"PhysX cannot tell apart {len(groups)} kinds of links that pass through others: {left} do not")
+    bits = {group: 1 << k for k, group in enumerate(groups[:31], start=1)}
+    own = {link: bits.get(tuple(sorted(others)), FIRST) for link, others in passed.items()}
+    found = {}
+    for link, others in passed.items():
+        silent = {own[other] for other in others} - {FIRST} if own[link] != FIRST else set()
+        found[link] = own[link], EVERY & ~sum(silent)
+    return found
+
+
+def link_of(thing: Loaded, name: str) -> physx.PhysxRigidBaseComponent:
+    """A link of an object by name; one without joints has only one."""
+    if isinstance(thing, physx.PhysxArticulation):
+        return thing.find_link_by_name(name)
+    return component_of(thing)
+
+
+def drive_robot(robot: physx.PhysxArticulation, said: dict[str, Any]) -> None:
+    """Give a robot with a URDF of its own the motors and the followers that the file lacks."""
+    for name, drive in said["motors"].items():
+        set_drive(robot.find_joint_by_name(name), drive)
+    follow(robot, {name: Law(law["joint"], law["multiplier"], law["offset"]) for name, law in said["follow"].items()})
 
 
 def prepared(urdf: Path, folder: Path, fixed: bool, visuals: bool) -> Path:
@@ -87,8 +157,9 @@ def load_object(
         return entity
     articulations[0].set_initial_pose(pose)
     articulation = articulations[0].build(fix_root_link=item["fixed"], build_mimic_joints=False)
-    for mimic in articulations[0].mimic_joint_records:
-        follow(articulation, mimic.joint, mimic.mimic, mimic.multiplier, mimic.offset)
+    if physics is not None:  # who follows whom in a robot of its own is told apart, with what its URDF lacks
+        records = articulations[0].mimic_joint_records
+        follow(articulation, {m.joint: Law(m.mimic, m.multiplier, m.offset) for m in records})
     names = {link.name for link in articulation.links}
     silent = physics["silent"] if physics is not None else combinations(sorted(names), 2)
     bits = silence(names, {frozenset(pair) for pair in silent})
@@ -103,17 +174,34 @@ def load_object(
     return articulation
 
 
-def follow(articulation: physx.PhysxArticulation, name: str, leader: str, multiplier: float, offset: float) -> None:
+def follow(articulation: physx.PhysxArticulation, laws: dict[str, Law]) -> None:
+    """Let joints follow others; one that cannot is left free, which is said."""
+    for name, law in laws.items():
+        direct, *around = ways(name, laws)
+        if not (tie(articulation, name, direct, TENDON) or any(tie(articulation, name, way, SOFT) for way in around)):
+            print(f"{articulation.root.name}: PhysX cannot let {name} follow {law.leader}: it moves freely")
+
+
+def ways(name: str, laws: dict[str, Law]) -> Iterator[Law]:
+    """The law of a joint, and the same said of the other joints that have its leader."""
+    own = laws[name]
+    yield own
+    for other, law in laws.items():
+        if other != name and law.leader == own.leader and law.multiplier != 0:
+            ratio = own.multiplier / law.multiplier
+            yield Law(other, ratio, own.offset - ratio * law.offset)
+
+
+def tie(articulation: physx.PhysxArticulation, name: str, law: Law, stiffness: float) -> bool:
     """Let a joint follow another, by a stiff tendon, as SAPIEN's reader does; but it turns the ratio of siblings round.
 
-    PhysX can tie a joint to the one above it or to one beside it: any other is left free, which is said.
+    PhysX can tie a joint to the one above it or to one beside it; False for any other.
     """
-    joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(leader)
+    joint, other = articulation.find_joint_by_name(name), articulation.find_joint_by_name(law.leader)
     above, beside = joint.parent_link == other.child_link, joint.parent_link == other.parent_link
-    root = other.parent_link
+    root, multiplier = other.parent_link, law.multiplier
     if multiplier == 0 or root is None or not (above or beside):
-        print(f"{articulation.name}: PhysX cannot let {name} follow {leader}: it moves freely")
-        return
+        return False
     if above:
         links, ratios, inverse = (
             [root, other.child_link, joint.child_link],
@@ -126,7 +214,8 @@ def follow(articulation: physx.PhysxArticulation, name: str, leader: str, multip
             [0, 1, -multiplier],
             [0, 1, -1 / multiplier],
         )
-    articulation.create_fixed_tendon(links, ratios, inverse, rest_length=offset, stiffness=TENDON)
+    articulation.create_fixed_tendon(links, ratios, inverse, rest_length=law.offset, stiffness=stiffness)
+    return True
 
 
 def component_of(entity: sapien.Entity) -> physx.PhysxRigidBaseComponent:
@@ -173,12 +262,24 @@ def set_masks(link: physx.PhysxRigidBaseComponent, mask: int, group: int) -> Non
         shape.set_collision_groups([first, second, ignored | mask, group])
 
 
-def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, float]) -> None:
-    """Armature; and Coulomb friction, as a drive that holds the joint up to a force, where it has no damping."""
+def set_joint(joint: physx.PhysxArticulationJoint, values: dict[str, Any]) -> None:
+    """Armature and motor; or Coulomb friction, as a drive that holds the joint up to a force.
+
+    PhysX has one drive a joint, which also is its damping: friction is left out where there is damping or a motor.
+    """
     joint.armature = np.full(joint.dof, values["armature"], dtype=np.float32)
     joint.friction = 0.0
-    if values["friction"] > 0 and joint.damping == 0:
+    if "drive" in values:
+        set_drive(joint, values["drive"])
+    elif values["friction"] > 0 and joint.damping == 0:
         joint.set_drive_property(0.0, HOLD, values["friction"], "force")
+
+
+def set_drive(joint: physx.PhysxArticulationJoint, drive: dict[str, float]) -> None:
+    """A motor that pulls a joint to its target like a spring with a damper, to which the joint's own damping adds."""
+    limit = drive.get("force_limit", FAR)
+    joint.set_drive_property(drive["stiffness"], drive["damping"] + joint.damping, limit, "force")
+    joint.set_drive_target(drive["target"])
 
 
 def main() -> None:

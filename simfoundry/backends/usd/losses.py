@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.robot_urdf import ROBOT
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
 from simfoundry.scene.model import Collider, Joint, JointType, LightType, Mesh, Scene, SceneObject
@@ -15,8 +16,10 @@ from simfoundry.scene.trees import trees
 HULL_VERTICES = 64  # PhysX's limit of a convex hull
 
 FEATURES: dict[str, Cell] = {
-    "robots": dropped("not compiled yet"),
-    "mounted_cameras": dropped("not compiled yet"),
+    "robots": approximated(ROBOT),
+    "robot_motors": Cell(reason="drives with the gains of the robot's file"),
+    "robot_contacts": approximated("one friction a shape, combined as readers do: its file may mean otherwise"),
+    **exact("mounted_cameras"),
     **exact("gravity", "relations", "cameras", "distant_lights"),
     "point_lights": approximated("falls off with the square of the distance; as stated at 1 m"),
     **exact("dome_lights", "background_mesh", "background_splat"),

@@ -51,6 +51,8 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
+        reason = "its surfaces have the friction of its file, and readers combine it with the scene's in their own way"
+        found.losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
     return found
 
 

@@ -68,10 +68,12 @@ class DrakeSession:
 
     def facts(self) -> Facts:
         """Links, joints, gravity."""
+        joints = {name: self._joint(joint) for name, joint in self._joints.items()}
         return Facts(
             links={name: self._link(body) for name, body in self._bodies.items()},
-            joints={name: self._joint(joint) for name, joint in self._joints.items()},
+            joints=joints,
             gravity=numbers(self.plant.gravity_field().gravity_vector()),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
         )
 
     def close(self) -> None:
@@ -108,26 +110,48 @@ class DrakeSession:
         return scene_graph.model_inspector()
 
     def _joint(self, joint: Any) -> JointFacts:
-        """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds."""
+        """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds.
+
+        A target is told where it reaches the plant, so that a port that nobody connected shows.
+        """
         kind = joint.type_name()
         low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())
         axis = joint.translation_axis() if kind == "prismatic" else joint.revolute_axis()
         X_CJ = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame())
+        actuator = self._actuator(joint)
+        drive: Numbers = ()
+        if actuator is not None and actuator.has_controller():
+            gains = actuator.get_controller_gains()
+            drive = (float(gains.p), float(gains.d), *self._target(actuator))
+        limit = math.inf if actuator is None else float(actuator.effort_limit())
         return JointFacts(
             type=kind,
             axis=numbers(X_CJ.rotation @ axis),
             limits=(low, high) if math.isfinite(low) and math.isfinite(high) else (),
             damping=float(joint.default_damping()),
             friction=0.0,
-            armature=self._armature(joint),
+            armature=0.0 if actuator is None else float(actuator.default_reflected_inertia()),
             position=self._position(joint),
+            drive=drive,
+            effort=(limit,) if drive and math.isfinite(limit) else (),
         )
 
-    def _armature(self, joint: Any) -> float:
-        name, model = f"{joint.name()}_rotor", joint.model_instance()
-        if not self.plant.HasJointActuatorNamed(name, model):
-            return 0.0
-        return float(self.plant.GetJointActuatorByName(name, model).default_reflected_inertia())
+    def _actuator(self, joint: Any) -> Any:
+        """The actuator of a joint; None where it has none."""
+        for index in self.plant.GetJointActuatorIndices(joint.model_instance()):
+            actuator = self.plant.get_joint_actuator(index)
+            if actuator.joint().index() == joint.index():
+                return actuator
+        return None
+
+    def _target(self, actuator: Any) -> Numbers:
+        """Where a controller pulls to; nothing where nobody tells it, which disarms it."""
+        model = actuator.model_instance()
+        port = self.plant.get_desired_state_input_port(model)
+        if not port.HasValue(self._context):
+            return ()
+        rank = [int(k) for k in self.plant.GetJointActuatorIndices(model)].index(int(actuator.index()))
+        return (float(port.Eval(self._context)[rank]),)
 
 
 def _collider(inspector: Any, geometry: Any) -> ColliderFacts:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from pathlib import Path
 
 import newton
@@ -26,10 +27,21 @@ def open_build(folder: Path) -> Session:
     model.set_gravity(tuple(_floats(root.find("option"), "gravity")))
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
     controls = _floats(root.find("keyframe/key"), "ctrl")
-    said = {str(e.get("name")): _floats(e, "data")[::4] for e in root.iterfind("custom/numeric")}
-    own = {name.removesuffix(_OWN): values for name, values in said.items() if name.endswith(_OWN)}
+    own = dict(_own_friction(root))
     names = Names(_last, _collider, lambda label: _joint(label, joints), {}, own_friction=own)
     return NewtonSession(model, names, controls)
+
+
+def _own_friction(root: ET.Element) -> Iterator[tuple[str, dict[str | None, float]]]:
+    """By link those of its colliders: one that is said is meant of all, more are in the order of the geoms."""
+    bodies = {str(body.get("name")): body for body in root.iterfind("worldbody//body")}
+    for numeric in root.iterfind("custom/numeric"):
+        link, said = str(numeric.get("name")), _floats(numeric, "data")[::4]
+        if link.endswith(_OWN):
+            link = link.removesuffix(_OWN)
+            felt = (_collider(str(geom.get("name"))) for geom in bodies[link].findall("geom"))
+            names = [named[1] for named in felt if named is not None]
+            yield link, dict(zip(names, said * len(names) if len(said) == 1 else said, strict=True))
 
 
 def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:

@@ -45,7 +45,7 @@ class Names:
     the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
     joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
     as are resistances that count only in contacts of more dimensions. ``own_friction`` is that of the colliders of a
-    link, one for all or each in turn, where its shapes have that of the contacts which they decide on.
+    link by name, where its shapes have that of the contacts which they decide on.
     """
 
     link: Callable[[str], str]
@@ -53,7 +53,7 @@ class Names:
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
     own_damping: Mapping[str, float] | None = None
-    own_friction: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    own_friction: Mapping[str, Mapping[str | None, float]] = field(default_factory=dict)
 
 
 class NewtonSession:
@@ -166,9 +166,7 @@ class NewtonSession:
             facts = ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
             found.setdefault(link, []).append(facts)
         for link, own in self.names.own_friction.items():
-            shapes = found.get(link, [])
-            each = [own[0]] * len(shapes) if len(own) == 1 else own
-            found[link] = [replace(shape, friction=mu) for shape, mu in zip(shapes, each, strict=True)]
+            found[link] = [replace(shape, friction=own[shape.name]) for shape in found.get(link, [])]
         return found
 
     def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:

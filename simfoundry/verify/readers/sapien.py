@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +35,39 @@ _ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
 
 _NO_LIMIT = 1e9
 
+_SINGLE = 1e-6
+"""Below this two numbers in single precision are the same."""
+
 
 def open_build(folder: Path) -> Session:
     """The scene as its loader gives it."""
-    scene, world = load_module(folder / "load_sapien.py").load()
-    return SapienSession(scene, world, _collider_names(folder))
+    loader = load_module(folder / "load_sapien.py")
+    scene, world = loader.load()
+    files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
+    return SapienSession(scene, world, Told(_collider_names(folder), _own_damping(files), loader.HOLD))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the build says and SAPIEN does not.
+
+    The names of ``colliders`` in the order of the files, by object and link; the ``damping`` of joints by themselves,
+    to which a motor's adds; ``holds`` is the damping of a drive that stands for Coulomb friction.
+    """
+
+    colliders: dict[tuple[str, str], list[str]]
+    damping: dict[str, float]
+    holds: float
+
+
+def _own_damping(files: dict[str, Path]) -> dict[str, float]:
+    """The damping of the joints in the files, by ``object.joint``."""
+    return {
+        f"{name}.{joint.get('name')}": float(dynamics.get("damping", "0"))
+        for name, path in files.items()
+        for joint in ET.parse(path).getroot().findall("joint")
+        if (dynamics := joint.find("dynamics")) is not None
+    }
 
 
 def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
@@ -54,11 +84,8 @@ class SapienSession:
 
     timestep = TIMESTEP
 
-    def __init__(
-        self, scene: sapien.Scene, world: dict[str, Any], collider_names: dict[tuple[str, str], list[str]]
-    ) -> None:
-        self.scene, self.world = scene, world
-        self._names = collider_names
+    def __init__(self, scene: sapien.Scene, world: dict[str, Any], told: Told) -> None:
+        self.scene, self.world, self.told = scene, world, told
         scene.timestep = self.timestep
         self._links: dict[str, physx.PhysxRigidBaseComponent] = {}
         self._joints: dict[str, physx.PhysxArticulationJoint] = {}
@@ -83,10 +110,12 @@ class SapienSession:
     def facts(self) -> Facts:
         """Links, joints, gravity."""
         positions = self._positions()
+        joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
         return Facts(
             links={name: self._link(name, link) for name, link in self._links.items()},
-            joints={name: _joint(joint, positions[name]) for name, joint in self._joints.items()},
+            joints=joints,
             gravity=numbers(self.scene.physx_system.config.gravity),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
         )
 
     def close(self) -> None:
@@ -103,7 +132,7 @@ class SapienSession:
     def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkFacts:
         """A static body has no mass in PhysX."""
         item = name.partition(".")[0]
-        names = self._names.get((item, link.name), self._names.get((name, link.name)))
+        names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
         shapes = link.collision_shapes
         told = names if names is not None else [None] * len(shapes)  # a robot's own file may split its meshes
         colliders = tuple(_collider(n, s) for n, s in zip(told, shapes, strict=True))
@@ -119,6 +148,26 @@ class SapienSession:
         if isinstance(link, physx.PhysxArticulationLinkComponent):
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
         return FREE if hasattr(link, "mass") else WORLD
+
+    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointFacts:
+        """PhysX has one drive a joint: a motor, the damping, or Coulomb friction, as its gains tell."""
+        low, high = (float(v) for v in np.asarray(joint.limits).ravel())
+        stiffness, damping = float(joint.stiffness), float(joint.damping)
+        holds = stiffness == 0 and damping == self.told.holds
+        own = self.told.damping.get(name, 0.0)
+        drive = stiffness > 0 or (not holds and damping > own * (1 + _SINGLE) + _SINGLE)
+        limit = float(joint.force_limit)
+        return JointFacts(
+            type=_TYPES.get(joint.type, "other"),
+            axis=numbers(_pose(joint.pose_in_child).rotation[:, 0]),
+            limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
+            damping=own if drive else 0.0 if holds else damping,
+            friction=limit if holds else 0.0,
+            armature=float(np.ravel(joint.armature)[0]),
+            position=position,
+            drive=(stiffness, damping - own, float(np.ravel(joint.drive_target)[0])) if drive else (),
+            effort=(limit,) if drive and limit < _NO_LIMIT else (),
+        )
 
 
 def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderFacts:
@@ -140,22 +189,6 @@ def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, Numbers | None]:
         case physx.PhysxCollisionShapeConvexMesh():
             return "mesh", mesh_bounds(np.asarray(shape.vertices) * np.asarray(shape.scale), X_LG)
     return "other", None
-
-
-def _joint(joint: physx.PhysxArticulationJoint, position: float) -> JointFacts:
-    """The loader's drive with a limited force is Coulomb friction, any other is damping."""
-    low, high = (float(v) for v in np.asarray(joint.limits).ravel())
-    holds = joint.force_limit < 1e9
-    axis = _pose(joint.pose_in_child).rotation[:, 0]
-    return JointFacts(
-        type=_TYPES.get(joint.type, "other"),
-        axis=numbers(axis),
-        limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
-        damping=0.0 if holds else float(joint.damping),
-        friction=float(joint.force_limit) if holds else 0.0,
-        armature=float(np.ravel(joint.armature)[0]),
-        position=position,
-    )
 
 
 def _pose(pose: sapien.Pose) -> Pose:
