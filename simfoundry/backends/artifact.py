@@ -101,4 +101,4 @@ def rounded(value: float) -> float:
 
 def numbers(values: Array | Iterable[float]) -> str:
     """Space-separated :func:`number` of each value, those of an array row by row."""
-    return " ".join([number(v) for v in (values.ravel().tolist() if isinstance(values, np.ndarray) else values)])
+    return " ".join(map(number, values.ravel().tolist() if isinstance(values, np.ndarray) else values))

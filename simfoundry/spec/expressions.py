@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, create_model
@@ -84,6 +85,7 @@ class Call:
         return f"{self.predicate}({', '.join(self.args)})"
 
 
+@lru_cache(maxsize=1024)  # checks, lowering and predicates read the same few
 def parse_call(text: str) -> Call:
     """A predicate as people write it, by our name or another's; raises :class:`ExpressionError`."""
     match = _CALL.match(text)

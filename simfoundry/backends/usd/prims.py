@@ -41,7 +41,7 @@ class Targets(NamedTuple):
         return self
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class Prim:
     """A prim as it grows.
 

@@ -98,6 +98,12 @@ def _property(name: str, found: Attribute | Targets) -> str:
     return declared if value is None else f"{declared} = {_TEXT[type(value)](value)}"
 
 
+def _row(values: tuple[Any, ...]) -> str:
+    """A vector of numbers, or a matrix of such rows."""
+    items = map(number, values) if isinstance(values[0], float) else [_TEXT[type(v)](v) for v in values]
+    return f"({', '.join(items)})"
+
+
 def _list(items: Iterable[str]) -> str:
     return f"[{', '.join(items)}]"
 
@@ -120,7 +126,7 @@ _ESCAPES = {quote: _escapes(quote) for quote in "'\""}
 
 _TEXT: dict[type, Callable[[Any], str]] = {
     float: number,
-    tuple: lambda values: f"({', '.join([_TEXT[type(v)](v) for v in values])})",
+    tuple: _row,
     list: lambda values: _list([_TEXT[type(v)](v) for v in values]),
     str: quoted,
     bool: lambda value: str(int(value)),
