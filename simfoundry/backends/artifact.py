@@ -68,9 +68,13 @@ def json_text(data: Mapping[str, object]) -> bytes:
 
 def _entry(key: str, value: object) -> str:
     if isinstance(value, Mapping) and value:
-        inside = ",\n".join([f"    {json_line(name)}: {json_line(item)}" for name, item in value.items()])
-        return f"{json_line(key)}: {{\n{inside}\n  }}"
-    return f"{json_line(key)}: {json_line(value)}"
+        inside = ",\n".join([f"    {json_string(name)}: {json_line(item)}" for name, item in value.items()])
+        return f"{json_string(key)}: {{\n{inside}\n  }}"
+    return f"{json_string(key)}: {json_line(value)}"
+
+
+json_string: Callable[[str], str] = json.encoder.encode_basestring
+"""A text as JSON."""
 
 
 def json_line(value: object) -> str:
@@ -79,7 +83,7 @@ def json_line(value: object) -> str:
 
 
 _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
-    None, None, json.encoder.encode_basestring, None, ": ", ", ", False, False, True
+    None, None, json_string, None, ": ", ", ", False, False, True
 )
 """What ``json.JSONEncoder(ensure_ascii=False)`` makes for each call anew, which takes longer than to encode a line."""
 

@@ -55,7 +55,7 @@ def free_motions(item: SceneObject, positions: Mapping[str, float | Pose], X_OT:
 
 def trees(item: SceneObject) -> tuple[Tree, ...]:
     """The trees of an object in the order of their roots; one, where it has no free joint."""
-    free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE}
+    free = {joint.child: joint for joint in item.joints if joint.type is JointType.FREE} if item.joints else {}
     if not free:
         return (Tree(item, item.links, item.joints, None, item.X_WO),)
     X_OL = link_poses(item)

@@ -46,13 +46,15 @@ class Model(BaseModel):
 
 def exclusive(model: Model, *names: str, needed: bool = False) -> None:
     """Raise a finding unless at most one (or, with ``needed``, exactly one) of the fields is given."""
-    given = [n for n in names if n in model.model_fields_set and getattr(model, n) is not None]
+    written = model.model_fields_set
+    given = [n for n in names if n in written and getattr(model, n) is not None]
+    if len(given) == 1 or not (given or needed):
+        return
     listed = ", ".join(f"`{n}`" for n in names)
-    if len(given) > 1:
+    if given:
         context = {"listed": listed, "n": len(given), "at": given[1]}
         raise PydanticCustomError("sf107", "give one of {listed}, not {n}", context)
-    if needed and not given:
-        raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
+    raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
 
 
 class Pose(Model):

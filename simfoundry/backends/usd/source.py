@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from simfoundry.backends.artifact import json_line
+from simfoundry.backends.artifact import json_line, json_string
 from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.source import Source
 
@@ -159,7 +159,7 @@ def contact(material: Mapping[str, Any]) -> list[float] | None:
 
 def _lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
-    entries = [f"{json_line(key)}: {json_line(value)}" for key, value in data.items()]
+    entries = [f"{json_string(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 
 
