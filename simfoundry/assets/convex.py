@@ -8,7 +8,6 @@ import zipfile
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets import decompose
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.faults import flat
 from simfoundry.assets.mass import mesh as solid_of
@@ -69,6 +68,8 @@ def convex_parts(
     whole = hull(vertices)
     if how == "hull" or (how == "auto" and _nearly_convex(vertices, faces)):
         return (whole,)
+    from simfoundry.assets import decompose  # most meshes need no process
+
     key = key_of("convex 2", decompose.settings(), vertices.tobytes(), faces.tobytes())
     stored = cache.get(key) if cache is not None else None
     kept = _unpack(stored) if stored is not None else ()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+import json.encoder
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -66,20 +68,35 @@ def json_text(data: Mapping[str, object]) -> bytes:
 
 def _entry(key: str, value: object) -> str:
     if isinstance(value, Mapping) and value:
-        inside = ",\n".join([f"    {_line(name)}: {_line(item)}" for name, item in value.items()])
-        return f"{_line(key)}: {{\n{inside}\n  }}"
-    return f"{_line(key)}: {_line(value)}"
+        inside = ",\n".join([f"    {json_line(name)}: {json_line(item)}" for name, item in value.items()])
+        return f"{json_line(key)}: {{\n{inside}\n  }}"
+    return f"{json_line(key)}: {json_line(value)}"
 
 
-_line = json.JSONEncoder(ensure_ascii=False).encode
+def json_line(value: object) -> str:
+    """Plain data as JSON on one line."""
+    return "".join(_chunks(value, 0))
 
 
+_chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
+    None, None, json.encoder.encode_basestring, None, ": ", ", ", False, False, True
+)
+"""What ``json.JSONEncoder(ensure_ascii=False)`` makes for each call anew, which takes longer than to encode a line."""
+
+
+@lru_cache(maxsize=16384)  # a scene has few numbers, and each target writes them all
 def number(value: float) -> str:
     """A number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
 
     What is smaller than any quantity of ours is zero: readers refuse the denormal numbers that rounding leaves.
     """
     return f"{value:.12g}" if abs(value) > 1e-100 else "0"
+
+
+@lru_cache(maxsize=16384)
+def rounded(value: float) -> float:
+    """What :func:`number` writes, as a number: the last bits of a double differ between CPUs."""
+    return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:

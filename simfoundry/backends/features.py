@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.scene.meshfile import has_texture
@@ -223,7 +224,7 @@ def fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
     A loss whose path names no single user is meant of them all.
     """
     found: dict[str, dict[str, Fidelity]] = {}
-    users = {name: _Users.of(feature.users(scene)) for name, feature in FEATURES.items()}
+    users = _users(scene)
     for loss in losses:
         for name in _concerned(loss, scene):
             worst = found.setdefault(name, {})
@@ -231,6 +232,16 @@ def fates(scene: Scene, losses: Iterable[Loss]) -> dict[str, dict[str, int]]:
                 if worst.get(user) is not Fidelity.DROPPED:
                     worst[user] = loss.fidelity
     return {name: dict(_count(using.all, found.get(name, {}))) for name, using in users.items() if using.all}
+
+
+def _users(scene: Scene) -> dict[str, _Users]:
+    """By feature who uses it in a scene; every target asks."""
+    if scene not in _USERS:
+        _USERS[scene] = {name: _Users.of(feature.users(scene)) for name, feature in FEATURES.items()}
+    return _USERS[scene]
+
+
+_USERS: WeakKeyDictionary[Scene, dict[str, _Users]] = WeakKeyDictionary()
 
 
 def _concerned(loss: Loss, scene: Scene) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from weakref import WeakSet
 
 from simfoundry.scene.model import Scene, SceneObject
 
@@ -16,6 +17,8 @@ class InvalidSceneError(ValueError):
 
 def check_names(scene: Scene) -> None:
     """Raise :class:`InvalidSceneError` unless every name matches ``[a-z][a-z0-9_]*`` and is unique among its kind."""
+    if scene in _SOUND:
+        return
     both = [*(o.name for o in scene.objects), *(r.name for r in scene.robots)]
     _check("the scene", "scene", [scene.name])
     _check("the scene", "object" if not scene.robots else "object or robot", both)
@@ -23,6 +26,11 @@ def check_names(scene: Scene) -> None:
     _check("the scene", "light", (light.name for light in scene.lights))
     for item in (one for each in scene.objects for one in (each, *each.variants)):
         _check_object(item)
+    _SOUND.add(scene)
+
+
+_SOUND: WeakSet[Scene] = WeakSet()
+"""Scenes with names that are; each is asked about once for every target."""
 
 
 def _check_object(item: SceneObject) -> None:

@@ -8,13 +8,13 @@ convex meshes that no setting removes; they are written smaller by that much, so
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, rounded
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
@@ -39,6 +39,7 @@ from simfoundry.scene.model import (
     Collider,
     Drive,
     Geometry,
+    Joint,
     JointType,
     Light,
     LightType,
@@ -126,7 +127,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         world["no_contact"] = between
     files["world.json"] = json_text(world)
     files["load.py"] = _LOADER.read_bytes()
-    return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep), *lost))
+    return Artifact("pybullet", "load.py", files, (*_losses(scene, timestep, resistances), *lost))
 
 
 def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], list[Loss]]:
@@ -153,26 +154,26 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
 def _robot(robot: RobotUrdf) -> dict[str, object]:
     """A robot in ``world.json``: where it stands, what its motors hold, and which joints follow others."""
     motors = {
-        name: {"target": _number(position), "force": _number(robot.efforts[name])}
+        name: {"target": rounded(position), "force": rounded(robot.efforts[name])}
         for name, position in robot.positions.items()
         if name in robot.efforts and name not in robot.follow
     }
     follow = {
-        name: {"joint": leader.joint, "multiplier": _number(leader.multiplier), "offset": _number(leader.offset)}
+        name: {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
         for name, leader in robot.follow.items()
     }
     links = robot.item.links if robot.item is not None else ()
-    surfaces = {k.name: {"lateral_friction": _number(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
+    surfaces = {k.name: {"lateral_friction": rounded(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
     return {
         "urdf": robot.path,
         "p": _numbers(robot.X_WB.p),
         "q_wxyz": _numbers(robot.X_WB.q),
-        "joints": {name: _number(position) for name, position in robot.positions.items()},
+        "joints": {name: rounded(position) for name, position in robot.positions.items()},
         "motors": motors,
         "follow": follow,
         "links": surfaces,
         "arm": dict(robot.joints),
-        "gripper": {name: [_number(v) for v in pair] for name, pair in robot.gripper.items()},
+        "gripper": {name: [rounded(v) for v in pair] for name, pair in robot.gripper.items()},
         "frames": {
             name: {"link": frame.link, "p": _numbers(frame.X_LF.p), "q_wxyz": _numbers(frame.X_LF.q)}
             for name, frame in robot.frames.items()
@@ -231,44 +232,50 @@ def _object(tree: Tree, resistances: Mapping[str, Resistance], timestep: float) 
     moving = [joint for joint in tree.joints if joint.type is not JointType.FIXED]
     rest: dict[str, object] = {
         "links": links,
-        "joint_friction": {joint.name: _number(joint.friction) for joint in moving},
-        "joint_damping": {joint.name: _number(joint.damping) for joint in moving},
+        "joint_friction": {joint.name: rounded(joint.friction) for joint in moving},
+        "joint_damping": {joint.name: rounded(joint.damping) for joint in moving},
     }
+    if len(item.links) > 1:
+        rest |= {key: value for key, value in _joined(tree, moving, timestep).items() if value}
+    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
+
+
+def _joined(tree: Tree, moving: Iterable[Joint], timestep: float) -> dict[str, object]:
+    """How the links of a body move and touch each other."""
+    item = tree.owner
     names, joints = {link.name for link in tree.links}, {joint.name for joint in tree.joints}
-    more: dict[str, object] = {
+    touching = any(names.issuperset(pair) for pair in touching_pairs(item))
+    silent = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
+    drives = stable_drives(item, timestep, False)
+    return {
         "balls": {j.name: _numbers(j.motion.q) for j in moving if j.type is JointType.BALL},
         "mimics": {j.name: _mimic(j.mimic) for j in moving if j.mimic is not None},
-        "drives": {
-            name: _drive(drive) for name, drive in stable_drives(item, timestep, False).items() if name in joints
-        },
-        "self_collision": any(names.issuperset(pair) for pair in touching_pairs(item)),
+        "drives": {name: _drive(drive) for name, drive in drives.items() if name in joints},
+        "self_collision": touching,
+        "no_contact": silent if touching else [],
     }
-    if more["self_collision"]:
-        more["no_contact"] = [list(pair) for pair in silent_pairs(item) if names.issuperset(pair)]
-    rest |= {key: value for key, value in more.items() if value}
-    return {"urdf": f"{tree.name}.urdf"} | meaning(item) | placement(tree) | rest
 
 
 def _surface(item: SceneObject, link: Link, resistances: Mapping[str, Resistance]) -> dict[str, float]:
     surface = {
-        "lateral_friction": _number(math.sqrt(link_friction(link))),
-        "restitution": _number(math.sqrt(link_restitution(link))),
+        "lateral_friction": rounded(math.sqrt(link_friction(link))),
+        "restitution": rounded(math.sqrt(link_restitution(link))),
     }
     for key, found in resistances.items():  # Bullet calls the first one spinning friction
         if value := found.written.get(item.qualified(link.name)):
-            surface[key.replace("torsional", "spinning")] = _number(value)
+            surface[key.replace("torsional", "spinning")] = rounded(value)
     return surface
 
 
 def _mimic(mimic: Mimic) -> dict[str, object]:
-    return {"joint": mimic.joint, "multiplier": _number(mimic.multiplier), "offset": _number(mimic.offset)}
+    return {"joint": mimic.joint, "multiplier": rounded(mimic.multiplier), "offset": rounded(mimic.offset)}
 
 
 def _drive(drive: Drive) -> dict[str, float]:
     found = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
     if drive.force_limit is not None:
         found["force_limit"] = drive.force_limit
-    return {key: _number(value) for key, value in found.items()}
+    return {key: rounded(value) for key, value in found.items()}
 
 
 def camera_arguments(camera: Camera) -> dict[str, object]:
@@ -288,13 +295,13 @@ def lighting_arguments(lights: tuple[Light, ...]) -> dict[str, object]:
     if not lights:
         return {}
     dome = math.fsum(t.intensity * float(np.mean(t.rgb)) for t in lights if t.type is LightType.DOME)
-    lighting: dict[str, object] = {"lightAmbientCoeff": _number(dome), "lightSpecularCoeff": 0.0}
+    lighting: dict[str, object] = {"lightAmbientCoeff": rounded(dome), "lightSpecularCoeff": 0.0}
     sun = _shining(lights)
     if sun is None:
         return lighting | {"lightDiffuseCoeff": 0.0}
     towards = sun.X_WL.rotation[:, 2] if sun.type is LightType.DISTANT else sun.X_WL.p
     color = {"lightDirection": _numbers(towards), "lightColor": _numbers(sun.rgb)}
-    return lighting | color | {"lightDiffuseCoeff": _number(sun.intensity)}
+    return lighting | color | {"lightDiffuseCoeff": rounded(sun.intensity)}
 
 
 def _shining(lights: tuple[Light, ...]) -> Light | None:
@@ -316,22 +323,18 @@ def projection_matrix(camera: Camera) -> Array:
     )
 
 
-def _number(value: float) -> float:
-    return float(number(value))
-
-
 def _numbers(values: Array) -> list[float]:
-    return [_number(v) for v in np.asarray(values).ravel().tolist()]
+    return [rounded(v) for v in np.asarray(values).ravel().tolist()]
 
 
-def _losses(scene: Scene, timestep: float) -> Iterator[Loss]:
+def _losses(scene: Scene, timestep: float, resistances: Mapping[str, Resistance]) -> Iterator[Loss]:
     if any(collider.friction > 0 for collider in _colliders(scene)):
         reason = "Bullet's friction depends on the direction: up to 9 % below Coulomb's between its two axes"
         yield Loss("friction", Fidelity.APPROXIMATED, reason)
     if any(collider.restitution > 0 for collider in _colliders(scene)):
         reason = "Bullet acts on an impact at whole steps: a rebound differs from the coefficient by up to 0.15"
         yield Loss("restitution", Fidelity.APPROXIMATED, reason)
-    for key, found in _resistances(scene).items():
+    for key, found in resistances.items():
         if found.error > 1e-9:
             reason = f"Bullet mixes it with the sliding friction, one number a link: some pair is {found.error:.0%} off"
             yield Loss(key, Fidelity.APPROXIMATED, reason)

@@ -33,6 +33,8 @@ class _Surface:
 
 def resistance(scene: Scene, friction: Callable[[Link], float], value: Callable[[Link], float]) -> Resistance:
     """What to write for the resistance ``value`` of each link [m], where it has the sliding ``friction`` in Bullet."""
+    if not any(value(link) for item in scene.objects for link in item.links if link.colliders):
+        return Resistance({}, 0.0)
     owners: dict[_Surface, set[str]] = {}
     surfaces: dict[str, _Surface] = {}
     for item in scene.objects:
@@ -41,8 +43,6 @@ def resistance(scene: Scene, friction: Callable[[Link], float], value: Callable[
                 surface = _Surface(friction(link), value(link))
                 surfaces[item.qualified(link.name)] = surface
                 owners.setdefault(surface, set()).add(item.name)
-    if not any(surface.resistance for surface in owners):
-        return Resistance({}, 0.0)
     meetings = [(a, b) for a, b in product(owners, owners) if a != b or len(owners[a]) > 1]
     written = {a: _middle(_wanted(a, (b for one, b in meetings if one == a))) for a in owners}
     error = max((_error(a, b, written) for a, b in meetings if a.resistance or b.resistance), default=0.0)

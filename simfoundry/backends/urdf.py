@@ -13,8 +13,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers
+from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, robot_urdf
@@ -38,7 +39,6 @@ from simfoundry.scene.model import (
     SceneObject,
     Sphere,
     Visual,
-    principal_inertia,
 )
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
@@ -131,23 +131,46 @@ def compile_urdf(scene: Scene) -> Artifact:
 def _robot_placement(robot: RobotUrdf) -> dict[str, object]:
     return {
         "fixed": True,
-        "p": [_rounded(v) for v in robot.X_WB.p],
-        "q_wxyz": [_rounded(v) for v in robot.X_WB.q],
-        "joints": {name: _rounded(position) for name, position in robot.positions.items()},
+        "p": [rounded(v) for v in robot.X_WB.p],
+        "q_wxyz": [rounded(v) for v in robot.X_WB.q],
+        "joints": {name: rounded(position) for name, position in robot.positions.items()},
     }
 
 
 def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
     """The URDF of every object, one for each part that moves freely, and the assets that they share, by path."""
     files: dict[str, bytes] = {}
-    for tree in (tree for item in scene.objects for tree in trees(item)):
-        root = ET.Element("robot", name=tree.name)
-        for link in tree.links:
-            _add_link(root, link, dialect, files)
-        for joint in tree.joints:
-            _add_joint(root, joint, dialect)
-        files[f"{tree.name}.urdf"] = DECLARATION + xml_text(root)
+    for item in scene.objects:
+        written = _WRITTEN.get(item)
+        if written is not None:
+            files |= written
+            continue
+        texts = {f"{tree.name}.urdf": _tree_text(tree, dialect, files) for tree in trees(item)}
+        if _is_plain(item):
+            _WRITTEN[item] = texts
+        files |= texts
     return files
+
+
+_WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
+"""What all dialects write alike, as long as the object lives: most scenes are compiled for two of them."""
+
+
+def _is_plain(item: SceneObject) -> bool:
+    """Whether all dialects write an object alike: it has no geometries to split, and no joints to name."""
+    shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
+    joints = [joint for joint in item.joints if joint.type is JointType.BALL]
+    return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
+
+
+def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
+    """The URDF of what hangs together; its assets are added to ``files``."""
+    root = ET.Element("robot", name=tree.name)
+    for link in tree.links:
+        _add_link(root, link, dialect, files)
+    for joint in tree.joints:
+        _add_joint(root, joint, dialect)
+    return DECLARATION + xml_text(root)
 
 
 def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -184,11 +207,11 @@ def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
     element = ET.SubElement(root, "link", name=link.name)
-    moments, q = principal_inertia(link.inertia)
+    moments, q = link.principal
     inertial = ET.SubElement(element, "inertial")
     _add_origin(inertial, Pose.of(link.com, q))
     ET.SubElement(inertial, "mass", value=number(link.mass))
-    ixx, iyy, izz = (number(moment) for moment in moments)
+    ixx, iyy, izz = (number(moment) for moment in moments.tolist())
     ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
     for visual in link.visuals:
         for suffix, geometry, X_GP in dialect.shown(visual.geometry):
@@ -284,14 +307,10 @@ def placement(tree: Tree) -> dict[str, object]:
     """What URDF does not hold: whether a part of an object is fixed, its pose in the world and its joint positions."""
     return {
         "fixed": tree.fixed,
-        "p": [_rounded(v) for v in tree.X_WT.p.tolist()],
-        "q_wxyz": [_rounded(v) for v in tree.X_WT.q.tolist()],
-        "joints": {j.name: _rounded(j.position) for j in tree.joints if j.has_axis},
+        "p": [rounded(v) for v in tree.X_WT.p.tolist()],
+        "q_wxyz": [rounded(v) for v in tree.X_WT.q.tolist()],
+        "joints": {j.name: rounded(j.position) for j in tree.joints if j.has_axis},
     }
-
-
-def _rounded(value: float) -> float:
-    return float(number(value))
 
 
 def _manifest(tree: Tree) -> dict[str, object]:
@@ -303,7 +322,7 @@ def _loose(tree: Tree) -> dict[str, object]:
     joint = tree.free_joint
     if joint is None:
         return {}
-    zero, motion = ([_rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
+    zero, motion = ([rounded(v) for v in (*X.p, *X.q)] for X in (joint.X_PC, joint.motion))
     said = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
     return {"free": said}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Protocol
 
-from simfoundry.backends.artifact import json_text, number
+from simfoundry.backends.artifact import json_text, rounded
 from simfoundry.backends.robot_urdf import RobotUrdf
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Drive, Geometry, Joint, JointType, Link, Scene
@@ -37,7 +37,7 @@ def physics_manifest(scene: Scene, split: Split, robots: Iterable[tuple[str, Rob
     own = {name: robot for name, robot in robots if robot.item is None}
     items = [*scene.objects, *(robot.item for _, robot in robots if robot.item is not None)]
     data: dict[str, object] = {
-        "gravity": [_number(v) for v in scene.gravity],
+        "gravity": [rounded(v) for v in scene.gravity],
         "objects": {tree.name: _object(tree, split) for item in items for tree in trees(item)},
     }
     parts = [tree for item in scene.objects for tree in trees(item)]
@@ -65,7 +65,7 @@ def _object(tree: Tree, split: Split) -> dict[str, object]:
 
 
 def _joint(joint: Joint) -> dict[str, object]:
-    rest = {"friction": _number(joint.friction), "armature": _number(joint.armature)}
+    rest = {"friction": rounded(joint.friction), "armature": rounded(joint.armature)}
     return rest | ({"drive": _drive(joint.drive)} if joint.drive is not None else {})
 
 
@@ -73,7 +73,7 @@ def _drive(drive: Drive) -> dict[str, float]:
     """A motor: ``stiffness * (target - position) - damping * velocity``, up to ``force_limit`` where there is one."""
     gains = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
     limit = {} if drive.force_limit is None else {"force_limit": drive.force_limit}
-    return {key: _number(value) for key, value in (gains | limit).items()}
+    return {key: rounded(value) for key, value in (gains | limit).items()}
 
 
 def _robot(robot: RobotUrdf) -> dict[str, object]:
@@ -84,7 +84,7 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
         if name not in robot.follow
     }
     follow = {
-        name: {"joint": leader.joint, "multiplier": _number(leader.multiplier), "offset": _number(leader.offset)}
+        name: {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
         for name, leader in robot.follow.items()
     }
     return {"motors": motors, "follow": follow}
@@ -93,13 +93,9 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
 def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
     return {
         collider.name + suffix: {
-            "friction": _number(collider.friction),
-            "restitution": _number(collider.restitution),
+            "friction": rounded(collider.friction),
+            "restitution": rounded(collider.restitution),
         }
         for collider in link.colliders
         for suffix, _, _ in split(collider.geometry)
     }
-
-
-def _number(value: float) -> float:
-    return float(number(value))

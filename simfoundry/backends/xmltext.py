@@ -8,7 +8,8 @@ DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 
 _MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
-_ESCAPES = str.maketrans(_MARKUP | _WHITE)
+_ESCAPES = [(_MARKUP | _WHITE).get(chr(k), chr(k)) for k in range(128)]
+"""By character what stands for it; with a row for those that stay, ``translate`` is twice as fast."""
 
 
 def xml_text(root: ET.Element) -> bytes:

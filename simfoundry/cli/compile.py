@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+
+# NumPy starts threads for large matrices when it is imported: a tenth of the command, and here are none.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 

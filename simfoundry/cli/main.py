@@ -47,6 +47,7 @@ def _postpone(name: str, function: str) -> None:
 # Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 _postpone("importlib.metadata", "entry_points")
+_postpone("simfoundry.worlds", "open_world")  # to build needs none of its simulators
 gc.set_threshold(100_000)  # modules and documents are built by the ten thousand and stay; looking for cycles is in vain
 
 COMMANDS = {

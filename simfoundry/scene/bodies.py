@@ -27,7 +27,6 @@ from simfoundry.scene.model import (
     Mesh,
     Sphere,
     Visual,
-    principal_inertia,
 )
 from simfoundry.spec.asset import Inertial, Part
 from simfoundry.spec.base import (
@@ -138,11 +137,12 @@ class BodyBuilder:
 
     def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
-        least = _check_inertia(self.name, inertia)
+        link = Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
+        least = _check_inertia(link)
         if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
             raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
-        return Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
+        return link
 
     def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
         """The solid that carries the mass, and the faces turned outward."""
@@ -247,10 +247,11 @@ def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _check_inertia(name: str, inertia: Array) -> float:
+def _check_inertia(link: Link) -> float:
     """The least moment; those of a real body are positive, and none exceeds the sum of the other two."""
-    moments = sorted(principal_inertia(inertia)[0].tolist())
+    moments = sorted(link.principal[0].tolist())
     if not (moments[0] > 0 and moments[2] <= (moments[0] + moments[1]) * (1 + 1e-6) < math.inf):
         shown = ", ".join(f"{m:.3g}" for m in moments)
-        raise MeshError("SF104", f"`{name}` has the moments of inertia {shown}, which no body has", "check `inertial`")
+        message = f"`{link.name}` has the moments of inertia {shown}, which no body has"
+        raise MeshError("SF104", message, "check `inertial`")
     return float(moments[0])

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def frozen_array(values: object, shape: tuple[int, ...] | None = None) -> Array:
     """Copy ``values`` into a read-only float64 array, optionally of an exact shape."""
     array = np.array(values, dtype=np.float64)
-    if shape is not None:
+    if shape is not None and array.shape != shape:
         array = array.reshape(shape)
     array.setflags(write=False)
     return array
@@ -35,12 +35,13 @@ class Pose:
     @classmethod
     def of(cls, p: Iterable[float] = (0.0, 0.0, 0.0), q: Iterable[float] = (1.0, 0.0, 0.0, 0.0)) -> Pose:
         """Build a pose from any position and any non-zero quaternion (normalised, with ``w >= 0``)."""
-        w, x, y, z = (float(v) for v in q)  # four numbers: plain Python is faster than arrays
+        w, x, y, z = map(float, q)  # four numbers: plain Python is faster than arrays
         norm = math.hypot(w, x, y, z)
         if not math.isfinite(norm) or norm < 1e-12:
             raise ValueError(f"a rotation needs a non-zero quaternion, got {[w, x, y, z]}")
         norm = -norm if w < 0 else norm
-        return cls(frozen_array(list(p), (3,)), frozen_array((w / norm, x / norm, y / norm, z / norm)))
+        position = frozen_array(p if isinstance(p, np.ndarray) else tuple(p), (3,))
+        return cls(position, frozen_array((w / norm, x / norm, y / norm, z / norm)))
 
     @classmethod
     def from_matrix(cls, matrix: Array) -> Pose:

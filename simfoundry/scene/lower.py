@@ -10,17 +10,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
-from simfoundry.scene.background import lower_background
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import (
+    Background,
     Camera,
     Drive,
     Joint,
@@ -35,15 +34,12 @@ from simfoundry.scene.model import (
     Scene,
     SceneObject,
 )
-from simfoundry.scene.place import place_all, seen_by_camera
 from simfoundry.scene.poses import pose as pose
-from simfoundry.scene.robot import Robot
-from simfoundry.scene.robot_files import NoModelError
-from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.source import Source
 from simfoundry.spec import base
-from simfoundry.spec.asset import AssetSpec, JointSpec
+from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec
 from simfoundry.spec.asset import Drive as DriveSpec
+from simfoundry.spec.data import to_data
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
@@ -51,7 +47,11 @@ from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.positions import Written, position
 from simfoundry.spec.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
 from simfoundry.spec.variants import variant_names, variant_of
-from simfoundry.spec.write import to_data
+
+if TYPE_CHECKING:
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.robot import Robot
+    from simfoundry.spec import scene as spec_scene
 
 Progress = Callable[[str, int, int], None]
 
@@ -77,7 +77,6 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     robots, no_models = _robots(loaded, spec)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
-    around = spec.background
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
@@ -88,11 +87,17 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         left_out=tuple(no_models),
         robots=robots,
         mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
-        background=None if around is None else lower_background(loaded, around, pose(around.pose)),
+        background=None if spec.background is None else _background(loaded, spec.background),
         no_contact=no_contact,
         source=Source.of(_file_in_project(loaded), to_data(spec)),
         viewer=viewer(spec),
     )
+
+
+def _background(loaded: Loaded, spec: spec_scene.Background) -> Background:
+    from simfoundry.scene.background import lower_background
+
+    return lower_background(loaded, spec, pose(spec.pose))
 
 
 def _file_in_project(loaded: Loaded) -> str:
@@ -108,6 +113,8 @@ def viewer(spec: SceneSpec) -> Pose | None:
     """
     seen = spec.cameras.get(spec.viewpoint or "")
     if seen is not None and seen.mount is None:
+        from simfoundry.scene.place import seen_by_camera
+
         return seen_by_camera(camera("", seen).X_WC)
     robot = spec.robots.get(spec.viewpoint or "" if seen is None else (seen.mount or "").partition(".")[0])
     return None if robot is None else pose(robot.pose)
@@ -118,6 +125,8 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     if not places:
         return tuple(objects)
+    from simfoundry.scene.place import place_all
+
     solved, errors = place_all({item.name: item for item in objects}, places, viewer(spec))
     for name, item in solved.items():
         if item.variants and name in places and not errors:
@@ -134,6 +143,11 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
 
 def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[LeftOut]]:
     """The robots whose models are there, and what is left out with those that are not."""
+    if not spec.robots:
+        return (), []
+    from simfoundry.scene.robot_files import NoModelError
+    from simfoundry.scene.robots import lower_robot
+
     found, lost = [], []
     for name, item in spec.robots.items():
         try:
@@ -226,7 +240,7 @@ class _Lowering:
         if item.visual is not None:
             with _At(self, self.loaded, (*place, "visual")):
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
-        return self._built(builder, item, self.loaded, place, item.fixed, before)
+        return self._built(builder, None, self.loaded, place, item.fixed, before)
 
     def articulated(self, asset: Loaded, spec: AssetSpec, item: ObjectSpec) -> tuple[list[Link], tuple[Joint, ...]]:
         """The links of an asset document in topological order, and its joints at the positions the object asks for."""
@@ -241,17 +255,18 @@ class _Lowering:
                         builder.add_shape(part_name, part.shape, pose(part.pose), part)
                     else:
                         builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
-            links += self._built(builder, link, asset, ("links", name), False, before)
+            links += self._built(builder, link.inertial, asset, ("links", name), False, before)
         return links, lower_joints(spec, item.joints)
 
     def _built(
-        self, builder: BodyBuilder, body: base.Body, source: Loaded, place: tuple[str, ...], fixed: bool, before: int
-    ) -> list[Link]:
+        self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,
+        before: int,
+    ) -> list[Link]:  # fmt: skip
         """The finished link, alone in a list; empty where there are more findings than ``before`` it."""
         if len(self.findings) > before:
             return []
         with _At(self, source, place):
-            return [builder.link(fixed, getattr(body, "inertial", None))]
+            return [builder.link(fixed, inertial)]
         return []
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.splat import Gaussians
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.source import Source
 
@@ -124,6 +124,11 @@ class Link:
     inertia: Array
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...]
+
+    @cached_property
+    def principal(self) -> tuple[Array, Array]:
+        """The principal moments of its inertia and their axes, see :func:`principal_inertia`."""
+        return principal_inertia(self.inertia)
 
 
 class JointType(StrEnum):
@@ -381,11 +386,11 @@ def principal_inertia(inertia: Array) -> tuple[Array, Array]:
     """
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.tolist()
     if max(abs(xy), abs(xz), abs(yz)) <= 1e-12 * (xx + yy + zz):
-        return np.array([xx, yy, zz]), np.array([1.0, 0.0, 0.0, 0.0])
+        return frozen_array((xx, yy, zz)), IDENTITY.q
     moments, axes = np.linalg.eigh(inertia)
     for k in range(3):  # the sign of an eigenvector is arbitrary: its largest entry is made positive
         if axes[np.argmax(np.abs(axes[:, k])), k] < 0:
             axes[:, k] = -axes[:, k]
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
-    return moments, Pose.from_matrix(axes).q.copy()
+    return frozen_array(moments), Pose.from_matrix(axes).q

@@ -24,6 +24,8 @@ def pose(spec: PoseSpec) -> Pose:
     """The pose that a document writes."""
     if spec.quat_wxyz is not None:
         return Pose.of(spec.xyz, spec.quat_wxyz)
+    if spec.rpy_deg is None and spec.yaw_deg is None:
+        return Pose.of(spec.xyz)
     roll, pitch, yaw = spec.rpy_deg or (0.0, 0.0, spec.yaw_deg or 0.0)
     return Pose.of(spec.xyz, quat_from_rpy(math.radians(roll), math.radians(pitch), math.radians(yaw)))
 

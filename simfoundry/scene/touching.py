@@ -13,6 +13,8 @@ from simfoundry.scene.model import JointType, SceneObject
 
 def silent_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Pairs of links of an object that do not touch, by name, in the order of the links."""
+    if len(item.links) == 1:
+        return ()
     welded = weld_groups(item)
     joined = {
         frozenset((welded[joint.parent], welded[joint.child]))
@@ -31,6 +33,8 @@ def silent_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
 
 def touching_pairs(item: SceneObject) -> tuple[tuple[str, str], ...]:
     """Pairs of links of an object that can touch each other, by name, in the order of the links."""
+    if len(item.links) == 1:
+        return ()
     silent = set(silent_pairs(item))
     felt = [link.name for link in item.links if link.colliders]
     return tuple(pair for pair in combinations(felt, 2) if pair not in silent)

@@ -164,12 +164,12 @@ def parse(text: str, file: str = "<text>") -> Document:
     composer = _Composer(file)
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:
-        events = loader(text)
-        while type(event := events.get_event()) is not yaml.StreamEndEvent:
-            composer.feed(event)
+        next_event = loader(text).get_event
+        while type(event := next_event()) is not yaml.StreamEndEvent:
+            _EVENTS[type(event)](composer, event)
     except yaml.YAMLError as error:
         raise _syntax_error(error, text) from None
-    root = composer.root or Node(None, 1, 1)
+    root = composer.roots[0] if composer.roots else Node(None, 1, 1)
     return Document(file, text, root.value, root, tuple(composer.duplicates))
 
 
@@ -210,45 +210,58 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
     return YamlError("SF002", problem, line, column)
 
 
+@dataclass(slots=True)
+class _Open:
+    """A collection that has not ended: how it started, what is in it, and in a mapping the key that waits for a value.
+
+    ``key`` is the key's name, line, column, and text where it is plain.
+    """
+
+    start: Any
+    node: Node
+    children: dict[str, Node] | list[Node]
+    key: tuple[str, int, int, str] | None = None
+
+    @property
+    def wants_key(self) -> bool:
+        """Whether a key comes next."""
+        return self.key is None and type(self.children) is dict
+
+
 class _Composer:
     """Turns parser events into :class:`Node` trees without recursion, so that depth cannot exhaust the stack."""
 
     def __init__(self, file: str) -> None:
         self.file = file
-        self.root: Node | None = None
+        self.roots: list[Node] = []
         self.documents = 0
         self.nodes = 0
-        self.stack: list[tuple[Node, Any, Any]] = []  # (collection, pending key with its place, start event)
+        self.stack = [_Open(None, Node((), 1, 1), self.roots)]  # at the bottom the text itself
         self.anchors: dict[str, Node] = {}
         self.duplicates: list[Diagnostic] = []
 
-    def feed(self, event: Any) -> None:
-        """Take the next event."""
-        take = _EVENTS.get(type(event))
-        if take is not None:
-            take(self, event)
+    def _nothing(self, event: Any) -> None:
+        """Pass over an event that says nothing."""
 
     def _scalar(self, event: Any) -> None:
         mark = event.start_mark
-        if self.stack and self.stack[-1][1] is None and isinstance(self.stack[-1][0].children, dict):
-            self._key(event, mark.line + 1, mark.column + 1)
-            return
         plain = "" if event.style else event.value
-        node = Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain)
-        self._add(node, event.anchor)
+        top = self.stack[-1]
+        if top.key is None and type(top.children) is dict:
+            self._key(top, event, mark.line + 1, mark.column + 1, plain)
+        else:
+            self._add(Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain), event.anchor)
 
-    def _key(self, event: Any, line: int, column: int) -> None:
+    def _key(self, top: _Open, event: Any, line: int, column: int, plain: str) -> None:
         """A key of the mapping on top of the stack; it counts as a value."""
         if event.tag is not None:
             raise _tag_error(event)
-        if event.value == "<<" and not event.style:
+        if plain == "<<":
             raise YamlError("SF004", "merge keys (<<) are not YAML 1.2", line, column, "write the keys out")
         self._count(line, column)
-        plain = "" if event.style else event.value
         if event.anchor is not None:
             self.anchors[event.anchor] = Node(_value(event), line, column, None, _NO_KEYS, plain)
-        parent, _, start = self.stack[-1]
-        self.stack[-1] = (parent, (event.value, line, column, plain), start)
+        top.key = (event.value, line, column, plain)
 
     def _document(self, event: Any) -> None:
         self.documents += 1
@@ -257,26 +270,28 @@ class _Composer:
             raise YamlError("SF004", message, *_mark(event), "write it into a file of its own")
 
     def _start(self, event: Any) -> None:
+        line, column = _mark(event)
         if event.tag is not None:
             raise _tag_error(event)
-        if len(self.stack) >= MAX_DEPTH:
-            raise YamlError("SF005", f"nested more than {MAX_DEPTH} levels deep", *_mark(event))
-        if self.stack and isinstance(self.stack[-1][0].children, dict) and self.stack[-1][1] is None:
-            raise YamlError("SF004", "a key must be a plain word", *_mark(event))
-        mapping = type(event) is yaml.MappingStartEvent
-        node = Node({}, *_mark(event), {}, {}) if mapping else Node((), *_mark(event), [], _NO_KEYS)
-        self.stack.append((node, None, event))
+        if len(self.stack) > MAX_DEPTH:
+            raise YamlError("SF005", f"nested more than {MAX_DEPTH} levels deep", line, column)
+        if self.stack[-1].wants_key:
+            raise YamlError("SF004", "a key must be a plain word", line, column)
+        children: dict[str, Node] | list[Node] = {} if type(event) is yaml.MappingStartEvent else []
+        keys = _NO_KEYS if isinstance(children, list) else {}
+        self.stack.append(_Open(event, Node(None, line, column, children, keys), children))
 
     def _end(self, event: Any) -> None:
-        node, _, start = self.stack.pop()
-        if isinstance(node.children, dict):
-            node.value = {key: child.value for key, child in node.children.items()}
-            node.weight += sum([child.weight for child in node.children.values()])
+        top = self.stack.pop()
+        node, children = top.node, top.children
+        if isinstance(children, dict):
+            node.value = {key: child.value for key, child in children.items()}
+            node.weight += sum([child.weight for child in children.values()])
         else:
-            node.children = _rejoined(node.children or []) if start.flow_style else node.children or []
-            node.value = tuple([child.value for child in node.children])
-            node.weight += sum([child.weight for child in node.children])
-        self._add(node, start.anchor)
+            node.children = children = _rejoined(children) if top.start.flow_style else children
+            node.value = tuple([child.value for child in children])
+            node.weight += sum([child.weight for child in children])
+        self._add(node, top.start.anchor)
 
     def _alias(self, event: Any) -> None:
         if event.anchor not in self.anchors:
@@ -292,37 +307,34 @@ class _Composer:
             raise YamlError("SF005", f"more than {MAX_NODES} values", line, column)
 
     def _add(self, node: Node, anchor: str | None) -> None:
+        """Add a value to the collection on top of the stack."""
         self._count(node.line, node.column)
-        if not self.stack:
-            self.root = node
-        elif isinstance(self.stack[-1][0].children, list):
-            self.stack[-1][0].children.append(node)
+        top = self.stack[-1]
+        if isinstance(top.children, list):
+            top.children.append(node)
         else:
-            self._add_to_mapping(node)
+            self._add_to_mapping(top, top.children, node)
         if anchor is not None:
             self.anchors[anchor] = node
 
-    def _add_to_mapping(self, node: Node) -> None:
-        parent, key, start = self.stack[-1]
-        assert isinstance(parent.children, dict)
-        if key is None:  # an alias, or a collection that ends
+    def _add_to_mapping(self, top: _Open, children: dict[str, Node], node: Node) -> None:
+        if top.key is None:  # an alias, or a collection that ends
             raise YamlError("SF004", "a key must be a plain word", node.line, node.column)
-        name, line, column, plain = key
-        if start.flow_style and plain and node.value is None and not node.plain:
-            last = next(reversed(parent.children.values()), None)
-        else:
-            last = None
-        if last is not None and _is_open(last):
-            last.value = last.plain = f"{last.plain}, {plain}"  # `{goal: OnTop(cup, desk)}` is one text, as in a list
-        elif name in parent.children:
-            first = parent.keys[name][0]
+        name, line, column, plain = top.key
+        top.key = None
+        if plain and node.value is None and not node.plain and top.start.flow_style:
+            last = next(reversed(children.values()), None)
+            if last is not None and _is_open(last):  # `{goal: OnTop(cup, desk)}` is one text, as in a list
+                last.value = last.plain = f"{last.plain}, {plain}"
+                return
+        if name in children:
+            first = top.node.keys[name][0]
             message = f"`{name}` is written twice in one mapping"
             hint = f"it stands first in line {first}; remove or rename one of the two"
             self.duplicates.append(Diagnostic("SF003", Severity.ERROR, message, self.file, line, column, name, hint))
-        else:
-            parent.children[name] = node
-            parent.keys[name] = (line, column)
-        self.stack[-1] = (parent, None, start)
+            return
+        children[name] = node
+        top.node.keys[name] = (line, column)
 
 
 def _rejoined(items: list[Node]) -> list[Node]:
@@ -390,4 +402,6 @@ _EVENTS: dict[type, Callable[[_Composer, Any], None]] = {
     yaml.SequenceEndEvent: _Composer._end,
     yaml.AliasEvent: _Composer._alias,
     yaml.DocumentStartEvent: _Composer._document,
+    yaml.DocumentEndEvent: _Composer._nothing,
+    yaml.StreamStartEvent: _Composer._nothing,
 }

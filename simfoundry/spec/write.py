@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 from simfoundry.spec.base import Model
-from simfoundry.spec.order import Slot, field_order, slot_of
+from simfoundry.spec.data import to_data
+from simfoundry.spec.order import Slot, slot_of
 from simfoundry.spec.spelling import call, folded, key_text, literal, number, rounded, scalar, string
 from simfoundry.spec.tree import Tree, plain_tree
 
@@ -38,53 +38,6 @@ def to_yaml(spec: Model, comment: str = "") -> str:
     """The canonical text of a document: fields in the order of the model, defaults left out, six decimals."""
     above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
     return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
-
-
-def to_data(spec: Model) -> dict[str, Any]:
-    """Plain data of a document, in canonical order, without what equals its default."""
-    out: dict[str, Any] = {}
-    for name, needed, default in _fields(type(spec)):
-        value = getattr(spec, name)
-        if not needed and value == default:
-            continue
-        data = _data(value)
-        # What is written like the default would be read as the default, and then not be written again.
-        if needed or not _written_alike(data, _data(default)):
-            out[name] = data
-    return out
-
-
-@cache
-def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
-    """Name of each field in canonical order, whether it is always written, and its default."""
-    fields = model.model_fields
-    needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
-    return tuple((name, name in needed, fields[name].default) for name in field_order(model))
-
-
-def _data(value: Any) -> Any:
-    if value is None or isinstance(value, str | float | int):
-        return value
-    match value:
-        case Model():
-            return to_data(value)
-        case dict():
-            return {key: _data(item) for key, item in value.items()}
-        case tuple():
-            return tuple([_data(item) for item in value])
-    return value
-
-
-def _written_alike(a: Any, b: Any) -> bool:
-    """Whether two data have the same text: numbers are written with six decimals."""
-    match a, b:
-        case (float(), float() | int()) | (int(), float()):
-            return rounded(a) == rounded(b)
-        case tuple(), tuple():
-            return len(a) == len(b) and all(map(_written_alike, a, b))
-        case dict(), dict():
-            return a.keys() == b.keys() and all(_written_alike(value, b[key]) for key, value in a.items())
-    return bool(a == b)
 
 
 def _rounded(data: Any) -> Any:

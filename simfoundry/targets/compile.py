@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss
 from simfoundry.backends.features import FEATURES, feature_of
 from simfoundry.scene.model import Scene
-from simfoundry.targets.combine import pair_losses
 from simfoundry.targets.find import Target
-from simfoundry.targets.profile import TargetSpec
-from simfoundry.targets.writers import WRITERS
+
+if TYPE_CHECKING:
+    from simfoundry.targets.profile import TargetSpec
 
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
@@ -26,6 +27,8 @@ def compile_target(scene: Scene, target: Target) -> Artifact:
         files = {path: data for path, data in files.items() if not path.startswith("load_")}
         files["load.py"] = target.loader
     for name in profile.writes:
+        from simfoundry.targets.writers import WRITERS
+
         files |= WRITERS[name](scene)
     return replace(artifact, files=files, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
 
@@ -42,6 +45,8 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
 
 def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
     """What the simulator does not keep of what the scene uses."""
+    from simfoundry.targets.combine import pair_losses
+
     yield from pair_losses(scene, profile.combines, profile.name)
     for name, gap in profile.gaps.items():
         if any(FEATURES[name].users(scene)):

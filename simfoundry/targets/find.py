@@ -6,14 +6,16 @@ import inspect
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from simfoundry.backends import BACKENDS, backend_of
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.text import Document, YamlError, read
-from simfoundry.spec.validate import validate
-from simfoundry.targets.profile import TargetSpec
+
+if TYPE_CHECKING:
+    from simfoundry.targets.profile import TargetSpec
 
 SUFFIXES = (".yaml", ".yml")
 _PACKAGED = Path(__file__).parent / "profiles"
@@ -69,6 +71,9 @@ def find_target(name: str) -> Target:
 
 def read_profile(path: Path) -> Target:
     """The target of the profile at ``path``; raises :class:`SpecError` with every finding."""
+    from simfoundry.spec.validate import validate
+    from simfoundry.targets.profile import TargetSpec
+
     try:
         document = read(path)
     except YamlError as error:

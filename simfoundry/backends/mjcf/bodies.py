@@ -25,7 +25,6 @@ from simfoundry.scene.model import (
     SceneObject,
     Sphere,
     Visual,
-    principal_inertia,
 )
 from simfoundry.scene.trees import Tree, trees
 
@@ -103,7 +102,7 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
 
 def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, contacts: Contacts) -> None:
     """The mass properties and geoms of a link."""
-    moments, q = principal_inertia(link.inertia)
+    moments, q = link.principal
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
     ET.SubElement(body, "inertial", inertial | _turn(q))
     name = item.qualified(link.name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.geometry import define_geometry
 from simfoundry.backends.usd.joints import define_anchor, define_joint
 from simfoundry.backends.usd.materials import contact_material, visual_material
@@ -16,12 +17,11 @@ from simfoundry.backends.usd.prims import (
     place,
     quat,
     relate,
-    rounded,
     settled,
     vec3,
 )
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject, principal_inertia
+from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -130,8 +130,11 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
     for each in scene.objects:
         for item in (each, *each.variants):
+            silent = silent_pairs(item)
+            if not silent and not scene.no_contact:
+                continue
             movers, touched = _touchable(_content(scopes, item), item)
-            for a, b in silent_pairs(item):
+            for a, b in silent:
                 silence(movers, touched, item.qualified(a), item.qualified(b))
             for name, prims in movers.items():
                 bodies.setdefault(name, []).extend(prims)
@@ -165,12 +168,12 @@ def _touchable(parent: Prim, item: SceneObject) -> tuple[dict[str, list[Prim]], 
 
 
 def _define_link(scopes: Scopes, body: Prim, link: Link) -> None:
-    moments, axes = principal_inertia(link.inertia)
+    moments, axes = link.principal
     # A static link has these too, without the schema, which is for bodies: nothing may read them, nothing is lost.
-    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com))
-    attribute(body, "physics:diagonalInertia", "float3", vec3(moments))
+    attribute(body, "physics:centerOfMass", "point3f", vec3(link.com.tolist()))
+    attribute(body, "physics:diagonalInertia", "float3", vec3(moments.tolist()))
     attribute(body, "physics:mass", "float", rounded(link.mass))
-    attribute(body, "physics:principalAxes", "quatf", quat(axes))
+    attribute(body, "physics:principalAxes", "quatf", quat(axes.tolist()))
     if link.visuals:
         _define_visuals(scopes, define(body, "Visuals", "Scope"), link)
     if link.colliders:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded
+from simfoundry.backends.artifact import rounded
+from simfoundry.backends.usd.prims import Prim, attribute, define, place
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Camera
 

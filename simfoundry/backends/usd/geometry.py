@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.crates import author, crate_bytes, new_crate
-from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded
+from simfoundry.backends.usd.prims import Prim, attribute, define, place
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 

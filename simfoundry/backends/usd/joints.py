@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quat, relate, rounded, vec3
+from simfoundry.backends.artifact import rounded
+from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quat, relate, vec3
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.materials import linear_from_srgb
-from simfoundry.backends.usd.prims import Prim, attribute, define, place, rounded, vec3
+from simfoundry.backends.usd.prims import Prim, attribute, define, place, vec3
 from simfoundry.scene.model import Light, LightType
 
 # A white diffuse surface has radiance 1 under an irradiance of pi. A normalised distant light states its irradiance;

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.backends.artifact import number
-from simfoundry.backends.usd.prims import Asset, Prim, apply_schemas, attribute, connect, define, rounded, vec3
+from simfoundry.backends.artifact import number, rounded
+from simfoundry.backends.usd.prims import Asset, Prim, apply_schemas, attribute, connect, define, vec3
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Collider, Mesh, Visual
 
@@ -28,11 +29,16 @@ def visual_material(scope: Prim, visual: Visual) -> Prim:
     """The material of ``visual``: equal looks share one, so the name comes from the content."""
     texture = texture_of(visual)
     path = "" if texture is None else texture_path(texture)
-    rgba = [rounded(v) for v in visual.rgba]
-    name = f"look_{hashlib.sha256(f'{path} {rgba}'.encode()).hexdigest()[:10]}"
+    rgba = tuple([rounded(v) for v in visual.rgba.tolist()])
+    name = _look_name(path, rgba)
     if name not in scope.children:
         _preview_material(define(scope, name, "Material"), np.array(rgba), path)
     return scope.children[name]
+
+
+@lru_cache(maxsize=256)
+def _look_name(path: str, rgba: tuple[float, ...]) -> str:
+    return f"look_{hashlib.sha256(f'{path} {list(rgba)}'.encode()).hexdigest()[:10]}"
 
 
 def linear_from_srgb(rgb: Array) -> Array:

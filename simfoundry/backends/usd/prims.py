@@ -7,11 +7,11 @@ layers takes five times as long. A vector, a quaternion (w first) or a row of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from simfoundry.backends.artifact import number
+from simfoundry.backends.artifact import rounded
 from simfoundry.scene.frames import IDENTITY, Pose
 
 
@@ -35,24 +35,24 @@ class Targets(NamedTuple):
 
     paths: tuple[str, ...]
 
-
-Written = dict[str, dict[str, Any]]
-"""Values of attributes, and :class:`Targets` of relationships, by the path of their prim and their name."""
+    @property
+    def value(self) -> Targets:
+        """Itself, where that of an attribute is asked for."""
+        return self
 
 
 @dataclass(eq=False)
 class Prim:
     """A prim as it grows.
 
-    ``path`` is how the stage calls it; ``place`` also says in which variants it is drawn, as ``/cup{variant=red}lid``.
-    ``references`` are as USD writes them. A prim with ``variants`` has one set of them, called ``variant``, of which
-    one is ``selected``; each is a prim of its own name and type.
+    ``path`` is how the stage calls it, whichever variants it is drawn in; ``references`` are as USD writes them. A prim
+    with ``variants`` has one set of them, called ``variant``, of which one is ``selected``; each is a prim of its own
+    name and type.
     """
 
     name: str
     type_name: str
     path: str
-    place: str
     specifier: str = "def"
     kind: str = ""
     schemas: list[str] = field(default_factory=list)
@@ -65,31 +65,13 @@ class Prim:
 
     def variant(self, name: str) -> Prim:
         """Add the variant ``name``; what is drawn on it is there where it is selected."""
-        self.variants[name] = Prim(self.name, self.type_name, self.path, f"{self.place}{{variant={name}}}")
+        self.variants[name] = Prim(self.name, self.type_name, self.path)
         return self.variants[name]
-
-    def walk(self) -> Iterator[Prim]:
-        """This prim, its variants and all prims below them, in the order in which they were drawn."""
-        yield self
-        for below in (*self.variants.values(), *self.children.values()):
-            yield from below.walk()
-
-    def written(self) -> Written:
-        """What is said from this prim downwards, without attributes that have no value."""
-        return {prim.place: dict(_said(prim)) for prim in self.walk()}
-
-
-def _said(prim: Prim) -> Iterator[tuple[str, Any]]:
-    for name, found in prim.properties.items():
-        value = found.value if isinstance(found, Attribute) else found
-        if value is not None:
-            yield name, value
 
 
 def define(parent: Prim, name: str, type_name: str, schemas: Sequence[str] = (), specifier: str = "def") -> Prim:
     """Define a child prim of a type, with the API schemas applied to it."""
-    place = f"{parent.place}{'' if parent.place.endswith('}') else '/'}{name}"
-    prim = Prim(name, type_name, f"{parent.path}/{name}", place, specifier, schemas=list(schemas))
+    prim = Prim(name, type_name, f"{parent.path}/{name}", specifier, schemas=list(schemas))
     parent.children[name] = prim
     return prim
 
@@ -129,11 +111,6 @@ def place(prim: Prim, pose: Pose, scale: Sequence[float] | None = None) -> None:
         operations.append("xformOp:scale")
     if operations:
         attribute(prim, "xformOpOrder", "token[]", operations, uniform=True)
-
-
-def rounded(value: float) -> float:
-    """A number to twelve significant digits: the last bits of a double differ between CPUs."""
-    return float(number(value))
 
 
 def settled(value: float) -> float:

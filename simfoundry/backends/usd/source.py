@@ -8,11 +8,12 @@ them along. ``built`` is what the backend wrote, so that a reader knows what a p
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
-from simfoundry.backends.usd.prims import Prim, Targets, Written
+from simfoundry.backends.artifact import json_line
+from simfoundry.backends.usd.prims import Prim
 from simfoundry.scene.source import Source
 
 KEY = "simfoundry"
@@ -29,20 +30,18 @@ VIEW_ONLY = (
 
 _NUMBER = "%.9g"
 
-_json = json.JSONEncoder(ensure_ascii=False).encode
-
 
 def write_source(world: Prim, source: Source) -> dict[str, str]:
     """Write ``source`` into the prims from the finished default prim down; returns what the layer says about it."""
     document = dict(source.data)
-    written = world.written()
-    below = _by_part(written, f"{world.path}/")
+    materials = _materials(world)
     for section, scope in SCOPES.items():
         members = dict(document.get(section, {}))
         prims = world.children[scope].children if scope in world.children else {}
         for name, data in members.items():
             if name in prims:
-                said = _built(below.get(f"{scope}/{name}", {}), written)
+                said: dict[str, dict[str, Any]] = {}
+                _collect(prims[name], "", materials, said)
                 said = _posture(said) if section == "robots" else said
                 _add(prims[name], {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
                 members[name] = None
@@ -53,29 +52,38 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
     return about
 
 
-def _by_part(written: Written, above: str) -> dict[str, Written]:
-    """What was written, by scope and name below ``above``, and there by path relative to that prim."""
-    found: dict[str, Written] = {}
-    for path, values in written.items():
-        scope, _, rest = path.removeprefix(above).partition("/")
-        name, _, relative = rest.partition("/")
-        found.setdefault(f"{scope}/{name}", {})[relative] = values
-    return found
+def _collect(prim: Prim, path: str, materials: Mapping[str, Any], said_by: dict[str, dict[str, Any]]) -> None:
+    """Collect what a part and the prims below it say, by ``path`` relative to it; of itself by the empty path."""
+    values = _values(prim)
+    said = observed(values)
+    for binding, name in _BINDINGS.items():
+        if binding in values:
+            said[name] = materials.get(values[binding].paths[0])
+    if "xformOpOrder" in values:
+        said["at"] = _transform(values)
+    if said:
+        said_by[path] = said
+    for name, child in prim.children.items():
+        _collect(child, f"{path}/{name}" if path else name, materials, said_by)
 
 
-def _built(part: Written, written: Written) -> Written:
-    """What a part and the prims below it say, by path relative to it; of itself by the empty path."""
-    said_by = {}
-    for relative, values in part.items():
-        said = {**observed(values), **_bound(values, written)}
-        if "xformOpOrder" in values:
-            said["at"] = _transform(values)
-        if said:
-            said_by[relative] = said
-    return said_by
+def _values(prim: Prim) -> dict[str, Any]:
+    """What the properties of a prim say, without attributes that have no value."""
+    return {name: found.value for name, found in prim.properties.items() if found.value is not None}
 
 
-def _posture(said: Written) -> Written:
+_BINDINGS = {"material:binding": "look", "material:binding:physics": "contact"}
+"""How a shape looks and touches: relationships to the materials that are bound to it, and what we call these."""
+
+
+def _materials(world: Prim) -> dict[str, Any]:
+    """What the materials of the stage say, by their path."""
+    looks, contacts = (world.children[scope].children.values() for scope in ("Looks", "Contacts"))
+    shaders = {p.path: {name: _values(shader) for name, shader in p.children.items()} for p in looks}
+    return {path: look(found) for path, found in shaders.items()} | {p.path: contact(_values(p)) for p in contacts}
+
+
+def _posture(said: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Of what the prims of a robot say only where it is and how it stands: its model is its own."""
     states = {path: {n: v for n, v in values.items() if n.startswith("state:")} for path, values in said.items()}
     base = {"": {"at": said[""]["at"]}} if "at" in said.get("", {}) else {}
@@ -84,8 +92,16 @@ def _posture(said: Written) -> Written:
 
 def observed(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """The values among those of a prim's attributes that mean something to the document, as plain data."""
-    said = {name: plain(attributes[name]) for name in sorted(attributes) if not name.startswith(VIEW_ONLY)}
-    return {name: value for name, value in said.items() if value is not None}
+    said = {}
+    for name in sorted(attributes):
+        if not _is_view_only(name) and (value := plain(attributes[name])) is not None:
+            said[name] = value
+    return said
+
+
+@lru_cache(maxsize=1024)
+def _is_view_only(name: str) -> bool:
+    return name.startswith(VIEW_ONLY)
 
 
 def plain(value: Any) -> Any:
@@ -94,12 +110,12 @@ def plain(value: Any) -> Any:
     None for all else, arrays among it.
     """
     match value:
-        case bool() | int():
-            return value
         case float():
             return float(_NUMBER % value)
         case str():
             return str(value)
+        case bool() | int():
+            return value
         case tuple() if value and isinstance(value[0], float | int):
             return [v if type(v) is int else float(_NUMBER % v) for v in value]
     kind = type(value).__name__
@@ -123,21 +139,6 @@ def _transform(values: Mapping[str, Any]) -> list[float]:
     ]
 
 
-def _bound(values: Mapping[str, Any], written: Written) -> dict[str, Any]:
-    """How a shape looks and touches: values of the materials that are bound to it."""
-    said: dict[str, Any] = {}
-    if "material:binding" in values:
-        path = _target(values["material:binding"])
-        said["look"] = look({name: written.get(f"{path}/{name}", {}) for name in ("Surface", "Texture")})
-    if "material:binding:physics" in values:
-        said["contact"] = contact(written[_target(values["material:binding:physics"])])
-    return said
-
-
-def _target(found: Targets) -> str:
-    return found.paths[0]
-
-
 def look(material: Mapping[str, Mapping[str, Any]]) -> list[float] | None:
     """Scene-linear red, green, blue, and opacity of a material of ours; a texture is multiplied by them.
 
@@ -158,7 +159,7 @@ def contact(material: Mapping[str, Any]) -> list[float] | None:
 
 def _lines(data: Mapping[str, Any]) -> str:
     """JSON with a line for each key of the outermost mapping, for people who look at the metadata."""
-    entries = [f"{_json(key)}: {_json(value)}" for key, value in data.items()]
+    entries = [f"{json_line(key)}: {json_line(value)}" for key, value in data.items()]
     return "{" + ",\n ".join(entries) + "}"
 
 

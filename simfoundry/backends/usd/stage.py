@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
-from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.artifact import Artifact, rounded
 from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
@@ -16,11 +16,13 @@ from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
-from simfoundry.backends.usd.prims import Prim, attribute, define, rounded, vec3
+from simfoundry.backends.usd.prims import Prim, attribute, define, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
 from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
+
+_LOADER = Path(__file__).parents[1] / "templates" / "usd_load.py"
 
 
 def compile_usd(scene: Scene) -> Artifact:
@@ -33,11 +35,10 @@ def compile_usd(scene: Scene) -> Artifact:
     is there twice, is an :class:`~simfoundry.backends.names.InvalidSceneError`.
     """
     check_names(scene)
-    world = Prim("World", "Xform", "/World", "/World", kind="assembly")
+    world = Prim("World", "Xform", "/World", kind="assembly")
     robots = _define_world(world, scene)
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
-    loader = files("simfoundry.backends") / "templates" / "usd_load.py"
-    contents = {"scene.usda": usda(world, about), "load.py": loader.read_bytes()}
+    contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
     return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.usd.prims import Asset, Attribute, Prim, Targets
 
-_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")
 _STEP = "    "
 
 
@@ -40,7 +39,7 @@ def _append_body(lines: list[str], prim: Prim, opening: str, before_brace: str, 
         lines += [f"{opening} (", *metadata]
         opening = f"{indent})"
     lines.append(f"{opening}{before_brace}{{")
-    lines += [f"{inside}{_property(name, found)}" for name, found in sorted(prim.properties.items())]
+    lines += [f"{inside}{_property(name, prim.properties[name])}" for name in sorted(prim.properties)]
     if prim.variants:
         lines.append(f'{inside}variantSet "variant" = {{')
         for name, variant in sorted(prim.variants.items()):
@@ -57,7 +56,7 @@ def _append_body(lines: list[str], prim: Prim, opening: str, before_brace: str, 
 
 def _metadata(prim: Prim, indent: str) -> Iterator[str]:
     if prim.schemas:
-        yield f"{indent}prepend apiSchemas = {_list(map(quoted, prim.schemas))}"
+        yield f"{indent}prepend apiSchemas = {_schemas(tuple(prim.schemas))}"
     if prim.custom_data:
         yield from _dictionary("customData", prim.custom_data, indent)
     if prim.kind:
@@ -69,11 +68,16 @@ def _metadata(prim: Prim, indent: str) -> Iterator[str]:
         yield f'{indent}prepend variantSets = "variant"'
 
 
+@lru_cache(maxsize=256)
+def _schemas(names: tuple[str, ...]) -> str:
+    return _list(map(quoted, names))
+
+
 def _dictionary(name: str, entries: Mapping[str, Any], indent: str) -> Iterator[str]:
     yield f"{indent}{name} = {{"
     for key, value in sorted(entries.items()):
         match value:
-            case Mapping():
+            case dict():
                 yield from _dictionary(f"dictionary {key}", value, indent + _STEP)
             case str():
                 yield f"{indent}{_STEP}string {key} = {quoted(value)}"
@@ -87,25 +91,11 @@ def _property(name: str, found: Attribute | Targets) -> str:
     if isinstance(found, Targets):
         paths = [f"<{path}>" for path in found.paths]
         return f"{custom}rel {name} = {paths[0] if len(paths) == 1 else _list(paths)}"
-    declared = f"{custom}{'uniform ' if found.uniform else ''}{found.type_name} {name}"
-    if found.source:
-        return f"{declared}.connect = <{found.source}>"
-    return declared if found.value is None else f"{declared} = {_value(found.value)}"
-
-
-def _value(value: Any) -> str:
-    match value:
-        case bool() | int():
-            return str(int(value))
-        case float():
-            return number(value)
-        case str():
-            return quoted(value)
-        case list():
-            return _list(map(_value, value))
-        case Asset():
-            return f"@{value.path}@"
-    return f"({', '.join([_value(v) for v in value])})"
+    type_name, value, uniform, source = found
+    declared = f"{custom}{'uniform ' if uniform else ''}{type_name} {name}"
+    if source:
+        return f"{declared}.connect = <{source}>"
+    return declared if value is None else f"{declared} = {_TEXT[type(value)](value)}"
 
 
 def _list(items: Iterable[str]) -> str:
@@ -115,7 +105,26 @@ def _list(items: Iterable[str]) -> str:
 def quoted(text: str) -> str:
     """A text in the quotes that need the fewest escapes; in three of them where it has several lines."""
     quote = "'" if '"' in text and "'" not in text else '"'
-    escaped = text.replace("\\", "\\\\").replace(quote, f"\\{quote}")
-    escaped = _CONTROL.sub(lambda found: f"\\x{ord(found.group()):02x}", escaped)
     fence = quote * 3 if "\n" in text else quote
-    return f"{fence}{escaped}{fence}"
+    return f"{fence}{text.translate(_ESCAPES[quote])}{fence}"
+
+
+def _escapes(quote: str) -> list[str]:
+    """What is written for each character of ASCII between such quotes."""
+    plain = {chr(k): chr(k) for k in range(128)}
+    control = {chr(k): f"\\x{k:02x}" for k in (*range(32), 127) if k != ord("\n")}
+    return list((plain | control | {"\\": "\\\\", quote: f"\\{quote}"}).values())
+
+
+_ESCAPES = {quote: _escapes(quote) for quote in "'\""}
+
+_TEXT: dict[type, Callable[[Any], str]] = {
+    float: number,
+    tuple: lambda values: f"({', '.join([_TEXT[type(v)](v) for v in values])})",
+    list: lambda values: _list([_TEXT[type(v)](v) for v in values]),
+    str: quoted,
+    bool: lambda value: str(int(value)),
+    int: str,
+    Asset: lambda asset: f"@{asset.path}@",
+}
+"""How a value is written, by its type."""
