@@ -43,7 +43,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
-@click.option("--vlm", default="", metavar="MODEL", help="Who proposes tasks, where the recipe asks a model for them.")
+@click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
 @click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
 @json_option
 @reporting

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
               help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
 @click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
+@click.option("--engine", "engines", type=click.Choice(["mujoco", "pybullet"]), multiple=True, default=("mujoco",),
+              help="Where what a task asks for has to last, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
 @json_option
 @reporting
@@ -40,6 +42,7 @@ def command(
     base_url: str | None,
     form: str,
     camera: str | None,
+    engines: tuple[str, ...],
     rejected: bool,
     as_json: bool,
 ) -> int:
@@ -54,7 +57,7 @@ def command(
     from simfoundry.cousins.tasks.written import to_json as row
 
     folder = out or scene.parent
-    setting = Setting.load(scene, Cache.default(), payload)
+    setting = Setting.load(scene, Cache.default(), payload, engines)
     _known(about, [o.name for o in setting.twin.scene.objects])
     reference = scene_reference(scene, folder)
     if vlm is None:

@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from simfoundry.cousins.fullness import too_full
 from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.cousins.sides import DROPPED, SIDES, sets_of, side_axis
 from simfoundry.cousins.support import Support
@@ -70,7 +71,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
     if support is not None and not reasons:
-        reasons += _too_full(twin, axis, support)
+        reasons += too_full(twin, support, axis)
     if reasons:
         return ImpossibleError(tuple(reasons))
     on = support.name if support is not None else anchor
@@ -171,17 +172,3 @@ def _too_large(twin: Twin, name: str, anchor: str) -> Iterator[Reason]:
     if thinnest > widest:
         text = f"`{name}` cannot be inside `{anchor}`: it is at least {thinnest:.3f} m thick, the cavity {widest:.3f} m"
         yield Reason("too_large", text, MappingProxyType({"thickness_m": thinnest, "cavity_m": widest}))
-
-
-def _too_full(twin: Twin, axis: SceneAxis, support: Support) -> Iterator[Reason]:
-    """Whether the shadows of what must stand on a support are larger than it."""
-    moving = [n for n, words in axis.objects.items() if not set(words) & set(DROPPED)]
-    staying = [n for n, below in twin.carried.items() if below == (support.name,) and n not in axis.objects]
-    areas = {n: twin.outline(n, twin.upright(n, support.name)).area for n in (*moving, *staying)}
-    total = sum(areas.values())
-    if total > support.area:
-        text = (
-            f"`{support.name}` is too full: the shadows of {len(areas)} things take {total:.3f} m^2, "
-            f"it has {support.area:.3f} m^2"
-        )
-        yield Reason("too_full", text, MappingProxyType({"needed_m2": total, "support_m2": support.area}))

@@ -133,12 +133,12 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about, or what was moved, is in the picture of a camera."""
+    """What the task is about, or what was moved but no distractor, is in the picture of a camera."""
     cameras = twin.scene.cameras
     if not cameras:
         unchecked.append("view: the scene has no camera that stands still")
         return
-    for name in twin.task_objects or tuple(layout.poses):
+    for name in twin.task_objects or tuple(n for n in layout.poses if n not in twin.absent):
         camera, share = best_view(cameras, twin.corners(name, state.poses[name])[0])
         if share < SEEN:
             text = f"only {share:.0%} of `{name}` is in the picture of `{camera}`, which has most; {SEEN:.0%} must be"

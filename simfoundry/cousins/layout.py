@@ -30,6 +30,9 @@ from simfoundry.spec.cousins import SceneAxis
 STARTS = 4
 """How often all things are placed anew where one finds no place."""
 
+ALMOST = 4
+"""Of many distractors only where so few, or an eighth, are left: another beginning makes no room for more."""
+
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -104,6 +107,9 @@ def scatter(
         tries += table.tries
         if reason is None:
             return layout.and_then(table, "", (), tries)
+        assert failed is not None
+        if len(things) - things.index(failed[0]) > max(ALMOST, len(things) // 8):
+            break
     assert reason is not None
     return Rejected((reason,))
 

@@ -99,9 +99,9 @@ class Recipe:
         axis = self.spec.object
         if axis is None or axis.library is None:
             return {}
-        folder = located(axis.library, self.loaded.path)
-        files = (p for p in sorted(folder.rglob("*")) if p.is_file())
-        return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+        from simfoundry.cousins.objects.retrieval import contents
+
+        return contents(located(axis.library, self.loaded.path))
 
 
 def _hash(data: object) -> str:

@@ -59,15 +59,19 @@ def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.stock_tasks import tasks_of
 
-    others, tasks = choices(recipe, out), tasks_of(recipe, out, twin, vlm)
+    others, tasks = choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
     most = None
     if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
         most = math.prod(map(len, others.values())) * max(1, len(tasks))
     return Stock(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
-def choices(recipe: Recipe, out: Path) -> dict[str, tuple[Choice, ...]]:
-    """The variants of each object that varies, made once and written below ``OUT/assets/objects``."""
+def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice, ...]]:
+    """The variants of each object that varies, made once and written below ``OUT/assets/objects``.
+
+    ``vlm`` names a model that may be asked for them, where the recipe names none.
+    """
+    from simfoundry.cousins.objects.sources import Given
     from simfoundry.cousins.objects.swap import made_for
 
     axis, folder = recipe.spec.object, out / ASSETS / "objects"
@@ -75,7 +79,7 @@ def choices(recipe: Recipe, out: Path) -> dict[str, tuple[Choice, ...]]:
         return {}
     library = None if axis.library is None else located(axis.library, recipe.loaded.path)
     tasks = [] if recipe.task_spec is None else [recipe.task_spec]
-    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, library)
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, Given(recipe.scene.path, library, vlm))
     return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
 
 

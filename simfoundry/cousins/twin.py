@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.cousins.outline import Outline
+from simfoundry.cousins.settling import ELSEWHERE
 from simfoundry.cousins.solids import Solids
 from simfoundry.cousins.support import Support, support_of
 from simfoundry.errors import SimfoundryError
@@ -88,7 +89,8 @@ class Twin:
         new = {item.name: item for item in objects}
         known = {item.name for item in self.scene.objects}
         here = tuple(new.get(item.name, item) for item in self.scene.objects)
-        more = tuple(item for item in objects if item.name not in known)
+        absent = [item for item in objects if item.name not in known]
+        more = tuple(replace(item, X_WO=_away(item, k)) for k, item in enumerate(absent, 1 + len(self.absent)))
         poses = dict(self.state.poses) | {item.name: item.X_WO for item in more}
         joints = {k: v for k, v in self.state.joints.items() if k.partition(".")[0] not in new}
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
@@ -267,6 +269,11 @@ class Twin:
     def relations(self) -> tuple[str, ...]:
         """What the scene states of itself and is true in :attr:`state`."""
         return tuple(text for text in map(str, self.scene.relations) if self.judge(text, self.state).value)
+
+
+def _away(item: SceneObject, k: int) -> Pose:
+    """Where the k-th absent thing is, turned as it is written: engines begin there, and it must meet no other."""
+    return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
 
 
 def _moved(joint: Joint, to: float | Pose | None) -> Joint:

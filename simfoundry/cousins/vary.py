@@ -18,8 +18,9 @@ from simfoundry.cousins import library, overlay
 from simfoundry.cousins.asks import asks_of
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.checks import Examined, examine
+from simfoundry.cousins.fullness import too_full
 from simfoundry.cousins.layout import NOTHING, Layout, propose, scatter
-from simfoundry.cousins.reasons import Reason, Rejected
+from simfoundry.cousins.reasons import ImpossibleError, Reason, Rejected
 from simfoundry.cousins.recipe import Recipe, read_recipe
 from simfoundry.cousins.stock import Choice, Stock, stock_of
 from simfoundry.cousins.twin import Twin
@@ -63,8 +64,14 @@ def prepared(setup: Setup) -> Prepared:
 
 def see_possible(shared: Prepared) -> None:
     """Raise :class:`ImpossibleError` where what the recipe asks for can never be."""
-    if shared.recipe.spec.scene is not None:
-        asks_of(shared.twin, shared.recipe.spec.scene)
+    twin, axis, distractors = shared.twin, shared.recipe.spec.scene, shared.recipe.spec.distractors
+    asks = asks_of(twin, axis) if axis is not None else None
+    support = twin.support(twin.ground) if distractors is not None else None
+    if distractors is not None and support is not None:
+        around = asks.support.name if asks is not None and asks.support is not None else ""
+        full = too_full(twin, support, axis, shared.recipe.distractors, distractors.count[0], around)
+        if full:
+            raise ImpossibleError(full)
 
 
 def candidate(setup: Setup, index: int) -> Candidate:

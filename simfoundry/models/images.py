@@ -31,7 +31,10 @@ class ImageEditor(Protocol):
 class HttpImages:
     """An editor behind the OpenAI images API: ``POST {url}/images/edits``, which several servers speak.
 
-    https://platform.openai.com/docs/api-reference/images/createEdit
+    https://platform.openai.com/docs/api-reference/images/createEdit: multipart, up to 16 pictures as ``image[]``;
+    ``background: transparent`` wants ``output_format`` png or webp, and only GPT image models know these two; they
+    answer with ``data[0].b64_json`` and refuse ``response_format``. As of its official client, which says the same:
+    https://www.rubydoc.info/github/openai/openai-ruby/OpenAI/Resources/Images:edit
     """
 
     url: str
@@ -52,14 +55,16 @@ class HttpImages:
         return _picture(answer, self.url)
 
 
-def images_from_environment(environment: Mapping[str, str] | None = None) -> HttpImages:
-    """The image model that the environment names; a :class:`ModelError` says what is missing."""
+def images_from_environment(environment: Mapping[str, str] | None = None, model: str | None = None) -> HttpImages:
+    """The image model that the environment names, or ``model`` on its server; a :class:`ModelError` says what is
+    missing.
+    """
     env = os.environ if environment is None else environment
-    missing = [name for name in (URL, MODEL) if not env.get(name)]
+    missing = [name for name in (URL, MODEL) if not (env.get(name) or (name == MODEL and model))]
     if missing:
         message = f"no image model: set {' and '.join(missing)}, and {KEY} where the server wants a key"
         raise ModelError(message)
-    return HttpImages(env[URL], env[MODEL], env.get(KEY, ""))
+    return HttpImages(env[URL], model or env[MODEL], env.get(KEY, ""))
 
 
 def multipart(fields: Mapping[str, str], files: Sequence[tuple[str, str, str, bytes]]) -> tuple[bytes, str]:

@@ -11,9 +11,11 @@ from simfoundry.spec.base import DocumentSpec, FileName, Model, Name, NonNegativ
 
 Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
 Source = Literal["procedural", "library", "model"]
+Engine = Literal["mujoco", "pybullet"]
 Change = Literal["geometry", "topology", "appearance"]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
+ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 class Between(Model):
@@ -66,11 +68,29 @@ class ObjectVariants(Model):
     count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="How many variants.")
 
 
+class ObjectModels(Model):
+    """Who makes the variants whose source is `model`; addresses and keys are in the environment."""
+
+    vlm: ModelName | None = Field(
+        None,
+        description="The vision-language model that names parts, proposes changes and judges pictures, as "
+        "`openai:gpt-5`; default: that of `--vlm`.",
+    )
+    images: ModelName | None = Field(
+        None, description="The model that edits pictures, as its server calls it; default: the environment's."
+    )
+    meshes: Literal["hunyuan3d"] = Field(
+        "hunyuan3d", description="Whose interface the server speaks that makes a mesh of a picture."
+    )
+    texture: bool = Field(True, description="Whether the meshes are painted, which not every such server can.")
+
+
 class ObjectAxis(Model):
     """Other objects in the same layout."""
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
+    models: ObjectModels = Field(ObjectModels(), description="Who makes variants where a source is `model`.")
 
 
 class DistractorAxis(Model):
@@ -105,6 +125,9 @@ class TaskAxis(Model):
     )
     objects: tuple[Name, ...] = Field(
         (), description="Objects that the tasks may be about; default: all that are free."
+    )
+    engines: tuple[Engine, ...] = Field(
+        ("mujoco",), min_length=1, description="Engines in which what a task asks for lasts once it is done."
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import combinations
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from simfoundry.cousins.objects.item import Item, item_of
+from simfoundry.cousins.objects.sources import Given
 from simfoundry.cousins.objects.swap import chosen, made_for, overlay, prepare, variant_set
 from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.cousins.reasons import ImpossibleError
@@ -147,7 +149,10 @@ def test_a_shape_of_a_scene_varies_too(tmp_path: Path) -> None:
     assert part == {"asset": "a.asset.yaml", "shape": None, "material": None, "scale": None}
 
 
-def test_what_cannot_be_is_said_with_numbers(tmp_path: Path) -> None:
+def test_what_cannot_be_is_said_with_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("SIMFOUNDRY_IMAGES_URL", "SIMFOUNDRY_IMAGES_MODEL", "SIMFOUNDRY_MESHES_URL"):
+        monkeypatch.delenv(name, raising=False)
+
     def asked(**kw: object) -> ObjectAxis:
         return ObjectAxis(objects={"cube": ObjectVariants.model_validate({"count": 1, **kw})})
 
@@ -155,12 +160,14 @@ def test_what_cannot_be_is_said_with_numbers(tmp_path: Path) -> None:
     with pytest.raises(
         ImpossibleError, match="`cube` has no variant among 25 candidates: 25 times rules; the first: no rule"
     ):
-        made_for(asked(components=("handle",)), table, [], 0, tmp_path, None)
-    with pytest.raises(ImpossibleError, match="`cube` has the source `model`, which needs models"):
-        made_for(asked(sources=("model",)), table, [], 0, tmp_path, None)
+        made_for(asked(components=("handle",)), table, [], 0, tmp_path, Given(table.path))
+    with pytest.raises(
+        ImpossibleError, match=r"source `model`, which needs models .* --vlm.*IMAGES_URL.*IMAGES_MODEL.*MESHES_URL"
+    ):
+        made_for(asked(sources=("model",)), table, [], 0, tmp_path, Given(table.path))
     with pytest.raises(SimfoundryError, match="is no folder"):
-        made_for(asked(sources=("library",)), table, [], 0, tmp_path, tmp_path / "nowhere")
-    assert list(made_for(asked(), table, [], 0, tmp_path, None)) == ["cube"]
+        made_for(asked(sources=("library",)), table, [], 0, tmp_path, Given(table.path, tmp_path / "nowhere"))
+    assert list(made_for(asked(), table, [], 0, tmp_path, Given(table.path))) == ["cube"]
 
 
 def test_a_recipe_without_its_library_is_found() -> None:
@@ -170,3 +177,26 @@ def test_a_recipe_without_its_library_is_found() -> None:
     assert [f.message for f in found if "library" in f.message] == [
         "variants of `cup` come from a library, and there is none"
     ]
+
+
+def test_variants_are_made_anew_where_the_library_has_changed(tmp_path: Path) -> None:
+    table = load_kind(REPOSITORY / "specs" / "scenes" / "cup_in_bowl.scene.yaml", "scene/1")
+    axis = ObjectAxis(objects={"cup": ObjectVariants(count=1, sources=("library",))})
+    library, out = tmp_path / "library", tmp_path / "out"
+    library.mkdir()
+    text = (REPOSITORY / "specs" / "assets" / "cup.asset.yaml").read_text()
+    (library / "other.asset.yaml").write_text(text.replace("[0.93, 0.93, 0.9]", "[0.1, 0.3, 0.8]"))
+    given = Given(table.path, library)
+    (first,) = made_for(axis, table, [], 0, out, given)["cup"]
+    before = (out / "cup.variants.json").read_bytes()
+    assert made_for(axis, table, [], 0, out, given)["cup"] == (first,)
+    assert (out / "cup.variants.json").read_bytes() == before, "nothing is made twice"
+    (library / "other.asset.yaml").write_text(text.replace("[0.93, 0.93, 0.9]", "[0.9, 0.9, 0.1]"))
+    (other,) = made_for(axis, table, [], 0, out, given)["cup"]
+    assert other != first and json.loads(before)["key"] != json.loads((out / "cup.variants.json").read_text())["key"]
+    plain = ObjectAxis(objects={"cup": ObjectVariants(count=1)})
+    rules = made_for(plain, table, [], 0, tmp_path / "rules", given)["cup"]
+    (library / "more.txt").write_text("what rules make does not depend on a library")
+    record = (tmp_path / "rules" / "cup.variants.json").read_bytes()
+    assert made_for(plain, table, [], 0, tmp_path / "rules", given)["cup"] == rules
+    assert (tmp_path / "rules" / "cup.variants.json").read_bytes() == record

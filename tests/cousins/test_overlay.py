@@ -147,25 +147,6 @@ def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None
     assert "brick" in told.out and " moved " in told.out
 
 
-@pytest.mark.parametrize(
-    ("was", "becomes", "told"),
-    [
-        ("anchor: post", "anchor: pots", "no object is called `pots`"),
-        ("brick: [LeftOf, RightOf]", "brick: [Inside]", "impossible: "),
-        ("gap: [0.02, 0.15]", "gap: [2, 3]", "impossible: "),
-        ("library: things", "library: things, mass: {most: 0.001}", "mass at most 0.001 kg: 1 taken (theirs 0.0226 to"),
-    ],
-)
-def test_impossible_asks_are_answered(project: Path, was: str, becomes: str, told: str) -> None:
-    recipe = project / "scenes.cousins.yaml"
-    text = recipe.read_text()
-    assert was in text
-    recipe.write_text(text.replace(was, becomes))
-    done = run("cousins", recipe, "-n", "2", "-o", project / "out", "-j", "1", "--no-gallery")
-    assert done.code in (1, 2) and told in done.err, done.err
-    assert not list((project / "out").glob("*.yaml"))
-
-
 def test_a_place_from_which_the_twin_cannot_be_reached(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     recipe = read_recipe(project / "scenes.cousins.yaml")
     with pytest.raises(OutputError, match="must lie in its project"):

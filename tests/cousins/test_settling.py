@@ -94,3 +94,13 @@ def test_what_is_absent_is_in_nobodys_way(table: Twin) -> None:
     assert not examine(twin, there).accepted
     both = scatter(twin, ["more"], np.random.default_rng(0))
     assert isinstance(both, Layout) and examine(twin, both).accepted
+
+
+def test_what_is_not_there_yet_is_far_from_everything(table: Twin) -> None:
+    """A world begins with all things where the twin has them: a crowd at one point would be thousands of contacts."""
+    more = table.extended([replace(table.scene.object("can"), name=f"can_{k}") for k in range(40)])
+    again = more.extended([replace(table.scene.object("can"), name="one_more")])
+    for twin in (more, again):
+        with MujocoWorld(bare(twin.scene)) as world:
+            assert not [c for c in world.contacts() if twin.absent & {c.a, c.b}]
+    assert len({tuple(again.state.poses[name].p) for name in again.absent}) == 41

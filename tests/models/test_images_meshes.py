@@ -80,6 +80,15 @@ def test_a_mesh_is_made(server: tuple[str, type[Handler]]) -> None:
     asked = json.loads(body)
     assert path == "/generate" and base64.b64decode(asked["image"]) == PICTURE
     assert (asked["seed"], asked["type"], asked["texture"]) == (7, "glb", True)
+    assert set(asked) == {"image", "seed", "texture", "face_count", "type"}
+    HttpMeshes(url).make(PICTURE, 2**40 + 3)
+    assert json.loads(handler.seen[1][2])["seed"] == 3, "servers refuse seeds of 2^32 and more"
+    handler.answer = 404, b'{"text": "NETWORK ERROR", "error_code": 1}'
+    with pytest.raises(ModelError, match=r"404 Not Found.*--enable_tex.*texture: false"):
+        HttpMeshes(url).make(PICTURE, 7)
+    with pytest.raises(ModelError, match=r"404 Not Found") as plain:
+        HttpMeshes(url, texture=False).make(PICTURE, 7)
+    assert "enable_tex" not in str(plain.value)
 
 
 @pytest.mark.parametrize(
@@ -124,6 +133,7 @@ def test_nobody_there_and_nothing_set_up() -> None:
     assert (
         images_from_environment(env) == HttpImages("http://a", "m") and meshes_from_environment(env).url == "http://b"
     )
+    assert images_from_environment({"SIMFOUNDRY_IMAGES_URL": "http://a"}, "mine") == HttpImages("http://a", "mine")
     with pytest.raises(ModelError, match="PNG or JPEG"):
         HttpImages("http://127.0.0.1:9", "m").edit("x", [b"GIF89a"])
     with pytest.raises(ModelError, match="needs a picture"):

@@ -23,8 +23,8 @@ from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Varia
 from simfoundry.cousins.objects.retrieval import USUAL
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
-from simfoundry.models.images import ImageEditor, images_from_environment
-from simfoundry.models.meshes import MeshMaker, meshes_from_environment
+from simfoundry.models.images import ImageEditor
+from simfoundry.models.meshes import MeshMaker
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
@@ -38,6 +38,9 @@ T = TypeVar("T", bound=BaseModel)
 DIMENSIONS = ("geometry", "topology", "visual")
 CHANGES = {"geometry": "geometry", "topology": "topology", "visual": "appearance"}
 """What a recipe calls the paper's dimensions."""
+
+FAILURES = 3
+"""So many candidates in a row that a model gives no answer for, and it counts as not there."""
 
 ATTEMPTS = 3
 """Pictures that are tried for one proposal, as in the paper's pipeline."""
@@ -67,7 +70,8 @@ class Generation:
     """A source of candidates: models, asked with the pictures of the thing and of its scene.
 
     ``counts`` are the proposals for each component in geometry, topology and looks. All that is proposed is asked for
-    once, with the first candidate; with the same answers there are the same candidates.
+    once, with the first candidate; with the same answers there are the same candidates. A model that fails is a reason;
+    one that fails :data:`FAILURES` times in a row raises what it failed with, a :class:`SimfoundryError`.
     """
 
     vlm: Vlm
@@ -78,26 +82,35 @@ class Generation:
     counts: tuple[int, int, int] = (2, 2, 2)
     _proposals: dict[str, list[Proposal]] = field(default_factory=dict)
     _pictures: dict[str, bytes] = field(default_factory=dict)
+    _failures: int = 0
 
     def __call__(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
         """Candidate ``k``: the next proposal when its turn has come round to this source."""
         try:
-            if item.name not in self._proposals:
-                self._pictures[item.name] = self.picture or picture_of(item)
-                self._proposals[item.name] = list(self._propose(self._pictures[item.name], axis))
-            proposals = self._proposals[item.name]
-            place = k // len(axis.sources)
-            if place >= len(proposals):
-                text = f"the model proposed {len(proposals)} changes, and this is the {place + 1}th that is asked for"
-                return Reason("proposals", text, {"proposals": float(len(proposals)), "place": float(place)})
-            picture = self._edited(self._pictures[item.name], proposals[place])
-            if isinstance(picture, Reason):
-                return picture
-            return built(item, self.meshes.make(picture, seed + k), proposals[place])
+            made = self._made(item, axis, seed, k)
         except MeshError as error:
-            return Reason("mesh", str(error))
+            made = Reason("mesh", str(error))
         except SimfoundryError as error:
+            self._failures += 1
+            if self._failures == FAILURES:
+                raise
             return Reason("model", str(error))
+        self._failures = 0
+        return made
+
+    def _made(self, item: Item, axis: ObjectVariants, seed: int, k: int) -> Draft | Reason:
+        if item.name not in self._proposals:
+            self._pictures[item.name] = self.picture or picture_of(item)
+            self._proposals[item.name] = list(self._propose(self._pictures[item.name], axis))
+        proposals = self._proposals[item.name]
+        place = k // len(axis.sources)
+        if place >= len(proposals):
+            text = f"the model proposed {len(proposals)} changes, and this is the {place + 1}th that is asked for"
+            return Reason("proposals", text, {"proposals": float(len(proposals)), "place": float(place)})
+        picture = self._edited(self._pictures[item.name], proposals[place])
+        if isinstance(picture, Reason):
+            return picture
+        return built(item, self.meshes.make(picture, seed + k), proposals[place])
 
     def _propose(self, picture: bytes, axis: ObjectVariants) -> Iterator[Proposal]:
         """Prompts A, B and C: what could be changed, round the components so that the first few differ."""
@@ -138,14 +151,6 @@ class Generation:
             why = verdict.scene_reason if verdict.real_world_reasonable else verdict.real_world_reason
         text = f"{proposal.component}, {proposal.words}: not reasonable in {ATTEMPTS} pictures: {why}"
         return Reason("picture", text, {"attempts": float(ATTEMPTS)})
-
-
-def from_environment(vlm: Vlm, scene: bytes) -> Generation:
-    """The pipeline with the image and mesh models that the environment names; :class:`ModelError` says what is missing.
-
-    ``scene`` is a picture of the twin's scene.
-    """
-    return Generation(vlm, images_from_environment(), meshes_from_environment(), scene)
 
 
 def built(item: Item, glb: bytes, proposal: Proposal) -> Draft:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -108,6 +109,12 @@ class Retrieval:
         spec = stretched(entry.item.spec, np.full(3, factor))
         words = f"{entry.item.source} of the library, scaled by {factor:.2f}, at distance {away:.1f}"
         return Draft(_flat(spec), (words,), kept=entry.item.files)
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """What a library holds: the SHA-256 of each file by its path in the folder, sorted."""
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
+    return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
 
 
 def same_kind(a: str, b: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ import numpy as np
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.cousins.objects.item import Item, item_of
 from simfoundry.cousins.objects.needs import Needs, needs_of
-from simfoundry.cousins.objects.retrieval import Library, Retrieval
+from simfoundry.cousins.objects.retrieval import contents
+from simfoundry.cousins.objects.sources import Given, opened
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
 from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.files import write_atomically
@@ -25,7 +26,7 @@ from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.write import to_yaml
 
-VERSION = "variants/1"
+VERSION = "variants/2"
 """Changes where the same twin, axis and seed would give other variants."""
 
 REPLACED = (*Body.model_fields, "shape", "scale", "visual")
@@ -38,26 +39,32 @@ def prepare(
     tasks: Sequence[TaskSpec],
     seed: int,
     folder: Path,
-    sources: Mapping[str, Origins] | None = None,
+    sources: Callable[[], Mapping[str, Origins]] | None = None,
     cache: Cache | None = None,
     progress: Progress | None = None,
+    library: Path | None = None,
 ) -> dict[str, dict[str, Any]]:
     """Make and write the variants of every object of an axis; what the folder has already is not made again.
+
+    ``sources`` opens those beyond rules, and is asked only where something is to be made; ``library`` is the folder
+    that one of them reads.
 
     Returns for each object its record, which is also beside the documents as ``NAME.variants.json``: the names of the
     ``accepted``, the ``refused`` with reasons, and what the twin itself ``lacks``.
     """
     assert isinstance(scene.spec, SceneSpec)
     lowered, records = None, {}
+    origins: Mapping[str, Origins] | None = None
     for name, wanted in axis.objects.items():
         item = item_of(scene, name)
         lowered = lowered or lower(scene, cache)
         needs = needs_of(name, scene.spec, lowered, tasks)
-        key = _key(item, wanted, needs, seed)
+        key = _key(item, wanted, needs, seed, axis, library)
         path = folder / f"{name}.variants.json"
         record = _read(path, key, folder)
         if record is None:
-            made = variants(item, wanted, needs, seed, sources, cache, progress)
+            origins = origins if origins is not None else sources() if sources is not None else {}
+            made = variants(item, wanted, needs, seed, origins, cache, progress)
             for variant in made.accepted:
                 write(variant, folder)
             record = {"key": key, **record_of(made)}
@@ -67,21 +74,17 @@ def prepare(
 
 
 def made_for(
-    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, library: Path | None
+    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: Given
 ) -> dict[str, tuple[Path, ...]]:
-    """The documents of the variants of each object, made where they are not there yet; ``library`` is a folder.
+    """The documents of the variants of each object, made where they are not there yet.
 
     Raises :class:`ImpossibleError` for an object that has none, with what became of the candidates, and for a source
-    that is not set up.
+    that is not set up; :class:`~simfoundry.errors.SimfoundryError` for models that do not answer.
     """
     cache = Cache.default()
-    sources: dict[str, Origins] = {} if library is None else {"library": Retrieval(Library(library, cache))}
-    for name, wanted in axis.objects.items():
-        for source in wanted.sources:
-            if source != "procedural" and source not in sources:
-                need = "a `library`" if source == "library" else "models, which only the Python interface takes"
-                raise ImpossibleError((Reason("source", f"`{name}` has the source `{source}`, which needs {need}"),))
-    records = prepare(axis, scene, tasks, seed, folder, sources, cache)
+    records = prepare(
+        axis, scene, tasks, seed, folder, lambda: opened(axis, given, cache), cache, library=given.library
+    )
     for name, record in records.items():
         if not record["accepted"]:
             tried = len(record["refused"])
@@ -142,10 +145,13 @@ def variant_set(name: str, assets: Mapping[str, str]) -> dict[str, Any]:
     return {"objects": {name: {"variants": {variant: {"asset": path} for variant, path in assets.items()}}}}
 
 
-def _key(item: Item, wanted: ObjectVariants, needs: Needs, seed: int) -> str:
+def _key(item: Item, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None) -> str:
+    """What variants depend on; of models their names in the recipe: whoever is asked says each time something else."""
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])
-    said = (item.name, item.category, to_yaml(item.spec), wanted.model_dump_json(), calls, str(seed))
+    of = [axis.models.model_dump_json()] if "model" in wanted.sources else []
+    of += [json.dumps(contents(library))] if "library" in wanted.sources and library is not None else []
+    said = (item.name, item.category, to_yaml(item.spec), wanted.model_dump_json(), calls, str(seed), *of)
     return key_of(VERSION, *said, *meshes)
 
 

@@ -53,7 +53,7 @@ def task_cousins(
     ``scene`` is the twin's document and ``reference`` its file as the tasks' documents name it. A ``vlm`` that sees the
     ``picture`` is asked where the axis says so. Raises :class:`ImpossibleError` where nothing can be done.
     """
-    setting = Setting(twin, hands_of(scene))
+    setting = Setting(twin, hands_of(scene), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
             why = "`proposals: model` needs a model: name one, or take `affordances`"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -13,7 +14,7 @@ import numpy as np
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.grip import grip_width
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.twin import Twin, bare
 from simfoundry.lint.report import length
 from simfoundry.scene.frames import Array
 from simfoundry.scene.lower import lower
@@ -24,6 +25,7 @@ from simfoundry.spec.scene import SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
+    from simfoundry.worlds import World
 
 PAYLOADS = MappingProxyType({"franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
 """The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; of the YAM our guess."""
@@ -51,22 +53,39 @@ class Hand(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none."""
+    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none.
+
+    What is done must last in all ``engines``; MuJoCo, in which it is tried out, is always one.
+    """
 
     twin: Twin
     hands: tuple[Hand, ...]
     path: Path | None = None
     kept: dict[str, tuple[Reason, ...]] = field(default_factory=dict, repr=False)
+    engines: tuple[str, ...] = ("mujoco",)
 
     @classmethod
-    def load(cls, path: Path, cache: Cache | None = None, payload: float | None = None) -> Setting:
+    def load(
+        cls,
+        path: Path,
+        cache: Cache | None = None,
+        payload: float | None = None,
+        engines: tuple[str, ...] = ("mujoco",),
+    ) -> Setting:
         """The setting of a scene document. Raises :class:`SpecError`, or :class:`TwinError` where it does not rest.
 
         ``payload`` [kg] is what each robot lifts, where it is not what is known of it.
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
-        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path)
+        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path, engines=engines)
+
+    @cached_property
+    def elsewhere(self) -> Mapping[str, World]:
+        """The scene in the engines beside MuJoCo; raises MissingEngineError for one that is not installed."""
+        from simfoundry.worlds import open_world
+
+        return {name: open_world(bare(self.twin.scene), name) for name in self.engines if name != "mujoco"}
 
     # -- where things are ---------------------------------------------------------------------------------------------
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,9 @@ OVERLAP = 0.002
 DISTURBED = 0.02
 """What is not to be moved moves no farther than this [m] as a thing comes to rest by it."""
 
+
+LASTS = 2.0
+"""So long physics runs in other engines [s] to see whether what was done lasts."""
 
 ASTRAY = (0.0023, 0.0017)
 """How far beside its place a thing is put [m]: no hand is exact, and no ball stays on another."""
@@ -106,6 +109,17 @@ def rest(setting: Setting, state: SceneState, moving: set[str]) -> Rest:
         if name not in moving and far > DISTURBED:
             return Rest(settled.state, f"`{name}` is pushed away by {100 * far:.1f} cm")
     return Rest(settled.state)
+
+
+def lost(setting: Setting, condition: Any, state: SceneState) -> str:
+    """Why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does."""
+    for engine, world in setting.elsewhere.items():
+        world.reset(state)
+        world.step(round(LASTS / world.timestep))
+        verdict = setting.twin.judge(condition, world.state())
+        if not verdict.value:
+            return f"after {LASTS:g} s in {engine} {verdict.why}"
+    return ""
 
 
 def open_end(setting: Setting, owner: str, joint: Joint, wanted: str) -> float | None:

@@ -16,7 +16,7 @@ import numpy as np
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.meaning import branches
 from simfoundry.cousins.tasks.setting import Setting, numbers
-from simfoundry.cousins.tasks.trial import dropped, link_named, open_end, put, rest, turned
+from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, turned
 from simfoundry.cousins.tasks.ways import cavity_words, places, turns
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.frames import Array
@@ -98,6 +98,8 @@ def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reaso
         verdict = setting.twin.judge(goal, attempt.state)
         if not verdict.value:
             return (Reason("impossible", f"it cannot all be true at once: {verdict.why}", numbers(m=verdict.margin)),)
+        if gone := lost(setting, goal, attempt.state):
+            return (Reason("fleeting", f"it does not last: {gone}"),)
     return Witness(attempt.state, tuple(attempt.opened))
 
 
@@ -256,6 +258,9 @@ def _settled(
     verdict = setting.twin.judge({"all": [str(call) for call in calls]}, settled.state)
     if not verdict.value or settled.why:
         tried.why = settled.why or f"at rest {verdict.why}"
+        return None
+    if gone := lost(setting, {"all": [str(call) for call in calls]}, settled.state):
+        tried.why = gone
         return None
     lacks = setting.cannot_reach(name, *setting.bounds(name, settled.state))
     if lacks:
