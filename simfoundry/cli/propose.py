@@ -27,7 +27,7 @@ if TYPE_CHECKING:
               help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
 @click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
 @click.option("--engine", "engines", type=click.Choice(["mujoco", "pybullet"]), multiple=True, default=("mujoco",),
-              help="Where what a task asks for has to last, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
+              help="Where what a task asks for lasts, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
 @json_option
 @reporting

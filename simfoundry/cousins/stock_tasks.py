@@ -46,10 +46,11 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
             asked = {"vlm": Vlm(vlm), "picture": draw(recipe.scene.path) or b""}
         reference = relative(recipe.scene.path, out)
         found, _ = task_cousins(twin, recipe.scene_spec, axis, recipe.seed, reference, **asked)
-        kept = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
-        write_atomically(path, (json.dumps(kept, indent=1, ensure_ascii=False) + "\n").encode())
+        rows = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
+        write_atomically(path, (json.dumps(rows, indent=1, ensure_ascii=False) + "\n").encode())
     hands = hands_of(recipe.scene_spec)
-    return tuple(TaskCousin(_task(one["task"], path), one["goal"], hands) for one in json.loads(path.read_text()))
+    kept = json.loads(path.read_text())
+    return tuple(TaskCousin(_task(one["task"], path), one["goal"], hands, axis.engines) for one in kept)
 
 
 def _task(text: str, path: Path) -> TaskSpec:

@@ -175,14 +175,29 @@ def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) 
     goal = ""
     if shared.stock.tasks:
         task = shared.stock.tasks[(index - 1) % len(shared.stock.tasks)]
-        reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state)
+        reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
         if reasons:
             return Candidate(index, reasons=reasons)
         documents["task"] = overlay.own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
         goal = task.goal
     elif recipe.task is not None:
+        reasons = _undoable(recipe, draw, found)
+        if reasons:
+            return Candidate(index, reasons=reasons)
         documents["task"] = overlay.task_overlay(recipe, shared.out, index, moved, bool(draw.added))
     return Candidate(index, documents, draw.layout.asked, goal, found.unchecked if found is not None else ())
+
+
+def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
+    """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
+    from simfoundry.cousins.tasks.accept import impossible
+    from simfoundry.cousins.tasks.choices import about, setting_in
+    from simfoundry.cousins.tasks.setting import hands_of
+
+    goal = draw.twin.goal
+    if found is None or goal is None or not about(goal) & set(draw.others):
+        return ()
+    return impossible(goal, setting_in(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
 
 
 def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:

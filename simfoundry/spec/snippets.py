@@ -46,6 +46,10 @@ CHOICES = {
         "Taken from a library of meshes.",
         "Made by an image model and a mesh model.",
     ),
+    ("mujoco", "pybullet"): (
+        "In which it is tried out (the default).",
+        "It lasts there for two seconds, too; PyBullet must be installed.",
+    ),
     ("geometry", "topology", "appearance"): (
         "Proportions and curves.",
         "Which parts it has, and how many.",

@@ -4,7 +4,7 @@ Parts, all by default:
 
 ``validity``    N cousins (100) of each recipe of ``specs/cousins`` that has layouts, read back from their files and let
                 go for 2 s in MuJoCo and in PyBullet: what was asked for holds in 99 %, nothing overlaps by more than
-                1 mm or moves farther than 1 cm.
+                1 mm or moves farther than 1 cm, and no task of a cousin is done already. ``-r`` names one recipe.
 ``kills``       a run that is killed (SIGKILL) at ten random moments and resumed gives the same bytes.
 ``workers``     so do 1 and 2 processes, and shards in any order.
 ``ray``         and so does Ray, started here.
@@ -36,6 +36,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.manifest import read_manifest
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
@@ -129,9 +130,10 @@ def recipes(axis: str) -> list[str]:
 
 
 def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
-    """A written cousin, let go in both engines."""
+    """A written cousin, let go in both engines; of a task that is done already its goal is lost."""
     lowered = lower(load_scene(scene), Cache.default())
-    judge = Judge(lowered)
+    judge, task = Judge(lowered), scene.with_name(scene.name.replace(".scene.", ".task."))
+    goal = load_task(task, Cache.default()).goal if task.is_file() else None
     found = []
     for engine in ("mujoco", "pybullet"):
         with open_world(lowered, engine) as world:
@@ -140,6 +142,7 @@ def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
             world.step(round(SECONDS / world.timestep))
             after, contacts = world.state(), world.contacts()
         lost = tuple(text for text in asked if not judge(text, after).value)
+        lost += ("not its goal",) if goal is not None and judge(goal, after).value else ()
         deepest = max(contacts, key=lambda c: c.depth, default=None)
         free = [o.name for o in lowered.objects if not o.fixed]
         ways = {n: float(np.linalg.norm(after.poses[n].p - before.poses[n].p)) for n in free}
@@ -150,11 +153,11 @@ def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
     return found
 
 
-def validity(root: Path, count: int, jobs: int) -> bool:
-    """Every cousin of five recipes, read back."""
+def validity(root: Path, count: int, jobs: int, only: str = "") -> bool:
+    """Every cousin of the recipes that have layouts, read back."""
     print(f"{'recipe':<18}{'engine':<10}{'cousins':>8}{'hold':>8}{'mm':>7}{'cm':>7}{'valid':>8}")
     good = True
-    for recipe in recipes("scene"):
+    for recipe in [only] if only else recipes("scene"):
         out = make(root, recipe, recipe, count, "-j", str(jobs), "--gallery", "0")
         entries = [e for e in read_manifest(out)["cousins"] if "scene" in e["files"]]
         with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -290,6 +293,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Hold cousins against what is promised.")
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; by default all")
     parser.add_argument("-n", type=int, help="cousins: of each recipe, or of the run")
+    parser.add_argument("-r", default="", metavar="RECIPE", help="one recipe, for `validity`")
     parser.add_argument("-j", type=int, default=2, help="processes")
     given = parser.parse_args(arguments)
     unknown = [part for part in given.parts if part not in PARTS]
@@ -301,7 +305,7 @@ def main(arguments: list[str] | None = None) -> int:
         for part in given.parts or PARTS:
             match part:
                 case "validity":
-                    good &= validity(root, given.n or 100, given.j)
+                    good &= validity(root, given.n or 100, given.j, given.r)
                 case "kills":
                     good &= kills(root, given.n or 120, given.j)
                 case "workers":

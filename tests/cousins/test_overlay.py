@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from simfoundry.cousins import library
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.overlay import dependents, relative
 from simfoundry.cousins.recipe import need_same_project, read_recipe
+from simfoundry.cousins.tasks.choices import TaskCousin
+from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.witness import Witness, witness
+from simfoundry.cousins.twin import Twin
 from simfoundry.cousins.vary import Setup, candidate, prepared
 from simfoundry.errors import OutputError
+from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
+from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.cousins.conftest import TABLE
@@ -219,3 +229,88 @@ def test_tasks_and_layouts_together(project: Path) -> None:
         assert isinstance(spec, TaskSpec) and spec.scene == path.name.replace("task", "scene")
         assert "can" not in spec.start.place, "the cousin has moved it"
     assert run("check", project / "out").code == 0
+
+
+EVERYTHING = """\
+simfoundry: cousins/1
+name: everything
+twin: cup.task.yaml
+seed: 2
+scene: {anchor: bowl, objects: {cup: [LeftOf, RightOf, InFrontOf, Behind]}, gap: [0.02, 0.15]}
+object: {objects: {cup: {count: 2}}}
+distractors: {count: [1, 2], library: things, shipped: false}
+task: {count: 3}
+"""
+DESK = """\
+simfoundry: scene/1
+name: table
+materials: {wood: {density: 600, friction: 0.5}}
+objects:
+  table: {fixed: true, shape: {box: [0.8, 0.8, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}
+  bowl: {asset: bowl.asset.yaml, place: {on: table, xy: [0.05, 0]}}
+  cup: {asset: cup.asset.yaml, place: {on: table, xy: [-0.1, 0.15]}}
+  post: {shape: {box: [0.05, 0.05, 0.05]}, material: wood, place: {on: table, xy: [-0.1, -0.2]}}
+cameras:
+  eye: {size: [640, 480], fx: 400, fy: 400, pose: {xyz: [-0.9, 0, 0.7], look_at: [0, 0, 0]}}
+"""
+
+
+def test_all_axes_together_and_what_they_wrote(project: Path) -> None:
+    """Every cousin has another cup, in another place, more things beside it, and a task that can be done with it."""
+    for name in ("bowl", "cup"):
+        shutil.copy(REPOSITORY / "specs" / "assets" / f"{name}.asset.yaml", project)
+    (project / "table.scene.yaml").write_text(DESK)
+    (project / "cup.task.yaml").write_text(
+        "simfoundry: task/1\nname: cup\nscene: table.scene.yaml\ninstruction: Put the cup in the bowl.\n"
+        "goal: Inside(cup, bowl)\n"
+    )
+    (project / "everything.cousins.yaml").write_text(EVERYTHING)
+    done = run("cousins", project / "everything.cousins.yaml", "-n", "3", "-o", project / "out", "-j", "1", "--json")
+    assert done.code == 0, done.err
+    goals = set()
+    for path in sorted((project / "out").glob("*.task.yaml")):
+        task = load_task(path)
+        scene, judge = task.scene, Judge(task.scene)
+        names = [o.name for o in scene.objects]
+        assert 1 <= len(set(names) - {"table", "bowl", "cup", "post"}) <= 2
+        text = path.with_name(path.name.replace("task", "scene")).read_text()
+        assert "assets/objects/cup_" in text
+        with MujocoWorld(scene) as world:
+            world.reset()
+            before = world.state()
+            world.step(round(2 / world.timestep))
+            after = world.state()
+            assert max(c.depth for c in world.contacts()) < 1e-3
+        assert all(np.linalg.norm(after.poses[n].p - before.poses[n].p) < 0.01 for n in names)
+        assert not judge(task.goal, after).value
+        loaded = load_scene(path.with_name(path.name.replace("task", "scene"))).spec
+        assert isinstance(loaded, SceneSpec)
+        (side,) = [r for r in loaded.relations if r.endswith("(cup, bowl)")]
+        assert judge(side, after).value
+        assert isinstance(witness(Setting(Twin.of(scene, task.goal, ()), ()), task.goal), Witness), task.goal
+        goals.add(str(task.goal))
+    assert len(goals) >= 2
+    assert run("check", project / "out").code == 0
+
+
+def test_what_no_longer_fits_is_no_cousin(project: Path) -> None:
+    """Each may do for itself: the cup that is there now is too wide for the bowl of the twin."""
+    for name in ("bowl", "cup"):
+        shutil.copy(REPOSITORY / "specs" / "assets" / f"{name}.asset.yaml", project)
+    wide = (project / "cup.asset.yaml").read_text()
+    lathe = "[[0, 0], [0.03, 0], [0.04, 0.095], [0.0368, 0.095], [0.0276, 0.008], [0, 0.008]]"
+    assert lathe in wide
+    wide = wide.replace(lathe, "[[0, 0], [0.1, 0], [0.1, 0.05], [0.09, 0.05], [0.09, 0.01], [0, 0.01]]")
+    (project / "wide.asset.yaml").write_text(wide)
+    (project / "table.scene.yaml").write_text(DESK)
+    twin = Twin.load(project / "table.scene.yaml")
+    other = library.lowered(project / "wide.asset.yaml")
+    goal = "Inside(cup, bowl)"
+    spec = TaskSpec(simfoundry="task/1", name="cup", scene="table.scene.yaml", instruction="Put it in.", goal=goal)
+    task = TaskCousin(spec, goal)
+    assert task.reasons(twin, twin.state) == ()
+    swapped = twin.extended([replace(other, name="cup", X_WO=twin.scene.object("cup").X_WO)])
+    assert task.reasons(swapped, swapped.state) == (), "what is of the twin was proved there"
+    (reason,) = task.reasons(swapped, swapped.state, {"cup"})
+    assert reason.code == "impossible" and "Inside(cup, bowl) does not come true" in reason.text
+    assert task.reasons(swapped, swapped.state, {"bottle"}) == (), "the goal is not about it"

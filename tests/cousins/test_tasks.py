@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.tasks.ideas import Affordances
 from simfoundry.cousins.tasks.meaning import meaning
 from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.cousins.tasks.written import checked, write
+from simfoundry.errors import MissingEngineError
 from simfoundry.lint.run import lint
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
@@ -124,6 +127,45 @@ def test_what_is_closed_is_opened_on_the_way(setting: Setting) -> None:
     assert isinstance(found, Witness)
     assert found.opened == ("cabinet.drawer",)
     assert found.state.joints["cabinet.drawer"] == pytest.approx(0, abs=2e-3)
+
+
+SHELF = """
+simfoundry: scene/1
+name: shelf
+materials: {wood: {density: 600, friction: 0.5}, rubber: {density: 400, friction: 0.6}}
+objects:
+  table: {fixed: true, shape: {box: [1, 1, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}
+  organizer: {asset: organizer.asset.yaml, place: {on: table, xy: [0, 0]}}
+  ball: {asset: tennis_ball.asset.yaml, place: {on: table, xy: [-0.3, 0.2]}}
+  cup: {asset: cup.asset.yaml, place: {on: table, xy: [0.3, 0.2]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("shelf")
+    for name in ("organizer", "tennis_ball", "cup"):
+        shutil.copy(REPOSITORY / "specs" / "assets" / f"{name}.asset.yaml", folder)
+    (folder / "shelf.scene.yaml").write_text(SHELF)
+    return folder / "shelf.scene.yaml"
+
+
+def test_what_is_done_may_have_to_last_in_another_engine(shelf: Path) -> None:
+    pytest.importorskip("pybullet", reason="PyBullet has no wheel for this Python")
+    goal = "OnTop(ball, organizer)"
+    one, both = (Setting.load(shelf, engines=e) for e in (("mujoco",), ("mujoco", "pybullet")))
+    assert not one.elsewhere and list(both.elsewhere) == ["pybullet"]
+    found = witness(both, goal)
+    assert isinstance(found, Witness) and not lost(both, goal, found.state)
+    fleeting = put(both, "ball", Pose.of((0.0, 0.0, 0.4)), found.state)
+    assert "after 2 s in pybullet" in lost(both, goal, fleeting), "it falls, and rolls away or lies elsewhere"
+    assert lost(one, goal, fleeting) == "", "nobody asked"
+
+
+def test_an_engine_that_is_not_there_is_said(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(MissingEngineError, match="PyBullet"):
+        witness(Setting.load(shelf, engines=("mujoco", "pybullet")), "OnTop(ball, organizer)")
 
 
 def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:

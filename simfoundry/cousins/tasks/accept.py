@@ -30,7 +30,7 @@ def accept(task: TaskSpec | Any, setting: Setting, known: Mapping[Meaning, str] 
     same = (known or {}).get(meaning(goal))
     if same is not None:
         return (Reason("duplicate", f"its goal is that of `{same}`"),)
-    return unchanged(goal, setting) or _impossible(goal, setting)
+    return unchanged(goal, setting) or impossible(goal, setting)
 
 
 def misnamed(goal: Any, setting: Setting) -> tuple[Reason, ...]:
@@ -103,6 +103,7 @@ def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     return tuple(found)
 
 
-def _impossible(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+def impossible(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+    """Why no state is found in which a goal is true."""
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

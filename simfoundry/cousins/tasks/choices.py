@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from simfoundry.cousins.reasons import ImpossibleError, Reason
-from simfoundry.cousins.tasks.accept import unchanged, unreached
+from simfoundry.cousins.tasks.accept import impossible, unchanged, unreached
 from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
 from simfoundry.cousins.tasks.setting import Hand, Setting, hands_of
 from simfoundry.spec.cousins import TaskAxis
+from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
@@ -22,21 +23,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TaskCousin:
-    """A task that was proved in the twin; ``goal`` is what it asks for, as text, and ``hands`` act in it."""
+    """A task that was proved in the twin; ``goal`` is what it asks for, as text, and ``hands`` act in it.
+
+    What is done lasts in all ``engines``.
+    """
 
     spec: TaskSpec
     goal: str
     hands: tuple[Hand, ...] = ()
+    engines: tuple[str, ...] = ("mujoco",)
 
-    def reasons(self, twin: Twin, state: SceneState) -> tuple[Reason, ...]:
+    def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
         """Why it is no task in a scene as it stands: done already, or its things out of reach; empty where it is one.
 
-        That its things fit each other was proved in the twin, and no layout changes it.
+        That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
+        them is among the ``others``, which are not the twin's.
         """
-        here = replace(twin, state=state, kept={k: v for k, v in twin.kept.items() if k == "reach"})
-        here.__dict__["judge"] = twin.judge  # prepared for the same scene
-        setting = Setting(here, self.hands)
-        return unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
+        setting = setting_in(twin, state, self.hands, self.engines)
+        found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
+        return found or (impossible(self.spec.goal, setting) if about(self.spec.goal) & set(others) else ())
+
+
+def setting_in(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> Setting:
+    """The setting of a twin in another state."""
+    here = replace(twin, state=state, kept={k: v for k, v in twin.kept.items() if k == "reach"})
+    here.__dict__.update(judge=twin.judge, world=twin.world)  # prepared for the same scene
+    return Setting(here, hands, engines=engines)
+
+
+def about(goal: Condition) -> set[str]:
+    """The names of the things of a goal."""
+    return {a.partition(".")[0] for text, _ in texts(goal) for a in parse_call(text).args}
 
 
 def task_cousins(
@@ -66,7 +83,9 @@ def task_cousins(
         )
     else:
         found = enumerate_tasks(setting, axis.count, seed, reference, axis.objects)
-    good = tuple(TaskCousin(p.task, p.goal, setting.hands) for p in found if p.accepted and p.task is not None)
+    good = tuple(
+        TaskCousin(p.task, p.goal, setting.hands, axis.engines) for p in found if p.accepted and p.task is not None
+    )
     if not good:
         said = "; ".join(f"{p.name}: {p.reasons[0].text}" for p in found[:3] if p.reasons)
         text = f"none of {len(found)} proposed tasks is possible" + (f": {said}" if said else "")
