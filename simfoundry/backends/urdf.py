@@ -1,6 +1,6 @@
 """URDF: one file an object, and ``poses.json`` for what URDF has no place for: the poses and joint positions.
 
-``physics.json`` holds the rest that simulators know and URDF does not; ``load_drake.py`` and ``load_sapien.py`` use it.
+``physics.json`` holds what else simulators know and URDF does not; the loaders for Drake, Genesis and SAPIEN use it.
 
 A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
 them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
@@ -78,7 +78,9 @@ Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 
 
 _TEMPLATES = Path(__file__).parent / "templates"
-_LOADERS = {"load.py": "urdf_load.py", "load_drake.py": "drake_load.py", "load_sapien.py": "sapien_load.py"}
+_LOADERS = {"load.py": "urdf_load.py"} | {
+    f"load_{simulator}.py": f"{simulator}_load.py" for simulator in ("drake", "genesis", "sapien")
+}
 
 
 @dataclass(frozen=True)

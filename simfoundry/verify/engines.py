@@ -112,6 +112,14 @@ ENGINES: tuple[Engine, ...] = (
         "discrete, with the default contact solver",
     ),
     Engine(
+        "genesis",
+        "genesis",
+        "urdf",
+        ("genesis:genesis-world", "torch:torch"),
+        "pip install genesis-world torch",
+        "its rigid solver on the CPU",
+    ),
+    Engine(
         "usd", "usd", "usd", ("pxr:usd-core",), "pip install usd-core", "the stage itself, no simulator", steps=False
     ),
 )

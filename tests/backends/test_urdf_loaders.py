@@ -38,7 +38,7 @@ def test_physics_holds_what_urdf_lacks() -> None:
             if joint.name in entry["joints"]:
                 held = entry["joints"][joint.name]
                 assert (held["friction"], held["armature"]) == pytest.approx((joint.friction, joint.armature))
-    assert {"load_sapien.py", "load_drake.py"} <= set(files)
+    assert {"load_sapien.py", "load_drake.py", "load_genesis.py"} <= set(files)
 
 
 def test_surfaces_stand_in_the_order_of_the_urdf() -> None:

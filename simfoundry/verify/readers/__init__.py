@@ -22,6 +22,7 @@ READERS = {
     "newton-mjcf": "newton_mjcf",
     "sapien": "sapien",
     "drake": "drake",
+    "genesis": "genesis",
 }
 """The module of each engine here."""
 

@@ -3,8 +3,8 @@
     scene, entities = load()
     scene.step()
 
-Poses, frictions, armatures and joint frictions come from ``poses.json`` and ``physics.json``, which URDF has no place
-for. Genesis takes the larger friction of a pair.
+Poses, frictions, armatures, joint frictions and motors come from ``poses.json`` and ``physics.json``, which URDF has no
+place for. Genesis takes the larger friction of a pair. A motor goes where ``entity.control_dofs_position`` says.
 """
 
 from __future__ import annotations
@@ -21,22 +21,46 @@ HERE = Path(__file__).resolve().parent
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
+FAR = 1e9
+"""No limit of the force of a motor [N or N m]."""
 
-def load(show_viewer: bool = False, n_envs: int = 0) -> tuple[Any, dict[str, Any]]:
+STIFF = (0.01, 1.0, 0.999, 0.999, 0.001, 0.5, 2.0)
+"""How firmly joints are held, as MuJoCo's solref and solimp: at Genesis' own a held drawer creeps 5 mm/s."""
+
+PAIRS = 4096
+"""Of collision shapes that may be near each other at a time: beyond Genesis' own 150 things fall through others."""
+
+
+def load(show_viewer: bool = False, n_envs: int = 0, time_step: float = TIMESTEP) -> tuple[Any, dict[str, Any]]:
     """Load every object, build the scene, and put everything in its state; ``gs.init`` is called where it was not."""
     if not gs._initialized:
         gs.init(backend=gs.cpu, logging_level="warning")
     poses = json.loads((HERE / "poses.json").read_text(encoding="utf-8"))
     physics = json.loads((HERE / "physics.json").read_text(encoding="utf-8"))
     scene = gs.Scene(
-        sim_options=gs.options.SimOptions(dt=TIMESTEP, gravity=tuple(physics["gravity"])),
+        sim_options=gs.options.SimOptions(dt=time_step, gravity=tuple(physics["gravity"])),
+        rigid_options=gs.options.RigidOptions(
+            friction_cone=gs.friction_cone.elliptic,  # a pyramid lets a box slip early between its axes
+            impratio=10.0,  # stiff against slipping, that Coulomb's law holds
+            integrator=gs.integrator.implicitfast,
+            max_collision_pairs=PAIRS,
+        ),
         show_viewer=show_viewer,
     )
     entities = {name: add_object(scene, item) for name, item in poses.items()}
     scene.build(n_envs=n_envs)
     for name, entity in entities.items():
-        set_surfaces(entity, physics["objects"][name]["links"])
-        set_joints(entity, poses[name]["joints"], physics["objects"][name]["joints"])
+        if name in physics["objects"]:
+            said = physics["objects"][name]
+            set_surfaces(entity, said["links"])
+            set_joints(entity, poses[name]["joints"], said["joints"])
+            drives = {joint: values["drive"] for joint, values in said["joints"].items() if "drive" in values}
+        else:  # a robot with a URDF of its own keeps Genesis' surfaces
+            for joint, position in poses[name]["joints"].items():
+                entity.set_dofs_position([position], entity.get_joint(joint).dofs_idx_local)
+            drives = physics["robots"][name]["motors"]
+        for joint, drive in drives.items():
+            set_drive(entity, joint, drive)
     return scene, entities
 
 
@@ -52,8 +76,19 @@ def add_object(scene: Any, item: dict[str, Any]) -> Any:
         merge_fixed_links=False,
         prioritize_urdf_material=True,
         default_armature=0.0,
+        align=False,
     )
     return scene.add_entity(morph, material=gs.materials.Rigid())
+
+
+def set_drive(entity: Any, joint: str, drive: dict[str, float]) -> None:
+    """Let a motor pull a joint to its target like a spring with a damper, up to its force limit."""
+    dofs = entity.get_joint(joint).dofs_idx_local
+    limit = drive.get("force_limit", FAR)
+    entity.set_dofs_kp([drive["stiffness"]], dofs)
+    entity.set_dofs_kv([drive["damping"]], dofs)
+    entity.set_dofs_force_range([-limit], [limit], dofs)
+    entity.control_dofs_position([drive["target"]], dofs)
 
 
 def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> None:
@@ -70,7 +105,9 @@ def set_surfaces(entity: Any, links: dict[str, dict[str, dict[str, float]]]) -> 
 def set_joints(entity: Any, positions: dict[str, float], values: dict[str, dict[str, float]]) -> None:
     """Set position, Coulomb friction and armature of each joint."""
     for name, position in positions.items():
-        dofs = entity.get_joint(name).dofs_idx_local
+        joint = entity.get_joint(name)
+        dofs = joint.dofs_idx_local
+        joint.set_sol_params(STIFF)
         entity.set_dofs_position([position], dofs)
         entity.set_dofs_frictionloss([values[name]["friction"]], dofs)
         entity.set_dofs_armature([values[name]["armature"]], dofs)
