@@ -155,7 +155,7 @@ def reread(scene: Path, asked: tuple[str, ...]) -> list[Read]:
 
 def validity(root: Path, count: int, jobs: int, only: str = "") -> bool:
     """Every cousin of the recipes that have layouts, read back."""
-    print(f"{'recipe':<18}{'engine':<10}{'cousins':>8}{'hold':>8}{'mm':>7}{'cm':>7}{'valid':>8}")
+    print(f"{'recipe':<23}{'engine':<10}{'cousins':>8}{'hold':>8}{'mm':>7}{'cm':>7}{'valid':>8}")
     good = True
     for recipe in [only] if only else recipes("scene"):
         out = make(root, recipe, recipe, count, "-j", str(jobs), "--gallery", "0")
@@ -173,7 +173,7 @@ def _row(recipe: str, engine: str, reads: list[Read]) -> bool:
     valid = sum(r.is_valid for r in reads) / len(reads)
     overlap, moved = max(r.overlap for r in reads), max(r.moved for r in reads)
     print(
-        f"{recipe:<18}{engine:<10}{len(reads):>8}{hold:>8.1%}{1000 * overlap:>7.2f}{100 * moved:>7.2f}{valid:>8.1%}",
+        f"{recipe:<23}{engine:<10}{len(reads):>8}{hold:>8.1%}{1000 * overlap:>7.2f}{100 * moved:>7.2f}{valid:>8.1%}",
         flush=True,
     )
     for r in [r for r in reads if not r.is_valid][:5]:

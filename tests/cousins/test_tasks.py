@@ -26,6 +26,7 @@ from simfoundry.spec.cousins import TaskAxis
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
+from tests.cli.command import run
 from tests.conftest import REPOSITORY
 
 SCENE = """\
@@ -154,12 +155,27 @@ def test_what_is_done_may_have_to_last_in_another_engine(shelf: Path) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no wheel for this Python")
     goal = "OnTop(ball, organizer)"
     one, both = (Setting.load(shelf, engines=e) for e in (("mujoco",), ("mujoco", "pybullet")))
-    assert not one.elsewhere and list(both.elsewhere) == ["pybullet"]
     found = witness(both, goal)
     assert isinstance(found, Witness) and not lost(both, goal, found.state)
     fleeting = put(both, "ball", Pose.of((0.0, 0.0, 0.4)), found.state)
     assert "after 2 s in pybullet" in lost(both, goal, fleeting), "it falls, and rolls away or lies elsewhere"
     assert lost(one, goal, fleeting) == "", "nobody asked"
+    done = run(
+        "propose",
+        shelf,
+        "-n",
+        "1",
+        "--about",
+        "ball",
+        "--about",
+        "organizer",
+        "--engine",
+        "mujoco",
+        "--engine",
+        "pybullet",
+        "--json",
+    )
+    assert done.code == 0 and done.json["accepted"] == 1, done.err
 
 
 def test_an_engine_that_is_not_there_is_said(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:

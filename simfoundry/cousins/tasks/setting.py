@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,7 +13,7 @@ import numpy as np
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.grip import grip_width
-from simfoundry.cousins.twin import Twin, bare
+from simfoundry.cousins.twin import Twin
 from simfoundry.lint.report import length
 from simfoundry.scene.frames import Array
 from simfoundry.scene.lower import lower
@@ -25,7 +24,6 @@ from simfoundry.spec.scene import SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
-    from simfoundry.worlds import World
 
 PAYLOADS = MappingProxyType({"franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
 """The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; of the YAM our guess."""
@@ -79,13 +77,6 @@ class Setting:
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
         return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path, engines=engines)
-
-    @cached_property
-    def elsewhere(self) -> Mapping[str, World]:
-        """The scene in the engines beside MuJoCo; raises MissingEngineError for one that is not installed."""
-        from simfoundry.worlds import open_world
-
-        return {name: open_world(bare(self.twin.scene), name) for name in self.engines if name != "mujoco"}
 
     # -- where things are ---------------------------------------------------------------------------------------------
 

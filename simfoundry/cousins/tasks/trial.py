@@ -9,6 +9,7 @@ import numpy as np
 
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.twin import bare
 from simfoundry.predicates.shapes import Bodies
 from simfoundry.scene.frames import Array, Pose, rpy_from_quat
 from simfoundry.scene.kinematics import link_poses
@@ -16,6 +17,7 @@ from simfoundry.scene.model import Joint, SceneObject
 from simfoundry.scene.place import solve
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.place import Place
+from simfoundry.worlds import open_world
 
 OVERLAP = 0.002
 """Nothing overlaps deeper at rest [m]: a thing wedged between the walls of another is not put there."""
@@ -112,11 +114,18 @@ def rest(setting: Setting, state: SceneState, moving: set[str]) -> Rest:
 
 
 def lost(setting: Setting, condition: Any, state: SceneState) -> str:
-    """Why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does."""
-    for engine, world in setting.elsewhere.items():
-        world.reset(state)
-        world.step(round(LASTS / world.timestep))
-        verdict = setting.twin.judge(condition, world.state())
+    """Why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does.
+
+    Each time in a world of its own: PyBullet remembers contacts over a reset, and what was tried before must not tell.
+    Raises MissingEngineError for an engine that is not installed.
+    """
+    for engine in setting.engines:
+        if engine == "mujoco":
+            continue
+        with open_world(bare(setting.twin.scene), engine) as world:
+            world.reset(state)
+            world.step(round(LASTS / world.timestep))
+            verdict = setting.twin.judge(condition, world.state())
         if not verdict.value:
             return f"after {LASTS:g} s in {engine} {verdict.why}"
     return ""
