@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from functools import lru_cache
 
 DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 
@@ -20,8 +21,13 @@ def xml_text(root: ET.Element) -> bytes:
     return "\n".join(lines).encode()
 
 
+@lru_cache(maxsize=16384)  # numbers and names come again and again
+def _escaped(value: str) -> str:
+    return value.translate(_ESCAPES)
+
+
 def _append(lines: list[str], element: ET.Element, indent: str) -> None:
-    attributes = "".join([f' {name}="{value.translate(_ESCAPES)}"' for name, value in element.items()])
+    attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])
     if len(element) == 0:
         lines.append(f"{indent}<{element.tag}{attributes} />")
         return

@@ -108,6 +108,7 @@ def _list(items: Iterable[str]) -> str:
     return f"[{', '.join(items)}]"
 
 
+@lru_cache(maxsize=16384)  # words come again and again
 def quoted(text: str) -> str:
     """A text in the quotes that need the fewest escapes; in three of them where it has several lines."""
     quote = "'" if '"' in text and "'" not in text else '"'
