@@ -47,12 +47,11 @@ def plan(out: Path, wanted: int = 30, **more: object) -> Plan:
 
 
 def made(a: Plan, pool: Pool | None = None) -> dict[str, bytes]:
-    """A whole run, and every file of it, its log included; not what a kill left half written, which is hidden."""
+    """A whole run, and every file of it, its log included."""
     ledger = run(a, lambda: pool or Here(work()))
     write_manifest(a, ledger)
     finish(a, ledger)
-    files = (p for p in sorted(a.out.rglob("*")) if p.is_file() and not p.name.startswith("."))
-    return {p.relative_to(a.out).as_posix(): p.read_bytes() for p in files}
+    return {p.relative_to(a.out).as_posix(): p.read_bytes() for p in sorted(a.out.rglob("*")) if p.is_file()}
 
 
 def test_the_first_accepted_by_index_whatever_the_order(tmp_path: Path) -> None:
