@@ -14,12 +14,12 @@ from typing import IO, Any
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.ledger import Ledger
 from simfoundry.cousins.log import Reader
-from simfoundry.cousins.run import Plan
+from simfoundry.cousins.run import MANIFEST, Plan
 from simfoundry.errors import OutputError
 from simfoundry.files import writing_atomically
 
 VERSION = "cousins-run/1"
-FILE = "manifest.json"
+FILE = MANIFEST
 
 
 def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:

@@ -19,6 +19,9 @@ from simfoundry.files import write_atomically
 AHEAD = 32
 """So many candidates for each worker may be known before one of lower index is."""
 
+MANIFEST = "manifest.json"
+"""What a run says of itself when it is done, in its folder."""
+
 Heard = Callable[[Ledger], None]
 """Hears the ledger after each candidate."""
 
@@ -75,6 +78,8 @@ def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None
     """Examine candidates until the plan is met or cannot be; what the logs know already is not examined again."""
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
+        if plan.shard is None:
+            _clear_half_written(plan.out)
         ledger = plan.ledger()
         for file in logs(plan.out):
             ledger.known.update(read_places(file))
@@ -90,6 +95,13 @@ def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None
                 ledger.advance(reader, settled)
                 heard(ledger)
     return ledger
+
+
+def _clear_half_written(out: Path) -> None:
+    """Remove what killed runs left of documents and manifests. The log's lock sees to it that no other writes them."""
+    for pattern in (".[0-9]*.yaml.*", f".{MANIFEST}.*"):
+        for left in out.glob(pattern):
+            left.unlink(missing_ok=True)
 
 
 def _see_no_more(plan: Plan, ledger: Ledger) -> None:

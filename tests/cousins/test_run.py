@@ -179,6 +179,14 @@ def test_work_ahead_is_bounded(tmp_path: Path) -> None:
     assert len(before) == 1 and max(asked) < 1000
 
 
+def test_what_a_kill_left_half_written_is_cleared(tmp_path: Path) -> None:
+    expected = made(plan(tmp_path / "a"))
+    for name in (".000003.scene.yaml.3s_pgwz_", ".manifest.json.x1y2z3__"):
+        (tmp_path / "a" / name).write_bytes(b"half")
+    (tmp_path / "a" / ".gitignore").write_bytes(b"mine")
+    assert made(plan(tmp_path / "a")) == {**expected, ".gitignore": b"mine"}
+
+
 def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
