@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, force_option, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
     from simfoundry.cousins.ledger import Ledger
@@ -45,6 +45,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
 @click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
 @click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
+@force_option
 @json_option
 @reporting
 def command(
@@ -59,6 +60,7 @@ def command(
     no_gallery: bool,
     vlm: str,
     stage: Path | None,
+    force: bool,
     as_json: bool,
 ) -> int:
     """Make variants of a scene or task that keep what can be done in it.
@@ -76,6 +78,10 @@ def command(
     from simfoundry.cousins.run import Plan, begin, run
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
+    if stage is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(stage, [recipe], force)
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     need_same_project(read, folder)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.files import replace_folder, write_atomically
+from simfoundry.files import replace_folder, write_atomically, write_file
 from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
@@ -231,9 +231,7 @@ def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: 
 def _fill(folder: Path, built: Built) -> None:
     texts = {name: text.encode() for name, text in built.documents.items()}
     for name, data in {**texts, **built.files}.items():
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
+        write_file(folder / name, data)
 
 
 def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:

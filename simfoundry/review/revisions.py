@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.files import write_file
 from simfoundry.spec.kinds import is_document
 
 Read = Callable[[str], bytes | None]
@@ -135,9 +136,7 @@ def export(read: Read, path: str, folder: Path) -> Path | None:
         data = read(name)
         if data is None:
             continue
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
+        write_file(folder / name, data)
         if name.endswith(_REFERRING):
             for reference in _references(data.decode(errors="replace"), posixpath.dirname(name)):
                 if reference not in seen:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,6 @@ def test_builds_of_many_are_those_of_one(project: Path) -> None:
 CHANGES: dict[str, Callable[[Path], object]] = {
     "scene": lambda p: (p / "a.scene.yaml").write_text((p / "a.scene.yaml").read_text().replace("0.3", "0.31")),
     "mesh": lambda p: (p / "one.obj").write_text(ell(0.06)),
-    "output": lambda p: (p / "build/a/mjcf/scene.xml").write_text("<mujoco/>"),
     "output gone": lambda p: (p / "build/a/mjcf/load.py").unlink(),
     "report": lambda p: (p / "build/a/loss.json").write_text("{}"),
     "record": lambda p: (p / "build/a/build.json").write_text("{"),
@@ -98,6 +98,16 @@ def test_what_changed_is_redone_and_nothing_else(project: Path) -> None:
         change(project)
         assert [compile_job(job).state for job in jobs] == [COMPILED, CURRENT], name
         assert [compile_job(job).state for job in jobs] == [CURRENT, CURRENT], name
+
+
+def test_an_edited_output_is_kept_until_somebody_says_otherwise(project: Path) -> None:
+    job = Job(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
+    assert compile_job(job).state == COMPILED
+    (project / "build/a/mjcf/scene.xml").write_text("<mujoco/>")
+    refused = compile_job(job)
+    assert refused.state == FAILED and "edited since they were generated (scene.xml)" in refused.error
+    assert (project / "build/a/mjcf/scene.xml").read_text() == "<mujoco/>"
+    assert compile_job(replace(job, force=True)).state == COMPILED
 
 
 def test_comments_and_other_targets(project: Path) -> None:
