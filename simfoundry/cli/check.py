@@ -76,7 +76,7 @@ def _check(file: Path) -> Checked:
     """What one document gives; also called in other processes."""
     from simfoundry.lint.run import lint
     from simfoundry.spec.load import load
-    from simfoundry.spec.loaded import project_root
+    from simfoundry.spec.project import project_root
     from simfoundry.spec.report.model import Checked
 
     root = project_root(file)

@@ -15,7 +15,8 @@ from simfoundry.spec.cousins import CousinsSpec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.project import project_root
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.write import to_data

@@ -18,7 +18,7 @@ from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.task import TaskSpec
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"

@@ -11,7 +11,7 @@ from simfoundry.spec.base import Model
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.kinds import model_of
 from simfoundry.spec.load import kind_of
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.text import Document, YamlError, parse, read
 from simfoundry.spec.tree import KIND, Tree, read_tree
 from simfoundry.spec.write import write_tree

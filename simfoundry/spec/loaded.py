@@ -59,12 +59,3 @@ class Loaded:
     def shown(self, reference: str) -> Path:
         """The same file by the path that a person would write, relative where this document's own is."""
         return shown(reference, self.path)
-
-
-def project_root(path: Path) -> Path:
-    """The folder below which a document's files must lie: the nearest with a ``.git`` or ``simfoundry.yaml``."""
-    folder = path.resolve().parent
-    for candidate in (folder, *folder.parents):
-        if (candidate / ".git").exists() or (candidate / "simfoundry.yaml").exists():
-            return candidate
-    return folder

@@ -15,7 +15,8 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.format import format_text, schema_line
 from simfoundry.spec.kinds import KINDS
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.project import project_root
 from simfoundry.spec.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.text import parse

@@ -14,7 +14,7 @@ from simfoundry.cousins.stock import copied, references
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.cousins import DistractorAxis
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from tests.assets.meshes import obj
 from tests.conftest import REPOSITORY
 
