@@ -111,11 +111,13 @@ def _is_ours(path: Path) -> bool:
     """Whether a file is a stage that was compiled from one of our documents."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
+    from simfoundry.frontends.unforeseen import refusing_faults
     from simfoundry.frontends.usd_spec import StageError, carrier
     from simfoundry.frontends.usd_spec.stage import open_stage
 
     try:
-        return carrier(open_stage(path)) is not None
+        with refusing_faults(path):
+            return carrier(open_stage(path)) is not None
     except StageError:
         return False  # whoever imports it says why it cannot be read
 
@@ -168,10 +170,8 @@ def _guarded(source: Path, target: Path, options: Options) -> Report:
 
     try:
         return _brought_back(source, target, options) if _is_ours(source) else import_file(source, target, options)
-    except (SimfoundryError, SpecError) as error:
+    except (SimfoundryError, SpecError, OSError) as error:
         return Report(str(source), None, error=str(error))
-    except Exception as error:  # a fault of ours, or of a library: it is reported, and the rest goes on
-        return Report(str(source), None, error=f"{source}: it broke the importer: {type(error).__name__}: {error}")
 
 
 def _brought_back(source: Path, target: Path, options: Options) -> Report:

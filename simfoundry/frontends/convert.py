@@ -17,6 +17,7 @@ from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
+from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import project_root
 from simfoundry.spec.task import TaskSpec
@@ -135,9 +136,14 @@ def _read_mjcf(path: Path, options: Options) -> Draft:
 def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
     """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with what it needs in NAME_files beside it.
 
-    Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something
-    would be lost. What is written lowers without an error, or nothing is written.
+    Raises :class:`ImportRefusedError` for a file that cannot be imported, whatever goes wrong with it, and
+    :class:`OutputError` where something would be lost. What is written lowers without an error, or nothing is written.
     """
+    with refusing_faults(path):
+        return _import(path, out, options)
+
+
+def _import(path: Path, out: Path, options: Options) -> Report:
     if path.suffix.lower() in (*TASKS, BDDL):
         return _import_task(path, out, options)
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
