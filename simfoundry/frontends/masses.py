@@ -11,7 +11,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.frames import Array, Pose
 
 USUAL_DENSITY = 1000.0
-"""Density [kg/m^3] of what states no mass, as MuJoCo takes it."""
+"""Density [kg/m^3] of what states no mass, as MuJoCo and UsdPhysics take it: that of water."""
 
 WIDEST_GYRATION = 2.0
 """Radius of gyration [m] above which an inertia was never meant: nothing on or around a table is so large."""
@@ -171,11 +171,7 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
         body.fixed = True
     link.mass, link.com, link.inertia = None, None, None
     if any(part.use != "visual" for part in link.parts):
-        link.density, link.assumed = USUAL_DENSITY, "import"
-        if root and body.fixed:
-            return
-        why = f"none is given; {USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it"
-        draft.assumed(f"mass of `{link.name}`", why)
+        take_density(draft, link, f"{USUAL_DENSITY:g} kg/m^3 over its shapes, as MuJoCo takes it", root and body.fixed)
     elif root:
         link.mass, link.com, link.inertia, link.assumed = 1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3), "import"
         if not body.fixed:
@@ -185,6 +181,17 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
     else:
         message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
         raise ImportRefusedError(file, message, hint="give it an inertial")
+
+
+def take_density(draft: Draft, link: LinkDraft, usual: str, is_still: bool = False) -> None:
+    """Weigh a link without a mass by the user's density, or else by the usual one; of what stands still nothing is said.
+
+    Of these only the latter is an assumption of the importer, which is warned about.
+    """
+    link.density, link.assumed = draft.density or USUAL_DENSITY, "" if draft.density else "import"
+    if not is_still:
+        said = f"{draft.density:g} kg/m^3 over its shapes, as you said" if draft.density else usual
+        draft.assumed(f"mass of `{link.name}`", f"none is given; {said}")
 
 
 def _mend_inertia(draft: Draft, link: LinkDraft) -> None:
