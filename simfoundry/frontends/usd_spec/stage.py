@@ -17,6 +17,8 @@ from simfoundry.scene.frames import Array, Pose
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
 
+    from simfoundry.frontends.usd_spec.world import World
+
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
 Values = dict[str, dict[str, Any]]
@@ -88,12 +90,9 @@ def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
     return str(entries.get("file", "")), _json(prim, "document", _checked_sections)
 
 
-def parts(stage: Usd.Stage) -> list[Part]:
+def parts(stage: Usd.Stage, world: World) -> list[Part]:
     """Every part that is there and active, wherever it is by now, in the order of the stage."""
-    from pxr import Usd, UsdGeom
-
-    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-    return [_part(prim, cache) for prim in stage.Traverse() if "part" in _entries(prim)]
+    return [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
 
 
 def placed(at: list[float] | None) -> tuple[Pose, Array]:
@@ -125,15 +124,15 @@ def links_of(built: Values) -> list[str]:
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
-def _part(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Part:
+def _part(prim: Usd.Prim, world: World) -> Part:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
     spec, built = _json(prim, "spec"), _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
-    X_WP, scale = factored(cache.GetLocalToWorldTransform(root or prim))
-    return Part(section, name, prim, spec, built, _now(prim, built, cache), X_WP, scale)
+    X_WP, scale = factored(world.matrix(root or prim))
+    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
