@@ -74,7 +74,7 @@ def command(
     """
     from simfoundry.cousins.pools import Work, open_pool
     from simfoundry.cousins.reasons import ImpossibleError
-    from simfoundry.cousins.recipe import need_same_project, read_recipe
+    from simfoundry.cousins.recipe import claim_project, read_recipe
     from simfoundry.cousins.run import Plan, begin, run
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
@@ -84,7 +84,10 @@ def command(
         ensure_replaceable(stage, [recipe], force)
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
-    need_same_project(read, folder)
+    marker = claim_project(read, folder)
+    if marker is not None:
+        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
+        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
     setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, _interruptible(folder):
         progress("the twin", 0.0)

@@ -11,12 +11,13 @@ from typing import Any
 
 from simfoundry.cousins.library import Item, default_folder, filtered, read_library, united
 from simfoundry.errors import OutputError
+from simfoundry.files import write_atomically
 from simfoundry.spec.cousins import CousinsSpec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.project import project_root
+from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.write import to_data
@@ -123,11 +124,20 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
 
 
-def need_same_project(recipe: Recipe, out: Path) -> None:
-    """Raise :class:`OutputError` unless documents in ``out`` can extend the twin: both lie in one project."""
-    root = recipe.scene.root
-    if project_root(out / "x.scene.yaml") != root or not out.resolve().is_relative_to(root):
+def claim_project(recipe: Recipe, out: Path) -> Path | None:
+    """Mark the project of a recipe and its cousins where no folder is one; the marker that was written, if one was.
+
+    Raises :class:`OutputError` unless documents in ``out`` can extend the twin: both lie in one project.
+    """
+    try:
+        project = common_project(recipe.loaded.path, recipe.scene.path, out / "cousin.scene.yaml")
+    except NoProjectError:
+        root = recipe.scene.root
         raise OutputError(
             f"cousins extend their twin by a relative path, so they must lie in its project, {root}; "
             f"give a folder below it, as -o {root / 'build' / recipe.spec.name}"
-        )
+        ) from None
+    for marker, text in markers(project).items():
+        write_atomically(marker, text.encode())
+        return marker
+    return None
