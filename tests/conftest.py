@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("seeded", derandomize=True, deadline=None)
+settings.load_profile("seeded")  # the default suite draws the same examples on every machine, however slow that is
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
