@@ -108,7 +108,7 @@ def command(
         ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
         if shard is None:
             _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
-    return _report(plan, ledger, as_json)
+    return _report(plan, ledger, read.remarks, as_json)
 
 
 @contextmanager
@@ -151,11 +151,11 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
+def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE
     from simfoundry.cousins.manifest import FILE, examples, summary
 
-    facts = {**summary(plan, ledger), "out": str(plan.out)}
+    facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
     if as_json:
         print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
@@ -169,6 +169,8 @@ def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
         click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
     for text in ledger.unchecked:
         click.echo(f"not checked: {text}", err=True)
+    for text in remarks:
+        click.echo(f"note: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
             f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "

@@ -168,6 +168,7 @@ def _is_own(prim: Usd.Prim, name: str) -> bool:
 def _in_variant(spec: Any) -> bool:
     return bool(spec.path.ContainsPrimVariantSelection())
 
+
 def placed(at: list[float] | None) -> tuple[Pose, Array]:
     """Pose and scale of ten numbers."""
     if at is None:
