@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +14,7 @@ from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.entries import Contender, Entry, Part
+from simfoundry.evaluate.observe import check_cameras
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.policies.choose import Expert, open_policy
 from simfoundry.evaluate.records import Slot, is_result
@@ -21,6 +22,7 @@ from simfoundry.evaluate.rollout import End, Rollout, Video, rollout
 from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.strata import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.evaluate.videos import whole_picture
 from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
@@ -49,7 +51,6 @@ class Plan:
     shard: tuple[int, int] = (0, 1)
     cameras: tuple[str, ...] | None = None
     video: bool = True
-    size: ImageSize = field(default=ImageSize(320, 240))
 
 
 @dataclass(frozen=True)
@@ -245,17 +246,17 @@ def _video(plan: Plan, task: Task) -> Video | None:
     names = plan.cameras if plan.cameras is not None else tuple(known[:1])
     if not plan.video or not names:
         return None
-    return Video(dict.fromkeys(names, plan.size), FRAME_EVERY)
+    check_cameras(task.scene, dict.fromkeys(names, ImageSize(1, 1)), "the video")
+    shapes = {c.name: c for c in (*task.scene.cameras, *(mounted.camera for mounted in task.scene.mounted))}
+    return Video({name: whole_picture(shapes[name].width, shapes[name].height) for name in names}, FRAME_EVERY)
 
 
 def _write_video(path: Path, result: Rollout, rate: float) -> None:
-    import numpy as np
-
-    from simfoundry.evaluate.videos import write_video
+    from simfoundry.evaluate.videos import side_by_side, write_video
 
     views = [frames for frames in result.frames.values() if frames]
     if views:
-        write_video(path, [np.concatenate(row, axis=1) for row in zip(*views, strict=True)], rate)
+        write_video(path, [side_by_side(row) for row in zip(*views, strict=True)], rate)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from simfoundry.evaluate.entries import contenders
 from simfoundry.evaluate.metrics import wilson
 from simfoundry.evaluate.page import page
 from simfoundry.evaluate.results import cells
+from simfoundry.evaluate.videos import side_by_side, whole_picture
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
 
@@ -117,6 +118,17 @@ def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: P
     assert ok and frame.shape == (240, 640, 3) and frame.std() > 5
     text = (tmp_path / "report.html").read_text()
     assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/mujoco/000.webm" in text
+
+
+@pytest.mark.parametrize(
+    ("camera", "shown"),
+    [((1280, 720), (426, 240)), ((640, 480), (320, 240)), ((480, 640), (180, 240)), ((4000, 500), (640, 80))],
+)
+def test_a_video_shows_all_that_a_camera_sees(camera: tuple[int, int], shown: tuple[int, int]) -> None:
+    size = whole_picture(*camera)
+    assert (size.width, size.height) == shown
+    row = side_by_side([np.full((size.height, size.width, 3), 9, np.uint8), np.full((240, 10, 3), 7, np.uint8)])
+    assert row.shape == (240, size.width + 10, 3)
 
 
 def test_a_recorded_rollout_replays_to_the_same_trajectory(bench: Path, done: Path, tmp_path: Path) -> None:
