@@ -52,8 +52,8 @@ def build(
     A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled, and written beside
     its place, before the first folder is replaced; each is replaced in one step. ``record`` goes to ``out/build.json``,
     last of all, with the hashes of the manifests. Raises :class:`OutputError` where a folder holds files that no build
-    wrote, or that were edited since, unless ``force``; and, when the others are written, without a record, :class:`TargetsError` where a target
-    fails. The folder of one that fails stays as it was.
+    wrote, or that were edited since, unless ``force``; and, when the others are written, without a record,
+    :class:`TargetsError` where a target fails. The folder of one that fails stays as it was.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
