@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +14,7 @@ from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.settling import ELSEWHERE
 from simfoundry.cousins.solids import Solids
 from simfoundry.cousins.support import Support, support_of
+from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
@@ -96,7 +97,7 @@ class Twin:
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
         initial = SceneState.initial(replace(self.scene, objects=tuple(new.values())))
         state = SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions))
-        kept = {key: value for key, value in self.kept.items() if key == "reach"}
+        kept = {key: value for key, value in self.kept.items() if key in ("reach", "seen") or _is_surface(key, new)}
         return Twin(
             replace(self.scene, objects=(*here, *more)),
             state,
@@ -202,6 +203,33 @@ class Twin:
             self.kept[key] = made
         return made
 
+    def surfaces(self, state: SceneState, absent: Iterable[str] = ()) -> dict[str, VisibleSurface]:
+        """What is seen of each thing in a state; of robots, which stand as they start, their colliders."""
+        gone = set(absent)
+        found = {}
+        for item in self.scene.objects:
+            if item.name not in gone:
+                if (key := ("surface", item.name)) not in self.kept:
+                    self.kept[key] = VisibleSurface.of(self.item(item.name))
+                found[item.name] = self.kept[key].at(state.poses[item.name])
+        for item in self.robot_items:
+            if (key := ("surface", item.name)) not in self.kept:
+                links = tuple(replace(link, visuals=()) for link in item.links)  # hundreds of thousands of triangles
+                self.kept[key] = VisibleSurface.of(replace(item, links=links))
+            found[item.name] = self.kept[key].at(item.X_WO)
+        return found
+
+    @cached_property
+    def shares_seen(self) -> Mapping[str, float]:
+        """How much of each object the camera that sees most of it sees, as the twin is; what is absent has no entry."""
+        if not self.scene.cameras:
+            return MappingProxyType({})
+        if "seen" not in self.kept:
+            surfaces = self.surfaces(self.state, self.absent)
+            names = [item.name for item in self.scene.objects if item.name not in self.absent and not item.fixed]
+            self.kept["seen"] = {n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names}
+        return MappingProxyType(self.kept["seen"])
+
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
         """:attr:`state` with some things elsewhere, at rest."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
@@ -269,6 +297,11 @@ class Twin:
     def relations(self) -> tuple[str, ...]:
         """What the scene states of itself and is true in :attr:`state`."""
         return tuple(text for text in map(str, self.scene.relations) if self.judge(text, self.state).value)
+
+
+def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
+    """Whether a key of what is kept is that of the surface of a thing that stays what it is."""
+    return isinstance(key, tuple) and key[0] == "surface" and key[1] not in new
 
 
 def _away(item: SceneObject, k: int) -> Pose:
