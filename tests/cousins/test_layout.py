@@ -27,11 +27,14 @@ def proposed(twin: Twin, asked: SceneAxis, k: int) -> Layout:
 
 
 def test_every_word_comes_up_holds_at_rest_and_is_where_it_says(table: Twin) -> None:
-    words, toppled = set(), 0
+    words, toppled, hidden = set(), 0, 0
     asked = axis("post", brick=SIDES, can=(*SIDES, "OnTop"))
     for k in range(50):
         layout = proposed(table, asked, k)
         result = examine(table, layout)
+        if {reason.code for reason in result.reasons} == {"out_of_view"}:  # a thing behind another
+            hidden += 1
+            continue
         if not result.accepted:  # a can on the edge of the post falls off
             assert "OnTop(can, post)" in layout.asked, result.reasons
             toppled += 1
@@ -44,7 +47,7 @@ def test_every_word_comes_up_holds_at_rest_and_is_where_it_says(table: Twin) -> 
             far = {"LeftOf": y, "RightOf": -y, "Behind": x, "InFrontOf": -x, "OnTop": z}.get(word, 1.0)
             assert far > 0.05 - 1e-3
         assert abs(p["chip"][2] - (0.035 - 0.05)) < 1e-3  # it rides along
-    assert toppled < 10
+    assert toppled < 10 and 0 < hidden < 20
     assert words == {f"{w}(brick, post)" for w in SIDES} | {f"{w}(can, post)" for w in (*SIDES, "OnTop")}
 
 
