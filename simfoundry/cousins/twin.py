@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.settling import ELSEWHERE
 from simfoundry.cousins.solids import Solids
-from simfoundry.cousins.support import Support, support_of
+from simfoundry.cousins.support import Support, edges_of, support_of, supports_of
 from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
@@ -24,6 +24,7 @@ from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint, Scene, SceneObject
 from simfoundry.scene.state import SceneState
+from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.task import TaskSpec
@@ -32,9 +33,15 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 
 if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.reach import Reach
     from simfoundry.predicates import Judge
+
+
+UNDERFOOT = 0.3
+"""What lies so much lower than a table top [m], and under it, is the floor: the lowest tables are about so high."""
 
 
 class TwinError(SimfoundryError):
@@ -265,6 +272,42 @@ class Twin:
         found: Support | None = self.kept[key]
         return found
 
+    def levels(self, name: str) -> tuple[Support, ...]:
+        """Every level of an object, where it is, on which things can stand, but for those that its joints move."""
+        key = ("levels", name)
+        if key not in self.kept:
+            self.kept[key] = supports_of(name, self.shape(name, self.state.poses[name]), self._still_links(name))
+        found: tuple[Support, ...] = self.kept[key]
+        return found
+
+    def edges(self, name: str) -> list[tuple[float, BaseGeometry]]:
+        """Heights [m] and areas of an object, where it is, that are level but too narrow to stand on."""
+        key = ("edges", name)
+        if key not in self.kept:
+            self.kept[key] = edges_of(self.shape(name, self.state.poses[name]), self._still_links(name))
+        found: list[tuple[float, BaseGeometry]] = self.kept[key]
+        return found
+
+    def _still_links(self, name: str) -> list[int]:
+        """The links of an object, by index, that none of its joints moves."""
+        item = self.scene.object(name)
+        welded = weld_groups(item)
+        return [k for k, link in enumerate(item.links) if welded[link.name] == welded[item.root.name]]
+
+    @cached_property
+    def places(self) -> tuple[Support, ...]:
+        """Where new things may stand: every level of what is fixed, but for the floor under the furniture.
+
+        Where nothing fixed is level, that of the object that most others stand on.
+        """
+        found = [level for item in self.scene.objects if item.fixed for level in self.levels(item.name)]
+        if found and not any(self.carried.values()):
+            return tuple(found)
+        ground = self.support(self.ground)
+        if ground is None:
+            return tuple(found)
+        return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
+
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
         """The shadow of a thing, with what rides on it, ``upright`` at the origin."""
         key = ("outline", name, *upright.q.tolist(), *along)
@@ -297,6 +340,16 @@ class Twin:
     def relations(self) -> tuple[str, ...]:
         """What the scene states of itself and is true in :attr:`state`."""
         return tuple(text for text in map(str, self.scene.relations) if self.judge(text, self.state).value)
+
+
+def _is_floor_under(ground: Support, level: Support) -> bool:
+    """Whether a level lies far below another, and under most of it."""
+    import shapely
+
+    if ground.height - level.height < UNDERFOOT:
+        return False
+    over = shapely.intersection(shapely.polygons(ground.corners), shapely.polygons(level.corners)).area
+    return bool(over > 0.5 * shapely.polygons(ground.corners).area)
 
 
 def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
