@@ -13,7 +13,6 @@ import numpy as np
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize
 
-
 HEIGHT, WIDEST = 240, 640
 """Pixels of a video's height, and of a camera's width at most: 25 rollouts of a page stay below 10 MB, and pictures
 of no more than 640 pixels are drawn quickly."""
