@@ -1,7 +1,7 @@
 """How often the intervals of `simfoundry correlate` hold the truth, on made-up comparisons whose truth is known.
 
-``python -m tests.corpora.intervals`` takes seconds. Policies are drawn from all that there could be: their real rate is uniform,
-their simulated one the same with noise. What an interval is to hold is Pearson's r of all of them.
+``python -m tests.corpora.intervals`` takes seconds. Policies are drawn from all that there could be: their real rate is
+uniform, their simulated one the same with noise. An interval is to hold Pearson's r of all of them.
 """
 
 from __future__ import annotations
