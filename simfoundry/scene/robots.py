@@ -64,9 +64,10 @@ def _known_models(name: str) -> tuple[dict[ModelFormat, NativeModel], str]:
     own = Path(folder).expanduser().resolve() / f"{name}.yaml" if folder else None
     if own is not None and not own.parent.is_dir():
         raise SimfoundryError(f"{OWN_MODELS} names {own.parent}, and there is no such folder")
-    models = read_models(_BUILT_IN / f"{name}.yaml")
+    built_in = _BUILT_IN / f"{name}.yaml"
+    models = read_models(built_in)
     if own is None or not own.is_file():
-        return _models(models, _BUILT_IN)
+        return _models(models, built_in)
     changed = read_models(own)
     return _models(models.model_copy(update={k: getattr(changed, k) for k in changed.model_fields_set}), own)
 

@@ -76,7 +76,9 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
 
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
     if Path(reference).is_absolute() or not target.is_relative_to(root):
-        hint = f"files must lie below the project, {root}; copy it there and give a relative path"
+        hint = (
+            f"files must lie below the project, {root}; copy it there and give a relative path{_or_mark(target, root)}"
+        )
         raise FileError("SF204", f"`{reference}` leaves the project", hint)
     if suffixes and not reference.lower().endswith(suffixes):
         raise FileError("SF203", f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
@@ -88,6 +90,16 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
     near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
     hint = nearest(target.name, near) or f"there is none in the folder `{folder.name}`"
     raise FileError("SF203", f"there is no {'file' if suffixes else 'folder'} `{reference}`", hint)
+
+
+def _or_mark(target: Path, root: Path) -> str:
+    """The other way out for a document that belongs to no project yet: one that holds the file, too."""
+    from simfoundry.spec.project import Project
+
+    common = Path(os.path.commonpath([target.parent, root]))
+    if Project(root).is_marked or not target.is_file() or common == Path(common.anchor):
+        return ""
+    return f", or put an empty `simfoundry.yaml` into {common}"
 
 
 def shown(reference: str, document: Path) -> Path:

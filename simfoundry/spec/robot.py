@@ -33,6 +33,9 @@ def _home(*positions: float, **more: float) -> MappingProxyType[str, float]:
 
 ROBOTS = MappingProxyType(
     {
+        # Ours, of simple solids. Reach is measured (tests/robots/test_demo_arm.py): the pads with the gripper down, a
+        # centimetre above the ground that it stands on; home has the gripper over a table, 0.38 m in front.
+        "demo_arm": KnownRobot(0.82, 0.09, ("base", "hand"), _home(0.0, 0.0, 0.0, 2.0, 0.0, 1.141593, 0.0)),
         # Datasheets of the Panda (0.855 m) and of the 2F-85 (85 mm); home is the posture in which DROID starts.
         "franka_robotiq": KnownRobot(
             0.855, 0.085, ("base", "hand"), _home(0.0, -0.628319, 0.0, -2.513274, 0.0, 1.884956, 0.0)

@@ -6,6 +6,7 @@ keys and more than one document are errors. Depth, size and the expansion of ali
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -148,6 +149,9 @@ def read(path: Path) -> Document:
         message = f"the byte 0x{data[error.start]:02x} is no UTF-8 text"
         raise YamlError("SF001", message, line, column, "save the file as UTF-8") from None
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            hint = "let one of the links point to a file, or remove them"
+            raise YamlError("SF001", "the file cannot be read: its links form a ring", hint=hint) from None
         raise YamlError("SF001", f"the file cannot be read: {error.strerror or error}") from None
     return parse(text, str(path))
 
