@@ -25,7 +25,7 @@ SECTORS = 16
 """Sectors of a ring that is split into convex parts; inside a ring they stand proud by at most 2 % of its radius."""
 
 LEAST_SIDES, MOST_SIDES = 12, 24
-"""Sides of a part that reaches the axis; the middle of one is short by 3.4 % of the radius with 12, by 0.9 % with 24."""
+"""Sides of a part that reaches the axis; its middle is short by 3.4 % of the radius with 12, by 0.9 % with 24."""
 
 _SIDE_COUNTS = (*range(LEAST_SIDES, MOST_SIDES + 1), SECTORS)
 
@@ -91,8 +91,8 @@ def lathe_parts(profile: Array) -> list[Array]:
 def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
     """How far the hulls of :func:`lathe_parts` are from the body of revolution at most [m], outside or inside of it.
 
-    It is sampled, and finds the greatest distance to within some percent. Where a hull stands out of the body is measured
-    at its corners, edges and faces; where the body stands out of all hulls, on its own surface.
+    It is sampled, and finds the greatest distance to within some percent. Where a hull stands out of the body is
+    measured at its corners, edges and faces; where the body stands out of all hulls, on its own surface.
     """
     from shapely import Polygon, distance, points
 
