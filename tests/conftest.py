@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+# No test fetches a robot, nor depends on one that somebody fetched before: the packages find none here.
+os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "robots")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -38,7 +38,7 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     assert isinstance(spec, TaskSpec)
     if as_json and out is None:
         raise CannotError("--json reports on a file: name it with `-o FILE`")
-    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default()), format_)
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
         click.echo(export.text, nl=False)
     else:

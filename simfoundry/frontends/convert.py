@@ -190,7 +190,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     from simfoundry.spec.scene import SceneSpec
 
     loaded = load_kind(scene_file, "scene/1")
-    lowered = lower(loaded, Cache.default())
+    lowered = lower(loaded, Cache.default(), fetch=False)
     if path.suffix.lower() == BDDL:
         from simfoundry.frontends.bddl import read_bddl_task
 
@@ -282,7 +282,7 @@ def _check(folder: Path, document: str, root: Path) -> list[Diagnostic]:
         scene = folder / document
     loaded = load(scene, root)
     try:
-        lower(loaded, Cache.default())
+        lower(loaded, Cache.default(), fetch=False)
     except SpecError as error:
         return [d for d in error.diagnostics if d.severity is Severity.ERROR]
     return []

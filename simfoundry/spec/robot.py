@@ -53,7 +53,9 @@ ROBOTS = MappingProxyType(
 class RobotFiles(Model):
     """A robot of your own: its model in each format that there is one for; targets take their native one."""
 
-    mjcf: FileName | None = Field(None, description="MJCF: a path, `pkg:package/path` or `robot_descriptions:name`.")
+    mjcf: FileName | None = Field(
+        None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
+    )
     urdf: FileName | None = Field(None, description="URDF, named in the same ways.")
     usd: FileName | None = Field(None, description="USD, named in the same ways.")
 
