@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import CannotError, force_option, json_option, print_json, reporting
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,10 +22,18 @@ if TYPE_CHECKING:
 @click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="Of the bootstrap.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap.")
 @click.option("--svg", type=click.Path(path_type=Path, dir_okay=False), help="Write the scatter plot.")
+@force_option
 @json_option
 @reporting
 def command(
-    real: Path, sim: tuple[Path, ...], rollouts: int, draws: int, seed: int, svg: Path | None, as_json: bool
+    real: Path,
+    sim: tuple[Path, ...],
+    rollouts: int,
+    draws: int,
+    seed: int,
+    svg: Path | None,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Say how well simulated success rates tell the real ones: Pearson's r and MMRV of each task.
 
@@ -36,6 +44,10 @@ def command(
     from simfoundry.evaluate.correlate import Draws, agreements, left_out
     from simfoundry.evaluate.scores import read_scores
 
+    if svg is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)
     names = _names(sim)
     tables = {name: read_scores(path) for name, path in zip(names, sim, strict=True)}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, force_option, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
     from simfoundry.cousins.ledger import Ledger
@@ -45,6 +45,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
 @click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
 @click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
+@force_option
 @json_option
 @reporting
 def command(
@@ -59,6 +60,7 @@ def command(
     no_gallery: bool,
     vlm: str,
     stage: Path | None,
+    force: bool,
     as_json: bool,
 ) -> int:
     """Make variants of a scene or task that keep what can be done in it.
@@ -76,6 +78,10 @@ def command(
     from simfoundry.cousins.run import Plan, begin, run
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
+    if stage is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(stage, [recipe], force)
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
     marker = claim_project(read, folder)
@@ -102,7 +108,7 @@ def command(
         ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
         if shard is None:
             _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
-    return _report(plan, ledger, as_json)
+    return _report(plan, ledger, read.remarks, as_json)
 
 
 @contextmanager
@@ -145,11 +151,11 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
+def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE
     from simfoundry.cousins.manifest import FILE, examples, summary
 
-    facts = {**summary(plan, ledger), "out": str(plan.out)}
+    facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
     if as_json:
         print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
@@ -163,6 +169,8 @@ def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
         click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
     for text in ledger.unchecked:
         click.echo(f"not checked: {text}", err=True)
+    for text in remarks:
+        click.echo(f"note: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
             f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "

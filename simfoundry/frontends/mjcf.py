@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -109,12 +110,24 @@ class _Mjcf:
         self.owner: dict[int, tuple[BodyDraft, str, Pose]] = {}
         """By body id: what it belongs to, its link, and the pose of the link's frame in the body's."""
         self.joint_owner: dict[int, tuple[BodyDraft, JointDraft]] = {}
+        self.names = {kind: self.element_names(kind) for kind in ("body", "joint")}
+        self.taken = {kind: set(names) for kind, names in self.names.items()}
+
+    def element_names(self, kind: str) -> list[str]:
+        """A name for each element of a kind, its own or what it is with its number; no two are alike."""
+        m, model = self.mujoco, self.model
+        count = {"body": model.nbody, "joint": model.njnt}[kind]
+        own = [m.mj_id2name(model, getattr(m.mjtObj, f"mjOBJ_{kind.upper()}"), k) or "" for k in range(count)]
+        taken = set(own)
+        return [name or _free_name(f"{kind}_{k}", taken) for k, name in enumerate(own)]
 
     def name(self, kind: str, number: int) -> str:
-        """The name of an element, or what it is with its number."""
-        m = self.mujoco
-        kinds = {"body": m.mjtObj.mjOBJ_BODY, "joint": m.mjtObj.mjOBJ_JOINT, "geom": m.mjtObj.mjOBJ_GEOM}
-        return m.mj_id2name(self.model, kinds[kind], number) or f"{kind}_{number}"
+        """The name of a body or joint, or what it is with its number."""
+        return self.names[kind][number]
+
+    def new_name(self, kind: str, wish: str) -> str:
+        """A name like ``wish`` for a link or joint that the file does not have; nothing else is called so."""
+        return _free_name(wish, self.taken[kind])
 
     def read(self) -> Draft:
         model = self.model
@@ -184,11 +197,16 @@ class _Mjcf:
             if int(model.body_mocapid[body]) >= 0:
                 self.draft.changed(f"mocap body `{name}`", "nothing moves it by hand here; it is fixed")
             return
-        base = "base" if name != "base" else "mount"
+        base = self.root_name(body)
         X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
         draft = BodyDraft(unique, base, {base: LinkDraft(base, mass=0.0)}, fixed=True, X_WO=X_WB)
         self.draft.bodies.append(draft)
         self.chain(draft, body, base, Pose.of(), joints)
+
+    def root_name(self, body: int) -> str:
+        """A name for the link that carries a body of the world: no body below it is called so."""
+        below = {self.name("body", b) for b in range(1, self.model.nbody) if self.model.body_rootid[b] == body}
+        return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
     def link(self, body: int) -> None:
         """A child of another body."""
@@ -202,14 +220,14 @@ class _Mjcf:
         model, name = self.model, self.name("body", body)
         if not joints:
             draft.links[name] = self.new_link(body, name, Pose.of())
-            draft.joints.append(JointDraft(f"{name}_mount", "fixed", parent, name, X_PB))
+            draft.joints.append(JointDraft(self.new_name("joint", f"{name}_mount"), "fixed", parent, name, X_PB))
             self.owner[body] = (draft, name, Pose.of())
             return
         anchor = np.zeros(3)
         for k, joint in enumerate(joints):
             X_PL = X_PB @ Pose.of(model.jnt_pos[joint] - anchor)
             last = k == len(joints) - 1
-            link = name if last else f"{name}_{k + 1}_of_{len(joints)}"
+            link = name if last else self.new_name("body", f"{name}_{k + 1}_of_{len(joints)}")
             made = self.joint(joint, parent, link, X_PL)
             draft.joints.append(made)
             self.joint_owner[joint] = (draft, made)
@@ -277,6 +295,14 @@ class _Mjcf:
             axes = (X_LB @ Pose.of(q=model.body_iquat[body])).rotation
             link.inertia = _symmetric(axes @ np.diag(model.body_inertia[body]) @ axes.T)
         return link
+
+
+def _free_name(wish: str, taken: set[str]) -> str:
+    """A wish, with a number behind it where the name is taken; it is taken from then on."""
+    numbered = (f"{wish}_{k}" for k in itertools.count(2))
+    name = wish if wish not in taken else next(n for n in numbered if n not in taken)
+    taken.add(name)
+    return name
 
 
 def _symmetric(inertia: Array) -> Array:

@@ -77,6 +77,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
     robots, no_models = _robots(loaded, spec, fetch)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
+    mounted, lost = _carried(mounted, {o.name: o for o in lowered}, {r.name for r in robots})
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
@@ -84,9 +85,9 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=tuple(no_models),
+        left_out=(*no_models, *lost),
         robots=robots,
-        mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
+        mounted=tuple(mounted),
         background=None if spec.background is None else _background(loaded, spec.background),
         no_contact=no_contact,
         source=Source.of(_file_in_project(loaded), to_data(spec)),
@@ -157,6 +158,21 @@ def _robots(loaded: Loaded, spec: SceneSpec, fetch: bool) -> tuple[tuple[Robot, 
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
     return tuple(found), lost
+
+
+def _carried(
+    mounted: list[MountedCamera], objects: Mapping[str, SceneObject], robots: set[str]
+) -> tuple[list[MountedCamera], list[LeftOut]]:
+    """The cameras whose carrier is there, and those left out because the variant that stands lacks their link."""
+    found, lost = [], []
+    for one in mounted:
+        item = objects.get(one.carrier)
+        if item is not None and one.link and one.link not in {link.name for link in item.links}:
+            reason = f"`{one.carrier}` stands as its variant `{item.variant}`, which has no link `{one.link}`"
+            lost.append(LeftOut(f"cameras.{one.camera.name}", reason))
+        elif item is not None or one.carrier in robots:
+            found.append(one)
+    return found, lost
 
 
 def _mounted(name: str, spec: CameraSpec, mount: str) -> MountedCamera:
