@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -29,7 +30,8 @@ from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.extras import EXTRAS, install_line
-from simfoundry.files import staged, strangers, write_atomically, write_files
+from simfoundry.files import staged, write_atomically, write_files
+from simfoundry.outputs import ensure_folder_replaceable
 from simfoundry.scene.crossings import solid
 from simfoundry.scene.frames import Array
 from simfoundry.scene.lower import lower_file
@@ -128,7 +130,8 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
 
     Raises :class:`OutputError` where ``out`` holds what no demo wrote, unless ``force``.
     """
-    _ensure_ours(out, force)
+    if not force:
+        _ensure_replaceable(out)
     missing = EXTRAS["expert"].missing
     if missing:
         return ArmDemo("", False, 0.0, f"it needs {', '.join(missing)}: {install_line('expert')}")
@@ -142,15 +145,15 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
     return done
 
 
-def _ensure_ours(out: Path, force: bool) -> None:
-    if force or not out.is_dir():
+def _ensure_replaceable(out: Path) -> None:
+    """Raise :class:`OutputError` where replacing ``out`` would destroy what a person made there."""
+    if not out.is_dir():
         return
-    ours = (SCENE, TASK, STRIP, REPORT) if (out / REPORT).is_file() else ()
-    foreign = strangers(out, ours)
-    if foreign:
-        raise OutputError(
-            f"{out} holds files that no demo wrote ({', '.join(foreign[:3])}); choose another folder, or say --force"
-        )
+    try:
+        written: dict[str, str] = dict(json.loads((out / REPORT).read_bytes())["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        written = {}
+    ensure_folder_replaceable(out, written, REPORT)
 
 
 def _mark(out: Path) -> None:
@@ -243,8 +246,10 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
         done = ArmDemo(
             idea.instruction, one.success, round(one.steps / task.control_hz, 1), reason, out / TASK, out / STRIP
         )
-        report = json.dumps(done.to_json(), indent=1, ensure_ascii=False) + "\n"
-        write_files(folder, {STRIP: png_bytes(strip), REPORT: report.encode()})
+        written = {name: text.encode() for name, text in documents.items()} | {STRIP: png_bytes(strip)}
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in written.items()}
+        report = json.dumps(done.to_json() | {"files": hashes}, indent=1, ensure_ascii=False) + "\n"
+        write_files(folder, written | {REPORT: report.encode()})
     return done
 
 
