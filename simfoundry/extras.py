@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from types import MappingProxyType
 
+from simfoundry.errors import SimfoundryError
+
 
 @dataclass(frozen=True)
 class Extra:
@@ -30,7 +32,10 @@ def is_installed(module: str) -> bool:
     """Whether a top-level module can be imported, which is not tried."""
     if module in sys.modules:
         return sys.modules[module] is not None  # None stands for one that must not be imported
-    return find_spec(module) is not None
+    try:
+        return find_spec(module) is not None
+    except ImportError:  # a finder that refuses it
+        return False
 
 
 def _extra(name: str, purpose: str, **packages: str) -> tuple[str, Extra]:
@@ -59,6 +64,24 @@ EXTRAS: Mapping[str, Extra] = MappingProxyType(
     )
 )  # fmt: skip
 """The extras of pyproject.toml, most wanted first; a test compares the two."""
+
+
+class MissingExtraError(SimfoundryError):
+    """Packages that are not installed; the message says what needs them, and the line that installs them."""
+
+
+def need_extra(extra: str, what: str) -> None:
+    """Raise :class:`MissingExtraError` where packages of an extra are missing that ``what`` needs."""
+    missing = EXTRAS[extra].missing
+    if missing:
+        raise MissingExtraError(f"{what} needs {', '.join(missing)}; install with `{install_line(extra)}`")
+
+
+def how_to_install(module: str) -> str:
+    """The line that installs the package of a module: that of the extra that it belongs to, or its own."""
+    top = module.partition(".")[0]
+    extra = next((extra.name for extra in EXTRAS.values() if top in extra.packages.values()), None)
+    return install_line(extra) if extra is not None else f"pip install {top.replace('_', '-')}"
 
 
 def install_line(extra: str) -> str:

@@ -29,7 +29,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
-from simfoundry.extras import EXTRAS, install_line
+from simfoundry.extras import MissingExtraError, need_extra
 from simfoundry.files import staged, write_atomically, write_files
 from simfoundry.outputs import ensure_folder_replaceable
 from simfoundry.scene.crossings import solid
@@ -132,9 +132,10 @@ def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
     """
     if not force:
         _ensure_replaceable(out)
-    missing = EXTRAS["expert"].missing
-    if missing:
-        return ArmDemo("", False, 0.0, f"it needs {', '.join(missing)}: {install_line('expert')}")
+    try:
+        need_extra("expert", "its inverse kinematics")
+    except MissingExtraError as error:
+        return ArmDemo("", False, 0.0, str(error))
     _mark(out)
     scene = lower_file(scene_file, Cache.default())
     done = ArmDemo("", False, 0.0, "nothing here is small enough to be grasped and put somewhere")

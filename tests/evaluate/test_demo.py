@@ -72,7 +72,7 @@ def test_without_the_expert_the_demo_says_what_to_install(
     monkeypatch.setitem(sys.modules, "mink", None)
     done = demonstrate(scene, tmp_path / "arm")
     assert not done.success and done.task is None and not (tmp_path / "arm").exists()
-    assert done.reason == "it needs mink: pip install 'simfoundry[expert]'"
+    assert done.reason == "its inverse kinematics needs mink; install with `pip install 'simfoundry[expert]'`"
 
 
 def test_where_nothing_can_be_grasped_the_arm_does_nothing(scene: Path, tmp_path: Path) -> None:
