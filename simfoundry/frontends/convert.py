@@ -211,7 +211,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     from simfoundry.spec.scene import SceneSpec
 
     loaded = load_kind(scene_file, "scene/1")
-    lowered = lower(loaded, Cache.default())
+    lowered = lower(loaded, Cache.default(), fetch=False)
     if path.suffix.lower() == BDDL:
         from simfoundry.frontends.bddl import read_bddl_task
 
@@ -318,7 +318,7 @@ def _check(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[
         scene = folder / document
     loaded = load(scene, root)
     try:
-        return lower(loaded, Cache.default()), []
+        return lower(loaded, Cache.default(), fetch=False), []
     except SpecError as error:
         return None, [d for d in error.diagnostics if d.severity is Severity.ERROR]
 
