@@ -154,7 +154,7 @@ def _robots(loaded: Loaded, spec: SceneSpec, fetch: bool) -> tuple[tuple[Robot, 
         try:
             found.append(lower_robot(name, item, loaded.path, fetch))
         except NoModelError as error:
-            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
     return tuple(found), lost

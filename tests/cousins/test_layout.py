@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,3 +179,18 @@ def test_on_a_shelf_means_on_any_of_its_boards_and_on_no_edge(cell: Twin) -> Non
             heights[round(100 * (result.state.poses["cube"].p[2] - 0.015 + 0.3))] += 1
         fell += not result.accepted  # from the front edge of a board
     assert fell <= 3 and set(heights) == {2, 27} and min(heights.values()) >= 8, heights
+
+
+def test_nothing_stands_where_the_base_of_a_robot_is_whose_model_is_not_there(tmp_path: Path) -> None:
+    robot = "robots: {arm: {model: {mjcf: menagerie:no_such_robot/arm.xml}, pose: {xyz: [0.1, -0.1, 0]}}}\n"
+    small = (
+        CELL.replace("[0.8, 0.6, 0.04]", "[0.5, 0.5, 0.04]")
+        .replace("shelf: {", "# shelf: {")
+        .replace("side_table: {", "# {")
+    )
+    twin = twin_of(small + robot, tmp_path)
+    assert not twin.scene.robots and len(twin.places) == 1
+    for k in range(20):
+        layout = scatter(twin, ["cube"], np.random.default_rng([5, k]))
+        assert isinstance(layout, Layout)
+        assert math.dist(layout.poses["cube"].p[:2], (0.1, -0.1)) > 0.155 + 0.015
