@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, reporting
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_option, print_json, reporting
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 @click.option("--exit-code", is_flag=True, help="Exit with 1 where there is a difference.")
 @click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
 @click.option("--git", "driver", is_flag=True, help="Answer git, as its diff driver.")
+@force_option
 @reporting
 def command(
-    what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool
+    what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
 ) -> int | None:
     """Say what changed in a document, in the words of the scene.
 
@@ -39,6 +40,10 @@ def command(
 
     if (form == "html") != (out is not None):
         raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
+    if out is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
         if out is not None:

@@ -122,6 +122,9 @@ def app() -> None:
 
 def main() -> None:
     """Run the command line."""
+    from simfoundry.cli.output import allow_any_text
+
+    allow_any_text()
     try:
         sys.exit(app(prog_name="simfoundry", standalone_mode=False) or 0)
     except click.exceptions.Abort:

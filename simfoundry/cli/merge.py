@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_findings, print_json, reporting
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    force_option,
+    json_option,
+    print_document,
+    print_findings,
+    print_json,
+    reporting,
+)
 from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
@@ -26,10 +36,16 @@ if TYPE_CHECKING:
     "--resolve", "side", type=click.Choice(["ours", "theirs"]), help="Take a side: --resolve ours FILE [PATH]..."
 )
 @click.option("--git", "driver", is_flag=True, help="Answer git, as its merge driver: --git %O %A %B %L %P.")
+@force_option
 @json_option
 @reporting
 def command(
-    args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, as_json: bool
+    args: tuple[str, ...],
+    out: Path | None,
+    side: Literal["ours", "theirs"] | None,
+    driver: bool,
+    force: bool,
+    as_json: bool,
 ) -> int:
     """Merge two edits of a document by meaning, or decide the conflicts that a merge left.
 
@@ -41,15 +57,19 @@ def command(
     if driver:
         return _driver(args)
     if side is not None:
-        return _resolve(side, args, out, as_json)
+        return _resolve(side, args, out, force, as_json)
     if len(args) != 3:
         raise CannotError("name three files: what both started from, ours and theirs")
     base, ours, theirs = map(Path, args)
-    return _merge(base, ours, theirs, out, as_json)
+    return _merge(base, ours, theirs, out, force, as_json)
 
 
-def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, as_json: bool) -> int:
+def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, as_json: bool) -> int:
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.merge.texts import merge_texts, new_errors
+
+    if out is not None:
+        ensure_replaceable(out, (base, ours, theirs), force)
 
     texts = [_text(path) for path in (base, ours, theirs)]
     merged = merge_texts(*texts)
@@ -60,7 +80,7 @@ def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, as_json: bool
         print_json({"out": str(out) if out else None, **_report(merged, errors), "text": merged.text})
     else:
         if out is None:
-            click.echo(merged.text, nl=False)
+            print_document(merged.text)
         else:
             click.echo(f"wrote {out}: {_count(merged.conflicts)}")
         _print(merged, errors, out or ours)
@@ -101,7 +121,8 @@ def _by_lines(args: Sequence[str]) -> int:
     return FINDINGS if done.returncode else DONE
 
 
-def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, as_json: bool) -> int:
+def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.kinds import KINDS, model_of
     from simfoundry.spec.load import load
@@ -113,6 +134,8 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     if not args:
         raise CannotError("name the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
     file = Path(args[0])
+    if out is not None and out.resolve() != file.resolve():  # in its own place a file is decided as asked
+        ensure_replaceable(out, force=force)
     try:
         document = read(file)
     except YamlError as error:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
+from simfoundry.outputs import MARK
 from simfoundry.review.compare import Comparison, Side
 from simfoundry.review.labels import Label, place_labels
 from simfoundry.review.style import STYLE
@@ -52,6 +53,7 @@ def page(comparisons: Sequence[Comparison]) -> str:
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta name="generator" content="{MARK}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <title>{escape(title)}</title>
@@ -200,7 +202,7 @@ def _lowered(side: Side | None) -> Scene | str:
     if not isinstance(side.spec, SceneSpec):
         return "This is not a scene."
     try:
-        return lower(side.loaded, Cache.default())
+        return lower(side.loaded, Cache.default(), fetch=False)
     except SpecError as error:
         first = error.diagnostics[0]
         count = len(error.diagnostics)

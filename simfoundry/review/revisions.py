@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.files import write_file
 from simfoundry.spec.files import MAX_PATH
 from simfoundry.spec.kinds import is_document
 from simfoundry.spec.text import YamlError, parse
@@ -148,9 +149,7 @@ def export(read: Read, path: str, folder: Path) -> Path | None:
         written += 1
         if written > MAX_FILES:
             raise GitError(f"{path} refers to more than {MAX_FILES} files, so its revisions cannot be compared")
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
+        write_file(folder / name, data)
         new = [reference for reference in references(name, data) if reference not in seen]
         seen.update(new)
         todo += new

@@ -59,15 +59,18 @@ def format_file(path: Path) -> Formatted:
     return Formatted(document.text, _formatted(document, model, schema_line(path, document)))
 
 
-def schema_line(path: Path, document: Document) -> str | None:
-    """The path of a schema that the first line of a document should name; None where it may stay as it is."""
+def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
+    """The path of a schema that the first line of a document should name; None where it may stay as it is.
+
+    It is looked for up to ``root``, by default that of the document's project.
+    """
     tree = Tree(None, tuple(_top_comments(document.text)))
     named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
     folder = path.resolve().parent
     if named is not None and ("://" in named or (folder / named).is_file()):
         return None
     kind = str(document.data[KIND]).partition("/")[0]
-    root = project_root(path)
+    root = project_root(path) if root is None else root
     for above in (folder, *folder.parents):
         for schemas in (above / "schemas", above / ".simfoundry" / "schemas"):
             if (schemas / f"{kind}.schema.json").is_file():

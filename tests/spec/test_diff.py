@@ -8,7 +8,7 @@ import random
 from typing import Annotated, Any, get_args, get_origin
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.base import Model, Name, PartName
@@ -121,7 +121,6 @@ def test_changes_make_the_one_document_the_other() -> None:
     assert kinds == {Set, Add, Remove, Rename, Reorder}
 
 
-@settings(max_examples=80, derandomize=True, deadline=None)
 @given(st.tuples(SCENES, SCENES) | st.tuples(ASSETS, ASSETS) | st.tuples(SCENES, ASSETS))
 def test_changes_between_random_valid_documents(pair: tuple[Model, Model]) -> None:
     _check(*map(to_data, pair))
@@ -137,7 +136,6 @@ ANY = st.recursive(
 )
 
 
-@settings(max_examples=400, derandomize=True, deadline=None)
 @given(ANY, ANY)
 def test_changes_between_any_data(a: Any, b: Any) -> None:
     """Also what no document may hold: the texts of unsound documents are compared too."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.kinds import model_of
@@ -173,7 +173,6 @@ def test_a_document_with_conflicts_loads_with_exactly_these(tmp_path: Path) -> N
     assert seen > 10
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
 @given(st.one_of(st.tuples(SCENES, SCENES), st.tuples(ASSETS, ASSETS)))
 def test_merging_with_what_is_unchanged_changes_nothing(specs: tuple[Any, Any]) -> None:
     base, other = (to_data(spec) for spec in specs)
@@ -182,7 +181,6 @@ def test_merging_with_what_is_unchanged_changes_nothing(specs: tuple[Any, Any]) 
         assert json.dumps(merged.data) == json.dumps(other)
 
 
-@settings(derandomize=True, deadline=None, max_examples=50)
 @given(SCENES, SCENES, SCENES)
 def test_any_three_documents_merge_into_one_that_can_be_read_and_decided(
     a: SceneSpec, b: SceneSpec, c: SceneSpec
@@ -612,7 +610,6 @@ def test_errors_that_only_the_merge_makes_are_found(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.text(min_size=1, max_size=6), min_size=1, max_size=4).map(tuple))
-@settings(derandomize=True, deadline=None)
 def test_paths_are_read_back(path: tuple[str, ...]) -> None:
     if not path[-1].startswith("#") and " #" not in path[-1]:
         assert parts(dotted(path)) == path

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.scene import SceneSpec
@@ -249,7 +249,6 @@ def _filled(body: Any) -> Any:
 
 
 @given(spec=SCENES | ASSETS)
-@settings(derandomize=True, deadline=None, max_examples=40)
 def test_whatever_the_models_take_the_schema_takes(spec: SceneSpec | AssetSpec) -> None:
     """But for the texts of relations, of which the models take any."""
     data = json.loads(json.dumps(to_data(spec)))
