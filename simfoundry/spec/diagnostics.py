@@ -36,6 +36,7 @@ CODES = {
     "SF210": "a place that cannot be solved",
     "SF211": "a joint that follows nothing it can follow",
     "SF212": "a pair without contact that is no pair",
+    "SF213": "a name that means two things",
     "SF301": "a mesh that cannot be used",
     "SF302": "a mesh that is not closed",
     "SF303": "a mesh of an implausible size",
