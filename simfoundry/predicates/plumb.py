@@ -22,7 +22,7 @@ STEEP = 1e-9
 
 
 class Meeting(NamedTuple):
-    """How deep the plumb lines through the middle of one thing are in what another has over and under it [m], (n,) each.
+    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
 
     Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
     the end of the one on that line; negative where nothing is met.
@@ -36,11 +36,12 @@ def meet(view: View, a: Thing, b: Thing) -> Meeting:
     """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
-    low, high = np.zeros(view.n), np.zeros(view.n)
+    low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
         np.minimum.at(low, state[met], bottom[met])
         np.maximum.at(high, state[met], top[met])
+    low, high = np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)  # a ring begins at its middle
     for state, within, bottom, top in _chords_of(view, points, b):
         np.maximum.at(over, state, np.minimum(within, top - high[state]))
         np.maximum.at(under, state, np.minimum(within, low[state] - bottom))

@@ -13,7 +13,7 @@ from simfoundry.lint.report import length
 from simfoundry.predicates import thresholds as at
 from simfoundry.predicates.distance import FAR, Distances
 from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
-from simfoundry.predicates.inside import cavities, depth_in, facing
+from simfoundry.predicates.inside import held_depth
 from simfoundry.predicates.plumb import Meeting, centre_of_mass, meet
 from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
 from simfoundry.predicates.terms import Terms
@@ -68,35 +68,32 @@ def on_top(context: Context, view: View, call: Call) -> Terms:
     pushed: list[Array] = []
 
     def gap(some: View) -> Array:
-        found, up = context.distances.support(some, a, b, at.RESTING, STEEPEST)
-        pushed.append(up[found < at.RESTING])
+        found, up = context.distances.support(some, a, b, at.TOUCH, STEEPEST)
+        pushed.append(up[found < at.TOUCH])
         return found
 
-    terms.must_also(gap, lambda v: at.RESTING - v, lambda v, ok: _apart(a, b, v))
+    terms.must_also(gap, lambda v: at.TOUCH - v, lambda v, ok: _apart(a, b, v))
     terms.must_also(
-        lambda _: pushed[-1], lambda v: at.RESTING * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
+        lambda _: pushed[-1], lambda v: at.TOUCH * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
     )
     _not_held(context, terms, a)
     return terms
 
 
 def inside(context: Context, view: View, call: Call) -> Terms:
-    """Inside(a, b): most of ``a`` is in the cavity of ``b``, whose opening does not face down; nothing holds or moves
-    ``a``."""
+    """Inside(a, b): half of ``a`` is in the cavity of ``b``, which is not turned down; nothing holds or moves ``a``."""
     a, b = _two(context, call)
-    holes = cavities(view, b)
     terms = Terms(view)
-    depths = np.stack(
-        [np.minimum(depth_in(view, a, k, b.owner, h), 10 * facing(view, k, b.owner, h)) for k, h in holes]
-    )
-    deep = depths.max(axis=0)
+    deep = held_depth(view, a, b)
     share = f"{at.ENCLOSED:.0%} of `{a.name}`"
 
     def words(v: float, ok: bool) -> str:
+        if not np.isfinite(v):
+            return f"`{b.name}` is turned so that it holds nothing"
         where = "deep in the cavity" if ok else "outside of the cavity"
         return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
 
-    terms.must(deep, deep, words)
+    terms.must(deep, np.where(np.isfinite(deep), deep, -FAR), words)
     _settled(terms, a)
     _not_held(context, terms, a)
     return terms
@@ -321,8 +318,8 @@ def _load(
                 found = left[_rests(context, some.at(left), b, others[below])]
                 carried[name][found] = True
                 news += [name] if len(found) else []
-    for name, found in carried.items():
-        load[name][asked] = found
+    for name, values in carried.items():
+        load[name][asked] = values
     return load
 
 

@@ -57,7 +57,7 @@ def compared(seed: int) -> dict[str, Any]:
     with TemporaryDirectory() as temporary:
         kind, scene = placement(seed, Path(temporary))
     out: dict[str, Any] = {"seed": seed, "kind": kind, "asked": {}, "differ": []}
-    forces = MujocoForces(MujocoWorld(scene)), PybulletForces(PybulletWorld(scene))
+    forces: tuple[Engine, Engine] = MujocoForces(MujocoWorld(scene)), PybulletForces(PybulletWorld(scene))
     for name, engine in zip(("mujoco", "pybullet"), forces, strict=True):
         with engine.world:
             for question, asked, differ in _questions(scene, engine):
@@ -98,9 +98,11 @@ def _questions(scene: Scene, engine: Engine) -> Iterator[tuple[str, int, list[st
         return len(expected), differ
 
     resting = [pair for pair in pairs if pair[0] in rests]
-    yield "OnTop, forces", *asked("OnTop", {pair: pair[1] in direct[pair[0]] for pair in resting})
+    carried = {pair: pair[1] in direct[pair[0]] for pair in resting}
+    yield "OnTop, forces alone", *asked("OnTop", carried)
+    yield "OnTop, forces", *asked("OnTop", {p: yes and rays.footprint(*p) for p, yes in carried.items()})
     enclosed = {pair: is_inside(seen[pair]) for pair in resting}
-    bears = {pair: carried_by(*pair, direct, pushes, weights) for pair in resting}
+    bears = {pair: carried_by(*pair, pushes, weights) for pair in resting}
     yield "Inside, forces", *asked("Inside", {pair: enclosed[pair] and bears[pair] for pair in resting})
     yield "Inside, rays", *asked("Inside", enclosed)
     yield "Under, rays", *asked("Under", {pair: is_under(one) for pair, one in seen.items()})
