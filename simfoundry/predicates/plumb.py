@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.predicates.batch import Poses, rotate
 from simfoundry.predicates.shapes import Form, Thing
@@ -36,16 +37,32 @@ def meet(view: View, a: Thing, b: Thing) -> Meeting:
     """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
+    found = list(_chords_of(view, points, b))
+    for state, within, _, _ in found:
+        np.maximum.at(over, state, within)
+    met = np.flatnonzero(over > 0)
+    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
+    if len(met):
+        low, high = _own_ends(view.at(met), points[met], a)
+        row = np.full(view.n, -1)
+        row[met] = np.arange(len(met))
+        over[met] = under[met] = -np.inf
+        for state, within, bottom, top in found:
+            some = np.flatnonzero(row[state] >= 0)
+            at = row[state[some]]
+            np.maximum.at(over, state[some], np.minimum(within[some], top[some] - high[at]))
+            np.maximum.at(under, state[some], np.minimum(within[some], low[at] - bottom[some]))
+    return Meeting(over, under)
+
+
+def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
+    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
         np.minimum.at(low, state[met], bottom[met])
         np.maximum.at(high, state[met], top[met])
-    low, high = np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)  # a ring begins at its middle
-    for state, within, bottom, top in _chords_of(view, points, b):
-        np.maximum.at(over, state, np.minimum(within, top - high[state]))
-        np.maximum.at(under, state, np.minimum(within, low[state] - bottom))
-    return Meeting(*(np.where(np.isfinite(v), v, -_beside(view, points, b)) for v in (over, under)))
+    return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
 
 
 def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
@@ -86,6 +103,7 @@ class _Faces(NamedTuple):
     ``planes`` are outward unit normals and offsets [m], (k, f, 4); ``ends`` and ``ways`` [m] a corner and the direction
     of each edge, (k, e, 3); ``beside`` the normals at it, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
     (k, 2, 3), and ``radius`` [m], (k,), is above zero.
+    ``small`` says which have few faces and edges.
     """
 
     planes: Array
@@ -94,6 +112,11 @@ class _Faces(NamedTuple):
     beside: Array
     axis: Array
     radius: Array
+    small: NDArray[np.bool_]
+
+
+SMALL_FACES, SMALL_EDGES = 16, 24
+"""A part of no more faces and edges is small: few have more, and the rest need not be filled up to those."""
 
 
 @lru_cache(maxsize=256)
@@ -123,6 +146,7 @@ def _faces(form: Form) -> _Faces:
         np.zeros((k, most[1], 2, 3)),
         np.zeros((k, 2, 3)),
         parts.radius.copy(),
+        np.array([len(f) <= SMALL_FACES and len(e) <= SMALL_EDGES for f, e in zip(planes, edges, strict=True)]),
     )
     for number in range(k):
         out.planes[number, : len(planes[number])] = planes[number]
@@ -143,10 +167,18 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
     """
     faces = _faces(form)
     round_ = faces.radius[part] > 0
+    small = faces.small[part]
+    few = faces._replace(**{name: getattr(faces, name)[:, :SMALL_EDGES] for name in ("ends", "ways", "beside")})
+    few = few._replace(planes=faces.planes[:, :SMALL_FACES])
     out = np.empty((3, len(part)))
-    for rows, measure in ((~round_, _sharp_chords), (round_, _round_chords)):
+    ways = (
+        (~round_ & small, _sharp_chords, few),
+        (~round_ & ~small, _sharp_chords, faces),
+        (round_, _round_chords, faces),
+    )
+    for rows, measure, kept in ways:
         if rows.any():
-            out[:, rows] = measure(faces, part[rows], points[rows], up[rows])
+            out[:, rows] = measure(kept, part[rows], points[rows], up[rows])
     return out[0] + SEAM, out[1], out[2]
 
 

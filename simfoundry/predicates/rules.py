@@ -59,12 +59,10 @@ Rule = Callable[[Context, View, Call], Terms]
 
 
 def on_top(context: Context, view: View, call: Call) -> Terms:
-    """OnTop(a, b): ``b`` carries ``a``, also within it; nothing holds or moves ``a``."""
+    """OnTop(a, b): ``b`` carries ``a``, also within it, alone or with others; nothing holds or moves ``a``."""
     a, b = _two(context, call)
     terms = Terms(view)
     _settled(terms, a)
-    beside = over(centre_of_mass(view, a), view.boxes(b))
-    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
     pushed: list[Array] = []
 
     def gap(some: View) -> Array:
@@ -76,8 +74,28 @@ def on_top(context: Context, view: View, call: Call) -> Terms:
     terms.must_also(
         lambda _: pushed[-1], lambda v: at.TOUCH * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
     )
+    terms.must_also(partial(_balance, context, a, b), lambda v: v, lambda v, ok: _balanced(a, b, v))
     _not_held(context, terms, a)
     return terms
+
+
+def _balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
+    """How far the centre of mass of ``a`` is within the outline of ``b`` [m], (n,); where it is beside, and something
+    else carries ``a`` too, :data:`~simfoundry.predicates.thresholds.TOUCH`."""
+    within = over(centre_of_mass(view, a), view.boxes(b))
+    for name in context.bodies.objects:
+        left = np.flatnonzero(within <= 0)
+        if len(left) and name not in (a.owner, b.owner) and _has_shape(context, name):
+            within[left[_rests(context, view.at(left), a, context.bodies.thing(name))]] = at.TOUCH
+    return within
+
+
+def _balanced(a: Thing, b: Thing, value: float) -> str:
+    if value > 0:
+        return f"it carries `{a.name}`"
+    return (
+        f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else carries it"
+    )
 
 
 def inside(context: Context, view: View, call: Call) -> Terms:

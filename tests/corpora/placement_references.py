@@ -238,7 +238,9 @@ class Rays:
         for angle in np.linspace(0, math.pi / 2, PLANES):
             first = np.array([math.cos(angle), math.sin(angle), 0.0])
             second = np.array([-math.sin(angle), math.cos(angle), 0.0])
-            level.append(tuple((self._hit(walls, middle, w) >= 0, self._hit(walls, middle, -w) >= 0) for w in (first, second)))
+            level.append(
+                tuple((self._hit(walls, middle, w) >= 0, self._hit(walls, middle, -w) >= 0) for w in (first, second))
+            )
         low_b, high_b = self.bounds[b]
         within = bool((middle >= low_b).all() and (middle <= high_b).all())
         return Adjacency(met[0], met[1], tuple(level), within)  # type: ignore[arg-type]
