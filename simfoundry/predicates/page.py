@@ -16,7 +16,7 @@ _SIDE = "its middle is beyond the edge of the other, and the other's beyond its 
 MEANING = {
     "OnTop": (
         f"`b` carries `a`: it is at most {at.TOUCH * 1000:g} mm from it and pushes it within {at.SUPPORT_DEG:g} deg "
-        f"of straight up; the centre of mass of `a` is over the outline of `b`, or another object carries it too; "
+        f"of straight up; the centre of mass of `a` is over the outline of `b`, or another object touches it too; "
         f"{_SETTLED}. What lies in a bowl rests on it, and so does what hangs on a hook or leans on an edge",
         "m",
     ),

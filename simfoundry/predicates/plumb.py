@@ -100,15 +100,16 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 class _Faces(NamedTuple):
     """The faces and edges of each part of a form, filled up to one length with what never decides.
 
-    ``planes`` are outward unit normals and offsets [m], (k, f, 4); ``ends`` and ``ways`` [m] a corner and the direction
-    of each edge, (k, e, 3); ``beside`` the normals at it, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
+    ``planes`` are outward unit normals and offsets [m], (k, f, 4). Of each edge: ``lines``, the unit vector along it and
+    its moment about the origin [m], (k, e, 6); ``sides``, the sum of the normals beside it crossed with that vector,
+    (k, e, 3); ``beside``, the two normals, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
     (k, 2, 3), and ``radius`` [m], (k,), is above zero.
     ``small`` says which have few faces and edges.
     """
 
     planes: Array
-    ends: Array
-    ways: Array
+    lines: Array
+    sides: Array
     beside: Array
     axis: Array
     radius: Array
@@ -141,9 +142,9 @@ def _faces(form: Form) -> _Faces:
     most = [max((len(v) for v in every), default=0) for every in (planes, edges)]
     out = _Faces(
         np.zeros((k, most[0], 4)),
+        np.zeros((k, most[1], 6)),
         np.zeros((k, most[1], 3)),
-        np.zeros((k, most[1], 3)),
-        np.zeros((k, most[1], 2, 3)),
+        np.full((k, most[1], 2, 3), np.nan),  # what is filled up looks nowhere, and bounds no outline
         np.zeros((k, 2, 3)),
         parts.radius.copy(),
         np.array([len(f) <= SMALL_FACES and len(e) <= SMALL_EDGES for f, e in zip(planes, edges, strict=True)]),
@@ -152,8 +153,10 @@ def _faces(form: Form) -> _Faces:
         out.planes[number, : len(planes[number])] = planes[number]
         own = edges[number]
         first, last = parts.corners[parts.edges[own, 0]], parts.corners[parts.edges[own, 1]]
-        out.ends[number, : len(own)], out.ways[number, : len(own)] = first, last - first
+        way = (last - first) / np.linalg.norm(last - first, axis=1, keepdims=True)
+        out.lines[number, : len(own)] = np.concatenate([way, np.cross(first, way)], axis=1)
         out.beside[number, : len(own)] = parts.normals[parts.beside[own]]
+        out.sides[number, : len(own)] = np.cross(parts.normals[parts.beside[own]].sum(axis=1), way)
         corners = parts.corners[parts.part == number]
         if len(corners):
             out.axis[number] = corners[[0, -1]]
@@ -168,7 +171,7 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
     faces = _faces(form)
     round_ = faces.radius[part] > 0
     small = faces.small[part]
-    few = faces._replace(**{name: getattr(faces, name)[:, :SMALL_EDGES] for name in ("ends", "ways", "beside")})
+    few = faces._replace(**{name: getattr(faces, name)[:, :SMALL_EDGES] for name in ("lines", "sides", "beside")})
     few = few._replace(planes=faces.planes[:, :SMALL_FACES])
     out = np.empty((3, len(part)))
     ways = (
@@ -184,21 +187,22 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
 
 def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
     normals, offset = faces.planes[part, :, :3], faces.planes[part, :, 3]
-    rising = np.einsum("mfi,mi->mf", normals, up)
-    room = offset - np.einsum("mfi,mi->mf", normals, points)
+    rising = (normals @ up[:, :, None])[..., 0]
+    room = offset - (normals @ points[:, :, None])[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / rising
     top = np.where(rising > STEEP, at, np.inf).min(axis=1)
     bottom = np.where(rising < -STEEP, at, -np.inf).max(axis=1)
-    # The outline is bounded by the edges between a face that looks up and one that looks down.
-    beside = faces.beside[part]
-    looks = np.einsum("mesi,mi->mes", beside, up)
-    across = np.cross(faces.ways[part], up[:, None])
-    size = np.linalg.norm(across, axis=2)
-    seen = (looks[..., 0] * looks[..., 1] <= 0) & (size > STEEP)
-    side = np.sign(np.einsum("mei,mei->me", across, beside.sum(axis=2)))
-    off = np.einsum("mei,mei->me", across, points[:, None] - faces.ends[part]) * side
-    within = -np.where(seen, off / np.where(size > STEEP, size, 1.0), -np.inf).max(axis=1, initial=-np.inf)
+    # The outline is bounded by the edges between a face that looks up and one that looks down. How far a line along
+    # `up` passes an edge, and on which side, are triple products, of which all but `up` and the point are prepared.
+    lines = faces.lines[part]
+    looks = (faces.beside[part].reshape(len(part), -1, 3) @ up[:, :, None]).reshape(len(part), -1, 2)
+    across = np.sqrt(np.maximum(0.0, 1 - (lines[..., :3] @ up[:, :, None])[..., 0] ** 2))
+    seen = (looks[..., 0] * looks[..., 1] <= 0) & (across > STEEP)
+    apart = (lines @ np.concatenate([np.cross(up, points), -up], axis=1)[:, :, None])[..., 0]
+    side = (faces.sides[part] @ up[:, :, None])[..., 0]
+    off = np.where(seen, np.copysign(apart, apart * side) / np.maximum(across, STEEP), -np.inf)
+    within = -off.max(axis=1, initial=-np.inf)
     return within, bottom, top
 
 

@@ -80,13 +80,16 @@ def on_top(context: Context, view: View, call: Call) -> Terms:
 
 
 def _balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
-    """How far the centre of mass of ``a`` is within the outline of ``b`` [m], (n,); where it is beside, and something
-    else carries ``a`` too, :data:`~simfoundry.predicates.thresholds.TOUCH`."""
+    """How far the centre of mass of ``a`` is within the outline of ``b`` [m], (n,).
+
+    Where it is beside, and another object holds ``a`` too, by how much that is nearer than what touches.
+    """
     within = over(centre_of_mass(view, a), view.boxes(b))
     for name in context.bodies.objects:
         left = np.flatnonzero(within <= 0)
         if len(left) and name not in (a.owner, b.owner) and _has_shape(context, name):
-            within[left[_rests(context, view.at(left), a, context.bodies.thing(name))]] = at.TOUCH
+            gap = context.distances.between(view.at(left), a, context.bodies.thing(name), at.TOUCH)
+            within[left] = np.where(gap < at.TOUCH, at.TOUCH - gap, within[left])
     return within
 
 
@@ -94,7 +97,7 @@ def _balanced(a: Thing, b: Thing, value: float) -> str:
     if value > 0:
         return f"it carries `{a.name}`"
     return (
-        f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else carries it"
+        f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
     )
 
 

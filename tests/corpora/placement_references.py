@@ -210,18 +210,6 @@ class Rays:
         low, high = self.bounds[name]
         return np.asarray((low + high) / 2)
 
-    def footprint(self, a: str, b: str) -> bool:
-        """Whether the centre of mass of ``a`` is over the hull of ``b``, seen from above, as Arena asks of its middle."""
-        from scipy.spatial import Delaunay
-
-        ring = np.array([[math.cos(t), math.sin(t)] for t in np.linspace(0, 2 * math.pi, 48, endpoint=False)])
-        outline = []
-        for g in self._geoms[b]:
-            points, round_ = self._core(g)
-            outline.append((points[:, None, :2] + ring * round_[:2]).reshape(-1, 2))
-        centre = self._data.subtree_com[self._model.body(a).id][:2]
-        return bool(Delaunay(np.concatenate(outline)).find_simplex(centre) >= 0)
-
     def adjacency(self, a: str, b: str) -> Adjacency:
         """What the rays of ``a`` meet of ``b``: level ones from its middle, upright ones from its own surface."""
         low, high = self.bounds[a]

@@ -99,8 +99,7 @@ def _questions(scene: Scene, engine: Engine) -> Iterator[tuple[str, int, list[st
 
     resting = [pair for pair in pairs if pair[0] in rests]
     carried = {pair: pair[1] in direct[pair[0]] for pair in resting}
-    yield "OnTop, forces alone", *asked("OnTop", carried)
-    yield "OnTop, forces", *asked("OnTop", {p: yes and rays.footprint(*p) for p, yes in carried.items()})
+    yield "OnTop, forces", *asked("OnTop", carried)
     enclosed = {pair: is_inside(seen[pair]) for pair in resting}
     bears = {pair: carried_by(*pair, pushes, weights) for pair in resting}
     yield "Inside, forces", *asked("Inside", {pair: enclosed[pair] and bears[pair] for pair in resting})
