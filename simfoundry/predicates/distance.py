@@ -69,7 +69,8 @@ class Distances:
 
         The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
         part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is
-        that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of ``steepest`` are exact.
+        that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
+        ``steepest`` are exact.
         """
         many = view.n > FEW
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)

@@ -13,13 +13,13 @@ from simfoundry.predicates.shapes import Bodies
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 
-
 LIFT = 0.001
 """How far a thing is raised to see which way it is pushed [m]: more than engines let things overlap, less than what
 is round."""
 
 VANISHING = 1e-5
-"""Parts that are nearer than this [m], or overlap by less, have no direction between them: distances are good to 1e-6."""
+"""Parts that are nearer than this [m], or overlap by less, have no direction between them: distances are good to
+1e-6."""
 
 UP = np.array([0.0, 0.0, 1.0])
 

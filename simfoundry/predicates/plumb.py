@@ -100,9 +100,9 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 class _Faces(NamedTuple):
     """The faces and edges of each part of a form, filled up to one length with what never decides.
 
-    ``planes`` are outward unit normals and offsets [m], (k, f, 4). Of each edge: ``lines``, the unit vector along it and
-    its moment about the origin [m], (k, e, 6); ``sides``, the sum of the normals beside it crossed with that vector,
-    (k, e, 3); ``beside``, the two normals, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
+    ``planes`` are outward unit normals and offsets [m], (k, f, 4). Of each edge: ``lines``, the unit vector along it
+    and its moment about the origin [m], (k, e, 6); ``sides``, the sum of the normals beside it crossed with that
+    vector, (k, e, 3); ``beside``, the two normals, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
     (k, 2, 3), and ``radius`` [m], (k,), is above zero.
     ``small`` says which have few faces and edges.
     """
