@@ -116,7 +116,8 @@ class Link:
     """A rigid body of an object.
 
     ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
-    axes, shape (3, 3), symmetric positive definite.
+    axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is how far the surface of its colliders is
+    at most from the shapes that they stand for; 0 where they are those shapes.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Link:
     inertia: Array
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...]
+    collision_error: float = 0.0
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:
