@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -12,14 +13,19 @@ from numpy.typing import NDArray
 from simfoundry.predicates.batch import Poses, rotate
 from simfoundry.predicates.shapes import Form, Thing
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Index
+from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.scene.hulls import Index, hulls
+from simfoundry.scene.model import Box, Collider, SceneObject
 
 SEAM = 1e-6
 """A line that passes a part at no more than this [m] meets it: parts of one thing touch with gaps of rounding only."""
 
 STEEP = 1e-9
 """A face whose normal has less than this cosine with up stands: a plumb line passes along it."""
+
+
+AT_ONCE = 400_000
+"""So many edges are looked at together, about 100 MB: a round table top has hundreds."""
 
 
 class Meeting(NamedTuple):
@@ -67,14 +73,25 @@ def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
 
 def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
     """By link: the states in which plumb lines may meet parts of it, and what :func:`_chords` says of them."""
-    for k, form in view.forms(thing):
-        X_WL = view.link(thing.owner, k)
+    for k, own in view.forms(thing):
+        form, X_WL = _convex(own), view.link(thing.owner, k)
         local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
         up = X_WL.R[:, 2]
         low, high, _, _ = form.pieces
         state, part = np.nonzero(_beside_box(local, up, (low + high) / 2, (high - low) / 2) <= SEAM)
         if len(state):
             yield state, *_chords(form, part, local[state], up[state])
+
+
+@lru_cache(maxsize=256)
+def _convex(form: Form) -> Form:
+    """The form itself, or the box around one that is only seen: its meshes may have any shape and number of faces."""
+    if form.solid:
+        return form
+    low, high = form.low[:3], form.high[:3]
+    box = Collider("box", Box(frozen_array(np.maximum(high - low, SEAM))), 0.0, 0.0, Pose.of((low + high) / 2))
+    link = replace(form.link, visuals=(), colliders=(box,))
+    return Form(link, hulls(SceneObject(link.name, "", True, IDENTITY, (link,))))
 
 
 def _beside(view: View, points: Array, b: Thing) -> Array:
@@ -180,8 +197,9 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
         (round_, _round_chords, faces),
     )
     for rows, measure, kept in ways:
-        if rows.any():
-            out[:, rows] = measure(kept, part[rows], points[rows], up[rows])
+        index = np.flatnonzero(rows)
+        for some in np.array_split(index, len(index) * kept.lines.shape[1] // AT_ONCE + 1) if len(index) else ():
+            out[:, some] = measure(kept, part[some], points[some], up[some])
     return out[0] + SEAM, out[1], out[2]
 
 

@@ -25,6 +25,10 @@ STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
 """The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""
 
 
+STEEP_SCALE = 0.01
+"""What a cosine of 1 more or less counts as in a margin [m]: the middle of the margins of things that rest."""
+
+
 class Context:
     """What is prepared once for a scene."""
 
@@ -72,7 +76,7 @@ def on_top(context: Context, view: View, call: Call) -> Terms:
 
     terms.must_also(gap, lambda v: at.TOUCH - v, lambda v, ok: _apart(a, b, v))
     terms.must_also(
-        lambda _: pushed[-1], lambda v: at.TOUCH * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
+        lambda _: pushed[-1], lambda v: STEEP_SCALE * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
     )
     terms.must_also(partial(_balance, context, a, b), lambda v: v, lambda v, ok: _balanced(a, b, v))
     _not_held(context, terms, a)

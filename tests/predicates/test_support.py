@@ -148,7 +148,7 @@ def test_what_carries_and_what_is_under(placed: Setting, condition: str, expecte
 def test_a_shelf_holds_things_as_far_as_its_front(
     placed: Setting, shelf: str, yaw: float, x: float, z: float, expected: bool
 ) -> None:
-    at = posed(*placed.start.poses[shelf].p, 0, 0, yaw)
+    at = posed(0, 0.6, 0.1, 0, 0, yaw)
     verdict = placed.judge(
         f"Inside(die, {shelf})", changed(placed.start, poses={shelf: at, "die": at @ posed(x, 0.1, z)})
     )
