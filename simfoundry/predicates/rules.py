@@ -333,7 +333,11 @@ def _load(
     if not len(asked):
         return load
     some = view.at(asked)
-    carried = {name: _rests(context, some, b, a) & touched[name][asked] for name, b in others.items()}
+    carried = {name: np.zeros(some.n, bool) for name in others}
+    for name, b in others.items():
+        met = np.flatnonzero(touched[name][asked])
+        if len(met):
+            carried[name][met] = _rests(context, some.at(met), b, a)
     news = [name for name, found in carried.items() if found.any()]
     while news:
         below = news.pop()
