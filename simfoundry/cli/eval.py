@@ -184,7 +184,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import cells, titles
+    from simfoundry.evaluate.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -193,7 +193,9 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
         table.add_column(title, no_wrap=True)
     for name, here in titles(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
-        for step in dict.fromkeys(s for cell in here.values() for s in cell.subtasks):
+        for step in (
+            () if len(titles(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+        ):
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             table.add_row(
                 f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
@@ -207,15 +209,20 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.strata import comparisons, pools
+    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:
+        policies = list(dict.fromkeys(pool.policy for pool in found))
         table = Table(box=None, pad_edge=False)
-        for title in ("together", "policy", "tasks", "all rollouts alike", "all tasks alike"):
-            table.add_column(title, no_wrap=True)
-        for pool in found:
-            table.add_row(pool.title, pool.policy, str(len(pool.counts)), str(pool.rate), pool.stratified_text)
+        for title in ("together", *policies):
+            table.add_column(title, overflow="fold")
+        for name, here in pool_rows(found).items():
+            tasks = max(len(pool.counts) for pool in here.values())
+            table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
+            if not all(pool.is_balanced for pool in here.values()):
+                alike = (here[p].stratified_text if p in here else "" for p in policies)
+                table.add_row("  each task weighs the same", *alike, style="dim")
         console.print()
         console.print(table)
     for one in comparisons(records):

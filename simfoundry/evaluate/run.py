@@ -17,7 +17,7 @@ from simfoundry.evaluate.entries import Contender, Entry, Part
 from simfoundry.evaluate.observe import check_cameras
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.policies.choose import Expert, open_policy
-from simfoundry.evaluate.records import Slot, is_result
+from simfoundry.evaluate.records import Slot, check_layout, is_result
 from simfoundry.evaluate.rollout import End, Rollout, Video, rollout
 from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.strata import cousin_of
@@ -106,6 +106,7 @@ def jobs(plan: Plan) -> list[Job]:
 
 def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Load every task and find its starts, so that what is wrong is said before the first rollout."""
+    check_layout(plan.folder)
     cache, keys = Cache.default(), set()
     for entry in plan.entries:
         task = entry.load(cache)
@@ -177,6 +178,8 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
         return Outcome(job, slot.write_missing(str(error), about))
     video = _video(plan, setting.task)
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
+    if not result.success:
+        about["unmet"] = setting.judge(setting.task.goal, result.final).why
     if video is not None and result.frames:
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
         _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
