@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,10 @@ settings.register_profile(
 )
 settings.register_profile("random", deadline=None, max_examples=500, suppress_health_check=list(HealthCheck))
 settings.load_profile("default")
+
+
+# No test fetches a robot, nor depends on one that somebody fetched before: the packages find none here.
+os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "robots")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

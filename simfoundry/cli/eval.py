@@ -47,7 +47,9 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 @click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
 @click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
-@click.option("--video/--no-video", default=True, show_default=True, help="A video of each rollout.")
+@click.option(
+    "--video/--no-video", default=None, help="A video of each rollout. Default: where a picture can be drawn."
+)
 @click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
 @click.option("--shard", callback=_shard, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
@@ -64,7 +66,7 @@ def command(
     onward: str | None,
     alone: str | None,
     subtasks: bool,
-    video: bool,
+    video: bool | None,
     cameras: tuple[str, ...],
     jobs: int,
     shard: tuple[int, int],
@@ -97,7 +99,7 @@ def command(
         engines=(world,),
         shard=shard,
         cameras=cameras or None,
-        video=video,
+        video=_can_film(world) if video is None else video,
     )
     troubles: list[str] = []
     with progress_bar(as_json) as progress, _interruptible(out):
@@ -117,6 +119,16 @@ def command(
 
         run(plan, seen, jobs)
     return _report(plan, troubles, require, as_json)
+
+
+def _can_film(world: str | Sequence[str]) -> bool:
+    """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
+    from simfoundry.worlds.gl import Engine, choose_engine
+
+    if "mujoco" not in world or choose_engine() is not Engine.RAYCAST:
+        return True
+    click.echo("no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one", err=True)
+    return False
 
 
 def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:

@@ -50,7 +50,7 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
         ensure_replaceable(out, [task, *loaded.files()], force)
     if as_json and out is None:
         raise CannotError("--json reports on a file: name it with `-o FILE`")
-    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default()), format_)
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
         print_document(export.text)
     else:

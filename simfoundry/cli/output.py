@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.extras import how_to_install
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
@@ -48,7 +49,10 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
         except SimfoundryError as error:
             raise CannotError(str(error)) from None
         except ModuleNotFoundError as error:
-            raise CannotError(f"{error.name} is not installed; `simfoundry doctor` says how to get it") from None
+            name = error.name or "a package"
+            raise CannotError(
+                f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists all)"
+            ) from None
         except MemoryError:
             raise CannotError("there is not enough memory for this; use smaller meshes or pictures") from None
         except OSError as error:

@@ -23,6 +23,7 @@ from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.strata import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.evaluate.videos import whole_picture
+from simfoundry.extras import need_extra
 from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
@@ -107,6 +108,8 @@ def jobs(plan: Plan) -> list[Job]:
 def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Load every task and find its starts, so that what is wrong is said before the first rollout."""
     check_layout(plan.folder)
+    if any(isinstance(contender.choice(), Expert) for contender in plan.contenders):
+        need_extra("expert", "policy `expert`")
     cache, keys = Cache.default(), set()
     for entry in plan.entries:
         task = entry.load(cache)

@@ -148,7 +148,7 @@ def _lowered(side: Side | None) -> Scene | str:
     if not isinstance(side.spec, SceneSpec):
         return "This is not a scene."
     try:
-        return lower(side.loaded, Cache.default())
+        return lower(side.loaded, Cache.default(), fetch=False)
     except SpecError as error:
         first = error.diagnostics[0]
         count = len(error.diagnostics)

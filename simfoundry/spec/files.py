@@ -14,7 +14,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
-_DESCRIPTION = re.compile(r"robot_descriptions:[a-z0-9_]+(/[A-Za-z0-9_./-]+)?\Z")
+_ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
 class FileError(Exception):
@@ -30,9 +30,13 @@ def is_document(reference: str) -> bool:
     return reference.lower().endswith(ASSET_SUFFIX)
 
 
-def is_description(reference: str) -> bool:
-    """Whether a robot's model is one of the package robot_descriptions, which fetches it when it is first used."""
-    return _DESCRIPTION.match(reference) is not None
+def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
+    """Package, robot and path of a robot's model that a package fetches when it is first used; None for another file.
+
+    The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
+    """
+    found = _ROBOT.match(reference)
+    return None if found is None else (found[1], found[2], found[3])
 
 
 def located(reference: str, document: Path) -> Path:

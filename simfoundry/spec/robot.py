@@ -57,7 +57,9 @@ class RobotFiles(Model):
     """
 
     file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
-    mjcf: FileName | None = Field(None, description="MJCF: a path, `pkg:package/path` or `robot_descriptions:name`.")
+    mjcf: FileName | None = Field(
+        None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
+    )
     urdf: FileName | None = Field(None, description="URDF, named in the same ways.")
     usd: FileName | None = Field(None, description="USD, named in the same ways.")
 

@@ -15,7 +15,8 @@ from simfoundry.spec.base import Model, Name, Number, Pose, Positive
 from simfoundry.spec.robot import JointName
 
 Reference = str
-"""A model's file: a path, `pkg:package/path`, `robot_descriptions:name` or `robot_descriptions:name/path`."""
+"""A model's file: a path, `pkg:package/path`, or `menagerie:robot` or `robot_descriptions:name`, both with or without a
+`/path`."""
 
 Travel = tuple[Number, Number]
 """Where something is with the gripper open, and where with it closed."""

@@ -40,7 +40,7 @@ class MujocoWorld:
         try:
             import mujoco
         except ImportError as error:
-            raise MissingEngineError("MuJoCo is not installed; install it with `pip install mujoco`") from error
+            raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
         files = compile_mjcf(scene).files

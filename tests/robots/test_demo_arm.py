@@ -32,7 +32,8 @@ DOWN = [0.0, 1.0, 0.0, 0.0]
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv(OWN_MODELS, raising=False)
-        patch.setitem(sys.modules, "robot_descriptions", None)
+        for package in ("mujoco_menagerie", "robot_descriptions"):
+            patch.setitem(sys.modules, package, None)
         return lower_file(lift_file(tmp_path_factory.mktemp("demo_arm"), "demo_arm"))
 
 

@@ -9,7 +9,7 @@ from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.checks.joints import check_joints, check_pair
 from simfoundry.spec.checks.names import SceneNames
-from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_description, is_document
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_document, packaged_model
 from simfoundry.spec.plausible import volume
 from simfoundry.spec.robot import ROBOTS, RobotFiles, RobotSpec
 from simfoundry.spec.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
@@ -117,7 +117,7 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
     if isinstance(robot.model, RobotFiles):
         for key, suffixes in ROBOT_SUFFIXES.items():
             file: str | None = getattr(robot.model, key)
-            if file is not None and not is_description(file) and c.file(file, (*path, "model", key), suffixes):
+            if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
                 _robot_file(c, key, file, (*path, "model", key))
         return
     known = robot.known()
