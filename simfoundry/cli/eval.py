@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.run import Outcome, Plan
 
 
-TROUBLES = 10
-"""So many troubles are printed in words; a screen holds no more beside the table."""
+SENTENCES = 10
+"""So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
 
 
 def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
@@ -180,10 +180,10 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
         print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
     else:
         _print(records)
-        for trouble in troubles[:TROUBLES]:
+        for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
-        if len(troubles) > TROUBLES:
-            click.echo(f"and {len(troubles) - TROUBLES} more; all are in {plan.folder / 'results.json'}", err=True)
+        if len(troubles) > SENTENCES:
+            click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
         if missing:
             click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
         for cell in low:
@@ -237,5 +237,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
                 table.add_row("  each task weighs the same", *alike, style="dim")
         console.print()
         console.print(table)
-    for one in comparisons(records):
+    pairs = comparisons(records)
+    for one in pairs[:SENTENCES]:
         console.print(one.sentence, markup=False, soft_wrap=True)
+    if len(pairs) > SENTENCES:
+        console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")

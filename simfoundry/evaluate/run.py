@@ -158,7 +158,7 @@ def _carried_out(
     from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_close_at_exit) as pool:
         queue, running = list(reversed(waiting)), dict[Future[Outcome], Job]()
         while queue or running:
             while queue and len(running) < workers:
@@ -304,6 +304,17 @@ def _policy(job: Job, setting: _Setting) -> Policy:
         else:
             _open[key] = open_policy(choice)
     return _open[key]
+
+
+def _close_at_exit() -> None:
+    """Let a process of a pool close policies and worlds while the GL driver is there.
+
+    MuJoCo ends the driver by `atexit`, before anything that was registered earlier; what `multiprocessing` finalizes
+    comes first.
+    """
+    from multiprocessing.util import Finalize
+
+    Finalize(None, _close, exitpriority=1)
 
 
 def _close() -> None:
