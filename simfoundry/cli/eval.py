@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.run import Outcome, Plan
 
 
-TROUBLES = 10
-"""So many troubles are printed in words; a screen holds no more beside the table."""
+SENTENCES = 10
+"""So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
 
 
 def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
@@ -180,10 +180,10 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
         print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
     else:
         _print(records)
-        for trouble in troubles[:TROUBLES]:
+        for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
-        if len(troubles) > TROUBLES:
-            click.echo(f"and {len(troubles) - TROUBLES} more; all are in {plan.folder / 'results.json'}", err=True)
+        if len(troubles) > SENTENCES:
+            click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
         if missing:
             click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
         for cell in low:
@@ -196,7 +196,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import cells, titles
+    from simfoundry.evaluate.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -205,7 +205,9 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
         table.add_column(title, no_wrap=True)
     for name, here in titles(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
-        for step in dict.fromkeys(s for cell in here.values() for s in cell.subtasks):
+        for step in (
+            () if len(titles(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+        ):
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             table.add_row(
                 f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
@@ -219,16 +221,24 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.strata import comparisons, pools
+    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:
+        policies = list(dict.fromkeys(pool.policy for pool in found))
         table = Table(box=None, pad_edge=False)
-        for title in ("together", "policy", "tasks", "all rollouts alike", "all tasks alike"):
-            table.add_column(title, no_wrap=True)
-        for pool in found:
-            table.add_row(pool.title, pool.policy, str(len(pool.counts)), str(pool.rate), pool.stratified_text)
+        for title in ("together", *policies):
+            table.add_column(title, overflow="fold")
+        for name, here in pool_rows(found).items():
+            tasks = max(len(pool.counts) for pool in here.values())
+            table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
+            if not all(pool.is_balanced for pool in here.values()):
+                alike = (here[p].stratified_text if p in here else "" for p in policies)
+                table.add_row("  each task weighs the same", *alike, style="dim")
         console.print()
         console.print(table)
-    for one in comparisons(records):
+    pairs = comparisons(records)
+    for one in pairs[:SENTENCES]:
         console.print(one.sentence, markup=False, soft_wrap=True)
+    if len(pairs) > SENTENCES:
+        console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")

@@ -19,6 +19,9 @@ from simfoundry.evaluate.strata import comparisons, pools
 
 VERSION = "results/2"
 
+MANY = 12
+"""Of more tasks than this, as of a folder of cousins, tables show no steps: four rows each would fill no screen."""
+
 
 @dataclass(frozen=True)
 class Cell:
