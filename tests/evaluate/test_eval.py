@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,15 @@ import cv2
 import numpy as np
 import pytest
 
+from simfoundry import __version__
 from simfoundry.evaluate.entries import contenders
 from simfoundry.evaluate.metrics import wilson
 from simfoundry.evaluate.page import page
 from simfoundry.evaluate.results import cells
+from simfoundry.evaluate.videos import side_by_side, whole_picture
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
+from tests.evaluate.test_strata import record
 
 PUSH = np.column_stack([np.zeros(45), np.minimum(0.05 + 0.006 * np.arange(45), 0.22), np.zeros(45)])
 """Straight on, slowly, into the block."""
@@ -70,7 +75,7 @@ def test_policies_begin_alike_in_cells_of_their_own(done: Path) -> None:
 def test_a_second_run_does_nothing_and_a_lost_rollout_comes_back_the_same(bench: Path, done: Path) -> None:
     before = (done / "results.json").read_bytes()
     files = {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")}
-    lost = done / "rollouts/push/push/002.json"
+    lost = done / "rollouts/push/push/mujoco/002.json"
     command: tuple[str | Path, ...] = (
         "eval",
         bench / "push.task.yaml",
@@ -115,12 +120,23 @@ def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: P
     ok, frame = video.read()
     assert ok and frame.shape == (240, 640, 3) and frame.std() > 5
     text = (tmp_path / "report.html").read_text()
-    assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/000.webm" in text
+    assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/mujoco/000.webm" in text
+
+
+@pytest.mark.parametrize(
+    ("camera", "shown"),
+    [((1280, 720), (426, 240)), ((640, 480), (320, 240)), ((480, 640), (180, 240)), ((4000, 500), (640, 80))],
+)
+def test_a_video_shows_all_that_a_camera_sees(camera: tuple[int, int], shown: tuple[int, int]) -> None:
+    size = whole_picture(*camera)
+    assert (size.width, size.height) == shown
+    row = side_by_side([np.full((size.height, size.width, 3), 9, np.uint8), np.full((240, 10, 3), 7, np.uint8)])
+    assert row.shape == (240, size.width + 10, 3)
 
 
 def test_a_recorded_rollout_replays_to_the_same_trajectory(bench: Path, done: Path, tmp_path: Path) -> None:
     recorded = _results(done)["rollouts"][0]
-    replay = f"again=replay:{done / 'rollouts/push/push/000.npz'}"
+    replay = f"again=replay:{done / 'rollouts/push/push/mujoco/000.npz'}"
     assert run("eval", bench / "push.task.yaml", "-p", replay, "-n", "1", "-o", tmp_path, "--no-video").code == 0
     assert _results(tmp_path)["rollouts"][0]["trajectory"] == recorded["trajectory"]
 
@@ -150,18 +166,26 @@ def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Pat
     assert result.code == 2 and "another evaluation: its start is" in result.err
 
 
+def test_a_folder_of_an_earlier_version_is_refused(bench: Path, tmp_path: Path) -> None:
+    (tmp_path / "rollouts/push/still").mkdir(parents=True)
+    (tmp_path / "rollouts/push/still/000.json").write_text("{}")
+    result = run("eval", bench / "push.task.yaml", *_policies(bench)[2:], "-n", "1", "-o", tmp_path, "--no-video")
+    assert result.code == 2 and "which kept no folder for each engine; write to another folder" in result.err
+    assert not list((tmp_path / "rollouts").glob("*/*/*/*"))  # said before the first rollout
+
+
 def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, tmp_path: Path) -> None:
     task: tuple[str | Path, ...] = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
-    np.save(tmp_path / "wide.npy", np.zeros((1, 8)))
-    one = f"one=replay:{tmp_path / 'wide.npy'}"
-    result = run(*task, "-p", one, "-p", _policies(bench)[3])
-    assert result.code == 1 and "8 numbers for each action, and the robots take 3" in result.err
+    nobody = "simfoundry: policy/1\nname: gone\nprotocol: openpi\naddress: localhost:1\naction_space: joint_position\n"
+    (tmp_path / "gone.policy.yaml").write_text(f"{nobody}horizon: 8\ncameras: {{}}\nretries: 0\ntimeout: 0.2\n")
+    result = run(*task, "-p", tmp_path / "gone.policy.yaml", "-p", _policies(bench)[3])
+    assert result.code == 1 and "gone, rollout 0 is missing: no server answers at" in result.err
     assert "5 rollouts are missing" in result.err
-    assert len(list((tmp_path / "rollouts/push/one").glob("*.failed.json"))) == 3  # then it was given up
-    assert [s["policy"] for s in _results(tmp_path)["scores"]] == ["still"]
-    np.save(tmp_path / "wide.npy", np.zeros((1, 3)))
-    assert run(*task, "-p", one).code == 0
-    assert not list((tmp_path / "rollouts/push/one").glob("*.failed.json"))
+    assert len(list((tmp_path / "rollouts/push/gone/mujoco").glob("*.missing.json"))) == 3  # then it was given up
+    scores = _results(tmp_path)["scores"]
+    assert [(s["policy"], s["successes"], s["rollouts"], s["missing"]) for s in scores] == [
+        ("gone", 0, 0, 5), ("still", 0, 5, 0)
+    ]  # fmt: skip
 
 
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
@@ -193,12 +217,38 @@ def test_labels_come_from_what_was_asked_for() -> None:
     assert [c.label for c in contenders(texts)] == ["random", "a.b", "openpi-localhost-8000"]
 
 
+def test_the_page_says_what_was_run_and_why_rollouts_failed(done: Path) -> None:
+    text = (done / "report.html").read_text()
+    facts = {"SimFoundry": __version__, "engine": f"mujoco {version('mujoco')}", "robot": "arm: arm.xml", "seed": "0"}
+    for name, value in {**facts, "rollouts": "8", "control": "15 Hz"}.items():
+        assert f"<dt>{name}</dt><dd>{value}</dd>" in text, name
+    assert "“Push the block away.” <span class='dim'>within 45 control steps (3 s)" in text
+    for label in ("0.33", "0.31", "x [m]", "0.02", "-0.02", "y [m]"):  # the block's region
+        assert f">{label}</text>" in text
+    record = next(r for r in _results(done)["rollouts"] if r["policy"] == "still")
+    assert "block" in record["unmet"] and f"not done after 45 control steps; at the end: {record['unmet']}" in text
+    assert "max-width:1200px" not in text
+
+
+def test_the_page_of_many_tasks_folds_them_and_shows_what_they_say_together() -> None:
+    rows = [record(f"cousin{k}", p, won=p == "a" or k < 2) for k in range(13) for p in "ab"]
+    rows.append(record("cousin0", "c", end="no answer", won=False))
+    filled = {"engine_version": "3", "robots": {}, "version": "0", "seed": 0, "instruction": "go", "control_hz": 15.0}
+    text = page([{**filled, "horizon": 9, "regions": {}, "cells": {}, "grid": [5, 5], **r} for r in rows])
+    assert text.count("<summary><b>cousin") == 13 and "a 1/1; b 0/1" in text
+    assert "All tasks together" in text and "13/13" in text and "2/13" in text
+    assert "no result" in text and "1 missing" in text
+    assert "<th>a and b</th><td>mujoco</td><td>13</td><td>11</td><td>0</td><td>0.000977</td>" in text
+
+
 def test_the_page_escapes_what_it_is_told() -> None:
     record = {
         "task": "<script>", "part": "whole", "step": "", "policy": "p&q", "index": 0, "success": False, "end": "fell",
         "reason": "<b>", "steps": 3, "subtasks": {"<i>": None}, "cells": {"x": [0, 0]}, "grid": [5, 5],
-        "video": "a'b.webm",
+        "video": "a'b.webm", "engine": "<u>", "engine_version": "<s>", "robots": {"<q>": "<z>"}, "start": "1",
+        "version": "<v>", "seed": 0, "instruction": "<k>", "asked_rollouts": 1, "control_hz": 15.0, "horizon": 9,
+        "regions": {"x": {"x": [0, 1], "y": [0, 1]}}, "cousin": {"recipe": "<r>", "axes": ["<a>"]},
     }  # fmt: skip
     text = page([record])
-    assert "<script>" not in text and "<b>" not in text and "<i>" not in text and "a'b" not in text
+    assert not re.search(r"<(script|b|i|u|s|q|z|v|k|r|a)>", text) and "a'b" not in text
     assert cells([record])[0].success.interval == pytest.approx(wilson(0, 1))
