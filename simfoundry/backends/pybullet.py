@@ -204,9 +204,9 @@ def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
     if joint not in robot.servos:
         return {}
     stiffness, damping = robot.servos[joint]
-    gain = min(stiffness * timestep / damping, 1.0) if damping > 0 else 1.0
+    lag = {"gain": rounded(min(stiffness * timestep / damping, 1.0))} if damping > 0 else {}
     firm = {"stiffness": rounded(stiffness)} if joint in robot.gripper else {}
-    return {"gain": rounded(gain), **firm}
+    return lag | firm
 
 
 def link_friction(link: Link) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
@@ -11,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from simfoundry.backends import compile_scene
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
@@ -176,6 +178,28 @@ def test_rotors_are_bodies_that_bullet_accepts(lift: Scene) -> None:
             assert moments[2] >= (0.005 if "driver" in joint else 0.1), joint
             assert moments[0] + moments[1] >= moments[2] * (1 - 1e-9), joint
     world.close()
+
+
+def test_a_converted_arm_lags_behind_its_target_as_in_mujoco(lift: Scene) -> None:
+    gone = {}
+    for world in (MujocoWorld(lift), _pybullet(lift)):
+        arm = world.robot("arm")
+        start = arm.positions()["joint1"]
+        arm.set_targets({"joint1": start + 0.1})
+        world.step(round(0.1 / world.timestep))  # as long as the damping of its servo is of the stiffness
+        gone[type(world).__name__] = arm.positions()["joint1"] - start
+        world.close()
+    assert gone["MujocoWorld"] == pytest.approx(0.1 * (1 - math.exp(-1)), rel=0.1)
+    assert gone["PybulletWorld"] == pytest.approx(gone["MujocoWorld"], rel=0.1)
+
+
+def test_a_converted_robot_grips_objects_of_one_friction_as_in_mujoco(lift: Scene) -> None:
+    world = json.loads(compile_scene(lift, "pybullet").files["world.json"])
+    pad = world["robots"]["arm"]["links"]["left_pad"]["lateral_friction"]
+    (surface,) = world["objects"]["cube"]["links"].values()
+    assert pad * surface["lateral_friction"] == pytest.approx(
+        max(1.0, 0.6)
+    )  # of the pad and of wood, of which MuJoCo takes the larger
 
 
 def _press_on_cube(world: Any) -> float:
