@@ -43,7 +43,10 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 )
 @click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
-@click.option("--world", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@click.option(
+    "--world", "worlds", multiple=True, type=click.Choice(["mujoco", "pybullet"]), default=["mujoco"],
+    show_default=True, help="The engine; two are compared from the same starts.",
+)  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
 @click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
@@ -62,7 +65,7 @@ def command(
     out: Path,
     rollouts: int,
     seed: int,
-    world: str,
+    worlds: tuple[str, ...],
     onward: str | None,
     alone: str | None,
     subtasks: bool,
@@ -78,7 +81,8 @@ def command(
     TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
     cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
     was stopped goes on where it was, and shards that write to one folder are united there. OUT/results.json has the
-    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos.
+    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos. With `--world mujoco
+    --world pybullet` both engines begin from the same starts, and where they disagree is said.
 
     A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
     not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
@@ -96,10 +100,10 @@ def command(
         contenders=tuple(contenders(policies)),
         rollouts=rollouts,
         seed=seed,
-        engines=(world,),
+        engines=tuple(dict.fromkeys(worlds)),
         shard=shard,
         cameras=cameras or None,
-        video=_can_film(world) if video is None else video,
+        video=_can_film(worlds) if video is None else video,
     )
     troubles: list[str] = []
     with progress_bar(as_json) as progress, _interruptible(out):
@@ -108,6 +112,7 @@ def command(
 
         def seen(outcome: Outcome, done: int, of: int) -> None:
             label = outcome.job.contender.label
+            label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
             tally = won.setdefault(label, [0, 0])
             if outcome.answered:
                 tally[0] += outcome.record["success"]
@@ -121,11 +126,11 @@ def command(
     return _report(plan, troubles, require, as_json)
 
 
-def _can_film(world: str | Sequence[str]) -> bool:
+def _can_film(worlds: Sequence[str]) -> bool:
     """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
     from simfoundry.worlds.gl import Engine, choose_engine
 
-    if "mujoco" not in world or choose_engine() is not Engine.RAYCAST:
+    if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
     click.echo("no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one", err=True)
     return False
@@ -187,7 +192,8 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
         if missing:
             click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
         for cell in low:
-            click.echo(f"{cell.title} with {cell.policy}: {cell.success.share:.0%} is below {require:.0%}", err=True)
+            where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
+            click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
         click.echo(f"{plan.folder / 'report.html'}")
     return FINDINGS if missing or low else DONE
 
@@ -221,6 +227,7 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
+    from simfoundry.evaluate.engines import compare_engines
     from simfoundry.evaluate.strata import comparisons, pool_rows, pools
 
     found = pools(records)
@@ -242,3 +249,6 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
         console.print(one.sentence, markup=False, soft_wrap=True)
     if len(pairs) > SENTENCES:
         console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")
+    for other in compare_engines(records):
+        if other.disagrees:
+            console.print(other.sentence, markup=False, soft_wrap=True)

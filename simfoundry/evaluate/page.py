@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from simfoundry.evaluate.engines import compare_engines
 from simfoundry.evaluate.metrics import Rate
 from simfoundry.evaluate.records import is_result
 from simfoundry.evaluate.results import MANY, Cell, cell_key, cells, titles
@@ -54,7 +55,8 @@ def page(records: Sequence[Record], title: str = "Evaluation") -> str:
         f"<h1>{escape(title)}</h1>{_facts(records)}",
         "<p>In brackets: Wilson's 95 % interval of the rate. A step counts once its goal has held, in whatever order. "
         "A rollout whose policy gave an invalid answer has failed; a missing one has no result and is in no rate.</p>",
-        f"<div class='top'>{_pooled(records)}<section><h2>Each task</h2>{_summary(named)}</section></div>",
+        f"<div class='top'>{_pooled(records)}<section><h2>Each task</h2>{_summary(named)}</section>",
+        f"{_engines(records)}</div>",
     ]
     for name, here in named.items():
         each = "".join(_details(cell, by_cell[cell.key]) for cell in here.values())
@@ -121,6 +123,24 @@ def _pooled(records: Sequence[Record]) -> str:
             "Second p: paired permutation test of the share of sub-tasks done, first minus second.</p></section>"
         )
     return "".join(parts)
+
+
+def _engines(records: Sequence[Record]) -> str:
+    """The same policy from the same starts in two engines, those that disagree first; empty where there is one."""
+    found = sorted(compare_engines(records), key=lambda one: not one.disagrees)
+    if not found:
+        return ""
+    rows = [_heads("task", "policy", "engines", "succeed", "of", "rollouts that differ", "p", "")]
+    for one in found:
+        told = [one.policy, f"{one.first}, {one.second}", f"{one.first_done}, {one.second_done}", str(one.pairs)]
+        told += [", ".join(map(str, one.differing)) or "none", f"{one.p:.3g}"]
+        mark = "<span class='bad'>the engines disagree</span>" if one.disagrees else ""
+        rows.append(_row(f"<th>{escape(one.title)}</th>", [*map(escape, told), mark]))
+    return (
+        f"<section><h2>The same starts in two engines</h2><div class='wide'><table>{''.join(rows)}</table></div>"
+        "<p class='dim'>Where engines disagree, a rate says more of the engine than of the policy. They do where the "
+        "successes differ by more than 2 of 25. p: exact McNemar test.</p></section>"
+    )
 
 
 def _pools(found: Sequence[Pool]) -> str:
