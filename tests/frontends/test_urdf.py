@@ -193,8 +193,9 @@ def test_a_mass_without_inertia_at_a_fixed_joint_stays_a_point(importing: Import
     assert np.linalg.eigvalsh(scene.objects[0].links[1].inertia).min() > 1e-4  # of its shapes
 
 
-def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
-    mesh = '<collision><geometry><mesh filename="package://bot/m/t.obj"/></geometry></collision>'
+@pytest.mark.parametrize("scheme", ["package://", "package:///"])
+def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path, scheme: str) -> None:
+    mesh = f'<collision><geometry><mesh filename="{scheme}bot/m/t.obj"/></geometry></collision>'
     source = tmp_path / "bot/urdf/a.urdf"
     source.parent.mkdir(parents=True)
     source.write_text(_robot(_link("a", INERTIAL + mesh)))
