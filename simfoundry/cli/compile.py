@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
 
 # NumPy starts threads for large matrices when it is imported: a tenth of the command, and here are none.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -47,6 +47,8 @@ def command(
 ) -> int:
     """Compile scenes for simulators, each target into a folder of its own, with a report of what was lost.
 
+    A target that fails is reported, and the others are written; the exit code is then 1, or 2 where none is written.
+
     One scene goes to OUT/TARGET. Several, or the scenes below folders, go to OUT/SCENE/TARGET: side by side, each in a
     process of its own; what is up to date is passed over, and where one fails the others go on, with exit code 1 at the
     end.
@@ -62,17 +64,24 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
     from simfoundry.targets.report import report, table
-    from simfoundry.worlds.build import LOSSES, build
+    from simfoundry.worlds.build import LOSSES, TargetsError, build
 
     with progress_bar(as_json) as progress:
         lowered = lower_file(scene, Cache.default(), lambda name, done, total: progress(name, done / total))
-        artifacts = build(lowered, targets, out, force)
+        failures: Mapping[str, str] = {}
+        try:
+            artifacts = build(lowered, targets, out, force)
+        except TargetsError as error:
+            artifacts, failures = error.artifacts, error.failures
+    if not artifacts:
+        raise CannotError("\n".join(_failed(failures)))
     losses = report(lowered, artifacts)
     lossy = any(artifact.losses for artifact in artifacts)
     if as_json:
         entries = {a.target: str(out / a.target / a.entry) for a in artifacts}
-        print_json({"out": str(out), "targets": entries, "losses": losses})
-        return FINDINGS if strict and lossy else DONE
+        failed = {"failed": failures} if failures else {}
+        print_json({"out": str(out), "targets": entries, "losses": losses, **failed})
+        return FINDINGS if failures or (strict and lossy) else DONE
     width = max(len(artifact.target) for artifact in artifacts)
     for artifact in artifacts:
         click.echo(f"{artifact.target:<{width}}  {out / artifact.target / artifact.entry}")
@@ -83,7 +92,14 @@ def _compile_one(scene: Path, targets: tuple[str, ...], out: Path, strict: bool,
         click.echo(line)
     if lossy:
         click.echo(f"why, and by how much: {out / LOSSES}")
-    return FINDINGS if strict and lossy else DONE
+    for line in _failed(failures):
+        click.echo(f"Error: {line}", err=True)
+    return FINDINGS if failures or (strict and lossy) else DONE
+
+
+def _failed(failures: Mapping[str, str]) -> list[str]:
+    """A line for each target that could not be compiled."""
+    return [f"{target} is not written: {reason}" for target, reason in failures.items()]
 
 
 def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.files import replace_folder, write_atomically
+from simfoundry.files import replace_folder, write_atomically, write_file
 from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     from simfoundry.spec.scene import SceneSpec
 
     loaded = load_kind(scene_file, "scene/1")
-    lowered = lower(loaded, Cache.default())
+    lowered = lower(loaded, Cache.default(), fetch=False)
     if path.suffix.lower() == BDDL:
         from simfoundry.frontends.bddl import read_bddl_task
 
@@ -268,9 +268,7 @@ def _assumed_masses(draft: Draft, built: Built, scene: Scene) -> dict[str, float
 def _fill(folder: Path, built: Built) -> None:
     texts = {name: text.encode() for name, text in built.documents.items()}
     for name, data in {**texts, **built.files}.items():
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
+        write_file(folder / name, data)
 
 
 def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:
@@ -320,7 +318,7 @@ def _check(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[
         scene = folder / document
     loaded = load(scene, root)
     try:
-        return lower(loaded, Cache.default()), []
+        return lower(loaded, Cache.default(), fetch=False), []
     except SpecError as error:
         return None, [d for d in error.diagnostics if d.severity is Severity.ERROR]
 

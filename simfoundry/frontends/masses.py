@@ -199,7 +199,7 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
 
 
 def take_density(draft: Draft, link: LinkDraft, usual: str, is_still: bool = False) -> None:
-    """Weigh a link without a mass by the user's density, else by the usual one; of what stands still nothing is said.
+    """Weigh a link without a mass by the user's density, or else by the usual one; of what stands still say nothing.
 
     Of these only the latter is an assumption of the importer, which is warned about.
     """

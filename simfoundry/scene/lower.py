@@ -56,11 +56,11 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 
 
-def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
+def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
     """Lower a checked scene document; raises :class:`SpecError` with every finding.
 
     ``cache`` keeps convex decompositions between runs; ``progress`` is called with a name, how many objects are done,
-    and how many there are.
+    and how many there are. Without ``fetch`` no robot's model is downloaded: one that is not here is left out.
     """
     if loaded.errors:
         raise SpecError(loaded.errors)
@@ -74,9 +74,10 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         objects.append(lowering.object(name, item, spec))
     if lowering.findings:
         raise SpecError(lowering.findings)
-    robots, no_models = _robots(loaded, spec)
+    robots, no_models = _robots(loaded, spec, fetch)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
+    mounted, lost = _carried(mounted, {o.name: o for o in lowered}, {r.name for r in robots})
     return Scene(
         name=spec.name,
         gravity=frozen(spec.gravity, (3,)),
@@ -84,9 +85,9 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=tuple(no_models),
+        left_out=(*no_models, *lost),
         robots=robots,
-        mounted=tuple(m for m in mounted if m.carrier in spec.objects or m.carrier in {r.name for r in robots}),
+        mounted=tuple(mounted),
         background=None if spec.background is None else _background(loaded, spec.background),
         no_contact=no_contact,
         source=Source.of(_file_in_project(loaded), to_data(spec)),
@@ -141,22 +142,37 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     return tuple(solved.values())
 
 
-def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[LeftOut]]:
+def _robots(loaded: Loaded, spec: SceneSpec, fetch: bool) -> tuple[tuple[Robot, ...], list[LeftOut]]:
     """The robots whose models are there, and what is left out with those that are not."""
     if not spec.robots:
         return (), []
-    from simfoundry.scene.robot_files import NoModelError
+    from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
 
     found, lost = [], []
     for name, item in spec.robots.items():
         try:
-            found.append(lower_robot(name, item, loaded.path))
+            found.append(lower_robot(name, item, loaded.path, fetch))
         except NoModelError as error:
             lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
     return tuple(found), lost
+
+
+def _carried(
+    mounted: list[MountedCamera], objects: Mapping[str, SceneObject], robots: set[str]
+) -> tuple[list[MountedCamera], list[LeftOut]]:
+    """The cameras whose carrier is there, and those left out because the variant that stands lacks their link."""
+    found, lost = [], []
+    for one in mounted:
+        item = objects.get(one.carrier)
+        if item is not None and one.link and one.link not in {link.name for link in item.links}:
+            reason = f"`{one.carrier}` stands as its variant `{item.variant}`, which has no link `{one.link}`"
+            lost.append(LeftOut(f"cameras.{one.camera.name}", reason))
+        elif item is not None or one.carrier in robots:
+            found.append(one)
+    return found, lost
 
 
 def _mounted(name: str, spec: CameraSpec, mount: str) -> MountedCamera:
@@ -306,6 +322,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
+        closed=spec.closed,
     )
 
 
@@ -356,8 +373,8 @@ class _At:
         return True
 
 
-def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
-    """Load, check and lower the scene document at ``path``; raises :class:`SpecError`."""
+def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
+    """Load, check and lower the scene document at ``path``, as :func:`lower` does; raises :class:`SpecError`."""
     from simfoundry.spec.load import load_scene
 
-    return lower(load_scene(path), cache, progress)
+    return lower(load_scene(path), cache, progress, fetch)

@@ -10,7 +10,7 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.scene import DEFAULT_VARIANT, ObjectSpec
 
 GEOMETRY = ("shape", "asset")
-_OF_GEOMETRY = ("scale", "visual")
+OF_GEOMETRY = ("scale", "visual")
 """What belongs to a shape or mesh, and goes with it."""
 
 
@@ -25,7 +25,7 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
         changes = {key: getattr(over, key) for key in over.model_fields_set}
         dropped = {rival for group in EXCLUSIVE for key in group if key in changes for rival in group} - changes.keys()
         if any(key in changes for key in GEOMETRY):
-            dropped |= {*_OF_GEOMETRY, "joints"} - changes.keys()
+            dropped |= {*OF_GEOMETRY, "joints"} - changes.keys()
         if over.asset is not None and is_document(over.asset):  # its links have mass and material of their own
             dropped |= Body.model_fields.keys() - changes.keys()
         given = {key: value for key, value in given.items() if key not in dropped} | changes

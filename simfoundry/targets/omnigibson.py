@@ -32,7 +32,8 @@ def scene_json(scene: Scene) -> bytes:
             "args": {"use_floor_plane": False, "floor_plane_visible": False},
         },
         "objects_info": {"init_info": info},
-        "state": {"registry": {"object_registry": state}},
+        # `Scene.__init__` and `restore` read the keys of both registries; a scene of ours has no particle systems.
+        "state": {"registry": {"object_registry": state, "system_registry": {}}},
     }
     return (json.dumps(data, indent=2) + "\n").encode()
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from simfoundry.backends.artifact import Artifact
 from simfoundry.contain import FailedError, Limits, Worker, say
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
@@ -126,7 +127,7 @@ def compile_job(job: Job) -> Outcome:
     from simfoundry.spec.load import load_scene
     from simfoundry.targets.find import find_target
     from simfoundry.worlds import inputs
-    from simfoundry.worlds.build import build, is_current
+    from simfoundry.worlds.build import TargetsError, build, is_current
 
     failed = Outcome(str(job.scene), str(job.out), FAILED)
     try:
@@ -138,6 +139,8 @@ def compile_job(job: Job) -> Outcome:
         scene = lower(loaded, Cache.default(), lambda name, done, total: say(_object(loaded, name)))
         say(f"its targets ({', '.join(job.targets)})")
         artifacts = build(scene, job.targets, job.out, job.force, record)
+    except TargetsError as error:
+        return replace(_outcome(job, FAILED, error.artifacts), error=str(error))
     except SpecError as error:
         return Outcome(failed.scene, failed.out, FAILED, findings=tuple(error.diagnostics))
     except SimfoundryError as error:
@@ -146,8 +149,13 @@ def compile_job(job: Job) -> Outcome:
         return Outcome(
             failed.scene, failed.out, FAILED, error=f"{error.filename or 'a file'}: {error.strerror or error}"
         )
+    return _outcome(job, COMPILED, artifacts)
+
+
+def _outcome(job: Job, state: str, artifacts: Sequence[Artifact]) -> Outcome:
+    """The outcome of a job that wrote ``artifacts``."""
     entries = {a.target: str(job.out / a.target / a.entry) for a in artifacts}
-    return Outcome(failed.scene, failed.out, COMPILED, entries, {a.target: len(a.losses) for a in artifacts})
+    return Outcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
 
 
 def _object(loaded: Loaded, name: str) -> str:

@@ -35,6 +35,21 @@ def simulation_cfg(**settings: Any) -> Any:
     return sim_utils.SimulationCfg(gravity=tuple(description()["gravity"]), **settings)
 
 
+def quaternion(wxyz: list[float], identity: tuple[float, ...]) -> tuple[float, ...]:
+    """A rotation in the order in which Isaac Lab writes ``identity``: w first up to version 2, w last from 3 on.
+
+    The default of its own configuration is asked, because the version of the Python package is not that of the release
+    (Isaac Lab 2.3 calls itself 0.4x). Raises :class:`ValueError` for a default that is neither order's identity.
+    """
+    w, x, y, z = wxyz
+    if tuple(identity) == (1.0, 0.0, 0.0, 0.0):
+        return w, x, y, z
+    if tuple(identity) == (0.0, 0.0, 0.0, 1.0):
+        return x, y, z, w
+    message = f"the default rotation of `InitialStateCfg` is {tuple(identity)}, which is no identity in wxyz or xyzw"
+    raise ValueError(f"{message}; this loader knows Isaac Lab 2 and 3")
+
+
 def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> Any:
     """An ``InteractiveSceneCfg``: the stage in each environment, and every object that moves by its name."""
     import isaaclab.sim as sim_utils
@@ -45,9 +60,10 @@ def scene_cfg(num_envs: int = 1, env_spacing: float = 3.0, **settings: Any) -> A
     # The simulation brings a physics scene; `environment.usda` is the stage without its own.
     spawn = sim_utils.UsdFileCfg(usd_path=str(HERE / "environment.usda"))
     config.world = AssetBaseCfg(prim_path=ROOT, spawn=spawn)
+    identity = AssetBaseCfg.InitialStateCfg().rot
     for name, item in description()["objects"].items():
         prim, body = (path.replace("/World", ROOT, 1) for path in (item["prim"], item["body"]))
-        position, rotation = tuple(item["p"]), tuple(item["q_wxyz"])
+        position, rotation = tuple(item["p"]), quaternion(item["q_wxyz"], identity)
         if item["kind"] == "rigid":
             state = RigidObjectCfg.InitialStateCfg(pos=position, rot=rotation)
             setattr(config, name, RigidObjectCfg(prim_path=body, spawn=None, init_state=state))

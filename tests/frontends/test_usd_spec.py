@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import HealthCheck, Phase, assume, given, settings
+from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from simfoundry.backends.artifact import Artifact
@@ -66,9 +66,7 @@ def standing(item: ObjectSpec) -> ObjectSpec:
     return item.model_copy(update=given)
 
 
-@settings(
-    derandomize=True, deadline=None, max_examples=60, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
-)
+@settings(phases=[Phase.generate])
 @given(SCENES, RELATIONS)
 def test_any_scene_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, spec: SceneSpec, texts: Any) -> None:
     import numpy as np

@@ -99,6 +99,39 @@ def test_where_the_simulator_is_its_loader_loads(name: str, tmp_path: Path) -> N
     assert done.stdout.startswith(("loaded ", "scene.usda"))
 
 
+LAB = """\
+import sys
+from types import ModuleType, SimpleNamespace
+
+def cfg(**fields): return SimpleNamespace(**fields)
+cfg.InitialStateCfg = lambda **fields: SimpleNamespace(**{{"rot": {identity}, **fields}})
+modules = {{
+    "isaaclab": {{}},
+    "isaaclab.sim": {{"UsdFileCfg": cfg}},
+    "isaaclab.assets": {{"AssetBaseCfg": cfg, "RigidObjectCfg": cfg, "ArticulationCfg": cfg}},
+    "isaaclab.scene": {{"InteractiveSceneCfg": cfg}},
+}}
+for name, content in modules.items():
+    sys.modules[name] = ModuleType(name)
+    vars(sys.modules[name]).update(content)
+sys.modules["isaaclab"].sim = sys.modules["isaaclab.sim"]
+import load
+print([round(v, 6) for v in load.scene_cfg().brick.init_state.rot])
+"""
+"""Stands in for Isaac Lab's configuration classes, which need Isaac Sim; only their default rotation differs."""
+
+
+@pytest.mark.parametrize(("identity", "order"), [((1.0, 0.0, 0.0, 0.0), "wxyz"), ((0.0, 0.0, 0.0, 1.0), "xyzw")])
+def test_isaac_lab_gets_quaternions_in_its_own_order(identity: tuple[float, ...], order: str, tmp_path: Path) -> None:
+    turned = pose(0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    scene = scene_of(solid("brick", box(0.1, 0.1, 0.1), turned))
+    compile_target(scene, find_target("isaaclab")).write(tmp_path)
+    command = [sys.executable, "-c", LAB.format(identity=identity)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60)
+    expected = [round(float(turned.q["wxyz".index(letter)]), 6) for letter in order]
+    assert json.loads(done.stdout) == expected
+
+
 def test_a_new_target_is_a_new_file(tmp_path: Path) -> None:
     target = read_profile(profile(tmp_path))
     scene = full_scene()

@@ -321,6 +321,7 @@ def test_omnigibson_gets_a_scene_file_and_a_usd_for_each_object(room: Scene, tmp
     data = json.loads((tmp_path / "scene.json").read_text())
     assert list(data["objects_info"]["init_info"]) == [item.name for item in room.objects]
     state = data["state"]["registry"]["object_registry"]
+    assert data["state"]["registry"]["system_registry"] == {}  # OmniGibson's `Scene.__init__` reads its keys
     cup = room.object("cup")
     w, x, y, z = cup.X_WO.q
     np.testing.assert_allclose(state["cup"]["root_link"]["pos"], cup.X_WO.p, atol=1e-9)

@@ -133,7 +133,7 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
             silent = silent_pairs(item)
             if not silent and not scene.no_contact:
                 continue
-            movers, touched = _touchable(_content(scopes, item), item)
+            movers, touched = _touchable(content_prim(scopes, item), item)
             for a, b in silent:
                 silence(movers, touched, item.qualified(a), item.qualified(b))
             for name, prims in movers.items():
@@ -147,7 +147,7 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
         relate(body, "physics:filteredPairs", dict.fromkeys(prim.path for prim in prims))
 
 
-def _content(scopes: Scopes, item: SceneObject) -> Prim:
+def content_prim(scopes: Scopes, item: SceneObject) -> Prim:
     """The prim below which the links of an object are: its own, or its variant's."""
     prim = scopes.objects.children[item.name]
     return prim.variants[item.variant] if item.variant else prim

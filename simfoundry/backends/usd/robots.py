@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import Fidelity, Loss, rounded
 from simfoundry.backends.robots import RobotModelError, mujoco_model, read_robot
-from simfoundry.backends.usd.bodies import Scopes, define_object
+from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate
 from simfoundry.scene.frames import Pose
@@ -165,16 +165,34 @@ def _is_body(default: Usd.Prim, path: Sdf.Path) -> bool:
 def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterator[Loss]:
     """Define each camera that rides on a link below that link; yields a loss for each whose carrier is not there."""
     for mounted in scene.mounted:
-        place_of = _carrier(scopes, scene, robots, mounted)
-        if place_of is None:
+        found = list(_carriers(scopes, scene, robots, mounted))
+        if not found:
             yield Loss(mounted.camera.name, Fidelity.DROPPED, f"it rides on `{mounted.carrier}`, which is not there")
-            continue
-        prim, X_LF = place_of
-        define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
+        for prim, X_LF in found:
+            define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
+        for variant in _without(scene, mounted):
+            reason = f"the variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` for it to ride on"
+            yield Loss(mounted.camera.name, Fidelity.APPROXIMATED, reason)
 
 
-def _carrier(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> tuple[Prim, Pose] | None:
+def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:
+    """The prim of the link on which a camera rides, in each variant of its object that has it; its pose in that."""
     if any(robot.name == mounted.carrier for robot in scene.robots):
-        return robots.frames.get((mounted.carrier, mounted.link))
+        if (mounted.carrier, mounted.link) in robots.frames:
+            yield robots.frames[mounted.carrier, mounted.link]
+        return
     item = scene.object(mounted.carrier)
-    return scopes.objects.children[item.name].children[mounted.link or item.root.name], Pose.of()
+    for one in (item, *item.variants):
+        links = content_prim(scopes, one).children
+        name = mounted.link or one.root.name
+        if name in links:
+            yield links[name], Pose.of()
+
+
+def _without(scene: Scene, mounted: MountedCamera) -> Iterator[str]:
+    """The variants of the object that carries a camera which do not have the link that it rides on."""
+    item = scene.by_name.get(mounted.carrier)
+    if item is not None and mounted.link:
+        for one in (item, *item.variants):
+            if one.variant and mounted.link not in {link.name for link in one.links}:
+                yield one.variant

@@ -3,7 +3,8 @@
 Metadata of prims is composed by USD, so it survives flattening, crates, sublayers and references. In ``customData``,
 under ``simfoundry``, the default prim has the document (``document``, without the parts that have a prim of their own)
 and each part its own data (``spec``) with its place in the document (``part``): a prim that is copied or deleted takes
-them along. ``built`` is what the backend wrote, so that a reader knows what a person changed afterwards.
+them along. ``built`` is what the backend wrote, so that a reader knows what a person changed afterwards. Of an object
+with variants each variant has its own ``built``, and its name as ``variant``: the stage shows those of the chosen one.
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ def write_source(world: Prim, source: Source) -> dict[str, str]:
         prims = world.children[scope].children if scope in world.children else {}
         for name, data in members.items():
             if name in prims:
-                said: dict[str, dict[str, Any]] = {}
-                _collect(prims[name], "", materials, said)
-                said = _posture(said) if section == "robots" else said
-                _add(prims[name], {"part": f"{section}.{name}", "spec": _lines(data), "built": _lines(said)})
+                _add(prims[name], {"part": f"{section}.{name}", "spec": _lines(data)})
+                for variant, prim in (prims[name].variants or {"": prims[name]}).items():
+                    said: dict[str, dict[str, Any]] = {}
+                    _collect(prim, "", materials, said)
+                    said = _posture(said) if section == "robots" else said
+                    _add(prim, ({"variant": variant} if variant else {}) | {"built": _lines(said)})
                 members[name] = None
         if members:
             document[section] = members

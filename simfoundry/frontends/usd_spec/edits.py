@@ -12,6 +12,7 @@ import numpy as np
 from simfoundry.frontends.usd_spec.joints import edited_joints
 from simfoundry.frontends.usd_spec.shapes import scaled
 from simfoundry.frontends.usd_spec.stage import Part, fallback, links_of
+from simfoundry.frontends.usd_spec.variants import edited_variants
 from simfoundry.frontends.usd_spec.words import Note, short, srgb
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
@@ -39,7 +40,14 @@ class Edited:
 
 
 def edited_object(part: Part) -> Edited:
-    """An object: its pose, size, mass, surface, joints, and whether it is fixed."""
+    """An object: its pose, size, mass, surface, joints, and whether it is fixed; the same of each of its variants."""
+    if part.variant:
+        return Edited(*edited_variants(part, _edited_one))
+    return Edited(*_edited_one(part))
+
+
+def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """The data of an object without variants, or of one of them, and what of the stage they cannot say."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
     handled |= {(link, "at") for link in links_of(part.built)[:1]}
@@ -52,7 +60,7 @@ def edited_object(part: Part) -> Edited:
         _fixed(part, data, handled)
         notes += [*_mass(part, data, handled), *_surface(part, data, handled)]
     hint = f"it belongs to {data['asset']}; change it there" if articulated else ""
-    return Edited(data, (*notes, *rest(part, handled, hint)))
+    return data, (*notes, *rest(part, handled, hint))
 
 
 def edited_robot(part: Part) -> Edited:

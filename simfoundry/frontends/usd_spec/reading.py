@@ -18,6 +18,7 @@ from simfoundry.frontends.usd_spec.added import Added, added
 from simfoundry.frontends.usd_spec.edits import MOVED_M, Edited, edited_object, edited_robot, has_moved, pose_data
 from simfoundry.frontends.usd_spec.names import anchors, renamed, without
 from simfoundry.frontends.usd_spec.stage import Part, StageError, carrier, document, open_stage, parts
+from simfoundry.frontends.usd_spec.variants import variant_data
 from simfoundry.frontends.usd_spec.views import edited_camera, edited_light
 from simfoundry.frontends.usd_spec.words import Note, as_name, short
 from simfoundry.frontends.usd_spec.world import World
@@ -193,16 +194,20 @@ def _placed(
 
 def _changed(part: Part, data: Data) -> bool:
     """Whether what a thing carries would be placed otherwise than before."""
-    keys = ("shape", "scale", "joints")
-    return has_moved(part) or any(part.spec.get(key) != data.get(key) for key in keys)
+    return has_moved(part) or _resized(part, data)
+
+
+def _resized(part: Part, data: Data) -> bool:
+    """Whether a thing has another shape, or other joints, than before; choosing another variant is no such edit."""
+    old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
+    return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 
 
 def _only_along(part: Part, data: Data) -> bool:
     """Whether a thing was only shifted, level, so that positions in the world on top of it stay what they are."""
-    resized = any(part.spec.get(key) != data.get(key) for key in ("shape", "scale", "joints"))
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
-    return not resized and level and bool(up > 1.0 - 1e-6)
+    return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
 
 
 def _gravity(prim: Usd.Prim, data: Data, world: World) -> None:

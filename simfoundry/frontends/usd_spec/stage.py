@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,15 @@ if TYPE_CHECKING:
     from simfoundry.frontends.usd_spec.world import World
 
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+
+VARIANTS = "variant"
+"""The variant set of an object."""
+
+UNKNOWN = "?"
+"""Stands for the name of a variant that was not compiled; no name is spelled so."""
+
+_BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
+"""The relationships behind what :func:`_now` says of materials."""
 
 Values = dict[str, dict[str, Any]]
 """Values by the path of a prim relative to its part, and there by name."""
@@ -38,7 +47,9 @@ class Part:
     """A member of a section of the document, with the prim that stands for it.
 
     ``spec`` is its data and ``built`` what its prims said when they were written; ``now`` is what they say. ``X_WP`` is
-    its pose in the world and ``scale`` the factors along its axes, shape (3,).
+    its pose in the world and ``scale`` the factors along its axes, shape (3,). Of an object with variants this is all
+    of the ``variant`` that is selected; ``others`` are the object as each of the others, where only that one's own
+    opinions count as edits. ``variant`` is a question mark where the selected one was not compiled.
     """
 
     section: str
@@ -49,6 +60,10 @@ class Part:
     now: Values
     X_WP: Pose
     scale: Array
+    variant: str = ""
+    others: tuple[Part, ...] = ()
+    stage: Usd.Stage | None = None
+    """The stage of ``prim``, which holds it only weakly."""
 
     @property
     def path(self) -> str:
@@ -100,7 +115,66 @@ def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
 
 def parts(stage: Usd.Stage, world: World) -> list[Part]:
     """Every part that is there and active, wherever it is by now, in the order of the stage."""
-    return [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
+    found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
+    others = _other_variants(stage, [part for part in found if part.variant], world)
+    return [replace(part, others=others.get(part.path, ())) for part in found]
+
+
+def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[str, tuple[Part, ...]]:
+    """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
+    from pxr import Sdf, Usd
+
+    rest: dict[str, list[str]] = {}
+    for part in varied:
+        choices = part.prim.GetVariantSet(VARIANTS)
+        rest[part.path] = [name for name in choices.GetVariantNames() if name != choices.GetVariantSelection()]
+    found: dict[str, list[Part]] = {path: [] for path in rest}
+    for k in range(max(map(len, rest.values()), default=0)):
+        other = Usd.Stage.Open(stage.GetRootLayer(), Sdf.Layer.CreateAnonymous())
+        chosen = {path: names[k] for path, names in rest.items() if k < len(names)}
+        with Usd.EditContext(other, other.GetSessionLayer()):
+            for path, name in chosen.items():
+                other.GetPrimAtPath(path).GetVariantSet(VARIANTS).SetVariantSelection(name)
+        elsewhere = world.anew()
+        for path in chosen:
+            part = _part(other.GetPrimAtPath(path), elsewhere)
+            if part.variant != UNKNOWN:
+                now = _own_opinions(part)
+                found[path].append(replace(part, now=now, X_WP=part.X_WP_built, scale=np.ones(3), stage=other))
+    return {path: tuple(parts) for path, parts in found.items()}
+
+
+def _own_opinions(part: Part) -> Values:
+    """What the prims of a variant say, but what they were built with where the word comes from outside of it."""
+    now: Values = {}
+    for relative in dict.fromkeys((*part.built, *part.now)):
+        prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
+        built, said = part.built.get(relative), part.now.get(relative)
+        if said is None:  # deleted; where that was done to all variants, it is no word about this one
+            verdicts = [spec for spec in prim.GetPrimStack() if spec.HasInfo("active")] if prim else []
+            if built is not None and verdicts and not _in_variant(verdicts[0]):
+                now[relative] = built
+        elif built is not None or any(_in_variant(spec) for spec in prim.GetPrimStack()):
+            kept = {name: value for name, value in said.items() if _is_own(prim, name)}
+            now[relative] = {n: v for n, v in (built or {}).items() if n not in kept and not _is_own(prim, n)} | kept
+    return now
+
+
+def _is_own(prim: Usd.Prim, name: str) -> bool:
+    """Whether the strongest opinion on what :func:`_now` calls ``name`` is that of a variant; a lacking one is."""
+    from pxr import Usd, UsdGeom
+
+    if name == "at":
+        operations = [op.GetAttr() for op in UsdGeom.Xformable(prim).GetOrderedXformOps()]
+        properties = [*operations, prim.GetAttribute("xformOpOrder")]
+    else:
+        properties = [prim.GetProperty(_BINDINGS.get(name, name))]
+    stacks = [found.GetPropertyStack(Usd.TimeCode.Default()) for found in properties if found]
+    return all(_in_variant(stack[0]) for stack in stacks if stack)
+
+
+def _in_variant(spec: Any) -> bool:
+    return bool(spec.path.ContainsPrimVariantSelection())
 
 
 def placed(at: list[float] | None) -> tuple[Pose, Array]:
@@ -136,11 +210,15 @@ def _part(prim: Usd.Prim, world: World) -> Part:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
-    spec, built = _json(prim, "spec"), _json(prim, "built", _checked_values)
+    spec = _json(prim, "spec")
+    if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
+        return Part(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
+    built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
     X_WP, scale = factored(world.matrix(root or prim))
-    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale)
+    variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
+    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +43,14 @@ class World:
     def matrix(self, prim: Usd.Prim) -> Array:
         """From the frame of a prim into the world, for row vectors as USD has them, shape (4, 4)."""
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
+
+    def anew(self) -> World:
+        """The same for a stage that differs in its session layer only: nothing of the transforms is remembered."""
+        from pxr import Usd, UsdGeom
+
+        other = copy(self)
+        other.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        return other
 
     def gravity(self, vector: Array) -> Array:
         """An acceleration of the stage [m/s^2]."""
