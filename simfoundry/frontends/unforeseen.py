@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 from pydantic import ValidationError
 
 import simfoundry
@@ -31,7 +32,8 @@ def refusing_faults(file: Path) -> Iterator[None]:
     Errors that say what is wrong by themselves pass, and so do those of the operating system.
     """
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers that overflow are refused where they are used
+            yield
     except (SimfoundryError, SpecError, ModuleNotFoundError):
         raise
     except MeshError as error:
