@@ -41,6 +41,7 @@ _PACKAGES = (
     ("opencv-python-headless", "cv2", True, "working on pictures"),
     ("trimesh", "trimesh", True, "reading meshes"),
     ("coacd", "coacd", True, "convex parts"),
+    ("fast-simplification", "fast_simplification", True, "large meshes made smaller"),
     ("mapbox-earcut", "mapbox_earcut", True, "triangles of outlines"),
     ("scipy", "scipy", True, "hulls, spatial search"),
     ("shapely", "shapely", True, "outlines"),
