@@ -102,9 +102,9 @@ def mesh_colliders(
 ) -> Colliders:
     """Colliders of a welded mesh: its ``hull``, convex parts of it (``decompose``), or ``auto``, whichever suits it.
 
-    ``auto`` gives a box, cylinder or sphere where that is as near as the hull, the hull where the mesh is nearly convex,
-    and parts where it is not. ``report`` hears what takes long. Raises :class:`MeshError`, with ``name``, where the mesh
-    is flat or cannot be decomposed; ``none`` gives none.
+    ``auto`` gives a box, cylinder or sphere where that is as near as the hull, the hull where the mesh is nearly
+    convex, and parts where it is not. ``report`` hears what takes long. Raises :class:`MeshError`, with ``name``, where
+    the mesh is flat or cannot be decomposed; ``none`` gives none.
     """
     if how == "none":
         return Colliders()

@@ -85,7 +85,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=(*no_models, *lost),
+        left_out=(*no_models, *lost, *_plain(loaded, spec)),
         robots=robots,
         mounted=tuple(mounted),
         background=None if spec.background is None else _background(loaded, spec.background),
@@ -158,6 +158,19 @@ def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[Le
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
     return tuple(found), lost
+
+
+def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
+    """The textures of objects that cannot be shown."""
+    from simfoundry.assets.textures import document_faults
+
+    for (_, name, _), fault in document_faults(loaded, spec):
+        yield LeftOut(f"objects.{name}.texture", fault)
+    for name, item in spec.objects.items():
+        asset = loaded.used(item.asset) if item.asset is not None and is_document(item.asset) else None
+        if asset is not None and isinstance(asset.spec, AssetSpec):
+            for _, fault in document_faults(asset, asset.spec):
+                yield LeftOut(f"objects.{name}.texture", fault)
 
 
 def _carried(
