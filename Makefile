@@ -55,6 +55,7 @@ PROOFS := $(patsubst tests/corpora/%.py,tests.corpora.%,$(filter-out %/__init__.
   $(filter-out tests/corpora/test_%,$(wildcard tests/corpora/*.py))))
 
 proofs: $(READY) ## Long runs that measure what is promised: minutes, and some need data that is not in the repository
+	$(BIN)/python -m pytest -n $(WORKERS) -m "slow or hypothesis" --hypothesis-profile=random
 	@set -e; for proof in $(PROOFS); do echo "$(BIN)/python -m $$proof"; $(BIN)/python -m $$proof; done
 
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+# The default run is the same everywhere and each time; `make proofs` searches at random, and longer. Slow examples are
+# no failure: the machines that run this are shared.
+settings.register_profile(
+    "default", derandomize=True, deadline=None, max_examples=30, suppress_health_check=list(HealthCheck)
+)
+settings.register_profile("random", deadline=None, max_examples=500, suppress_health_check=list(HealthCheck))
+settings.load_profile("default")
+
+
+# No test fetches a robot, nor depends on one that somebody fetched before: the packages find none here.
+os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "robots")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

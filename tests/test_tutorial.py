@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from simfoundry.spec.load import load
+from simfoundry.spec.project import Project, find_project
 from tests.cli.command import MAIN
 from tests.conftest import REPOSITORY
 
@@ -130,7 +131,8 @@ def test_the_picture_is_what_the_page_renders(reader: Reader) -> None:
 
 @pytest.mark.usefixtures("followed")
 def test_the_reader_ends_with_documents_without_findings(reader: Reader) -> None:
-    documents = sorted(reader.folder.glob("*.yaml"))
+    documents = sorted(reader.folder.glob("*.*.yaml"))
+    assert find_project(reader.folder) == Project(reader.folder.resolve())
     assert [p.name for p in documents] == ["desk.scene.yaml", "evening.scene.yaml", "mug_on_plate.task.yaml"]
     assert [d.message for p in documents for d in load(p).all_findings()] == []
 

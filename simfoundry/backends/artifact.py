@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.files import staged
+from simfoundry.files import staged, write_file
 from simfoundry.scene.frames import Array
 
 
@@ -56,9 +56,7 @@ class Artifact:
         """Write everything below ``folder``, replacing what was there in one step: a killed write leaves the old."""
         with staged(folder) as staging:
             for path, data in {**self.files, "manifest.json": self.manifest}.items():
-                target = staging / path
-                target.parent.mkdir(parents=True, exist_ok=True)
-                target.write_bytes(data)
+                write_file(staging / path, data)
 
 
 def json_text(data: Mapping[str, object]) -> bytes:

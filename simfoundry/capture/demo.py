@@ -44,10 +44,10 @@ class Demo:
         }
 
 
-def own_capture() -> Path | None:
-    """The project's own capture, in a checkout of the repository; None where there is none."""
-    folder = Path(__file__).parents[2] / "specs" / "captures" / "desk"
-    return folder if (folder / "capture.yaml").is_file() else None
+def own_capture() -> Path:
+    """The project's own capture: in the package, or in the checkout that it is run from."""
+    packaged = Path(__file__).parents[1] / "captures" / "desk"
+    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "specs" / "captures" / "desk"
 
 
 def run_demo(

@@ -21,6 +21,9 @@ NEAR, FAR = 0.1, 5.0
 
 UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
 
+NUMBERS_MAX = 178_956_970
+"""So many numbers an array may hold: the pixels of the largest picture that Pillow decodes, its guard against bombs."""
+
 FEWEST = 100
 """Pixels with usable depth that a picture must have at least."""
 
@@ -225,8 +228,11 @@ class _UnreadableError(Exception):
 
 def _numpy(file: Path) -> NDArray[Any]:
     try:
-        return np.asarray(np.load(file, allow_pickle=False))
-    except (OSError, ValueError, EOFError) as error:
+        stored = np.load(file, mmap_mode="r", allow_pickle=False)  # a header that claims more than the file is refused
+        if stored.size > NUMBERS_MAX:
+            raise ValueError(f"it holds {stored.size:.2g} numbers, and at most {NUMBERS_MAX:.2g} are read")
+        return np.array(stored)
+    except (OSError, ValueError, EOFError, OverflowError, AttributeError) as error:
         raise _UnreadableError(_first_line(error)) from None
 
 

@@ -18,7 +18,8 @@ from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.files import staged, strangers
+from simfoundry.files import staged, write_file
+from simfoundry.outputs import ensure_folder_replaceable
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
@@ -92,7 +93,7 @@ def _run(
         progress("pictures", 0.95)
         _pictures(built, frame, scene, settled, staging)
         report = {**_report(built, settled, f"{loaded.spec.name}/{frame_name}"), "files": _hashes(staging)}
-        (staging / "report.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        write_file(staging / "report.json", (json.dumps(report, indent=2) + "\n").encode())
     return CaptureRun(shown / scene_name, built, settled, report)
 
 
@@ -117,15 +118,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
         written: dict[str, str] = dict(json.loads((out / "report.json").read_bytes())["files"])
     except (OSError, ValueError, KeyError, TypeError):
         written = {}
-    foreign = strangers(out, [*written, *(["report.json"] if written else [])])
-    if foreign:
-        names = ", ".join(foreign[:3])
-        raise OutputError(f"{out} holds files that no capture wrote ({names}); choose another folder, or say --force")
-    now = _hashes(out)
-    edited = [name for name in sorted(written) if name in now and now[name] != written[name]]
-    if edited:
-        names = ", ".join(edited[:3])
-        raise OutputError(f"{out} holds edits of yours ({names}); choose another folder, or say --force to lose them")
+    ensure_folder_replaceable(out, written, "report.json")
 
 
 def _hashes(folder: Path) -> dict[str, str]:
@@ -173,10 +166,8 @@ def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
 
 def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
     for relative, data in built.files.items():
-        target = scene_file.parent / relative
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
-    scene_file.write_text(to_yaml(spec, comment="Estimated from one picture; see report.json."), encoding="utf-8")
+        write_file(scene_file.parent / relative, data)
+    write_file(scene_file, to_yaml(spec, comment="Estimated from one picture; see report.json.").encode())
 
 
 def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settled, folder: Path) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
+from simfoundry.files import writing_atomically
+from simfoundry.outputs import MARK
 from simfoundry.scene.frames import Array
 from simfoundry.scene.raycast import Raycast
 
@@ -128,8 +130,12 @@ def write_capture(folder: Path, frame: Frame, depth_scale: float = 1e-4) -> Capt
 
 def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
-    Image.fromarray(image).save(path, format="PNG", compress_level=6)
+    info = PngInfo()
+    info.add_text("Software", MARK)
+    with writing_atomically(path) as stream:
+        Image.fromarray(image).save(stream, format="PNG", compress_level=6, pnginfo=info)
 
 
 def _tilt(ray: Raycast) -> Array:

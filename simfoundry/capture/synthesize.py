@@ -8,10 +8,14 @@ import numpy as np
 
 from simfoundry.capture.sensor import simulate_frame, write_capture
 from simfoundry.files import write_atomically
+from simfoundry.outputs import MARK
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.raycast import raycast
 from simfoundry.spec.capture import CaptureSpec, DepthImage, Intrinsics, Masks, Shot
 from simfoundry.spec.write import to_yaml
+
+CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
+"""What a synthesized capture consists of."""
 
 
 def synthesize(
@@ -40,6 +44,6 @@ def synthesize(
         frames={camera.name: shot},
         truth=truth.name if beside and truth is not None else None,
     )
-    path = folder / "capture.yaml"
-    write_atomically(path, to_yaml(spec).encode())
+    path = folder / CAPTURE_FILES[0]
+    write_atomically(path, to_yaml(spec, comment=f"{MARK}; delete this line to keep your edits.").encode())
     return path

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.cli.documents import documents
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, print_json_text, progress_bar, reporting
 from simfoundry.spec.report.model import FORMATS
 
 if TYPE_CHECKING:
@@ -52,8 +52,10 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     report = gather(map(str, files), checked)
     if form == "text":
         print_findings(list(report.findings))
-    elif form != "github" or report.findings:
+    elif form == "github" and report.findings:
         click.echo(renderer(form)(report))
+    elif form != "github":
+        print_json_text(renderer(form)(report))
     if form in ("text", "github"):
         from simfoundry.spec.report.as_text import summary
 
@@ -74,7 +76,7 @@ def _check(file: Path) -> Checked:
     """What one document gives; also called in other processes."""
     from simfoundry.lint.run import lint
     from simfoundry.spec.load import load
-    from simfoundry.spec.loaded import project_root
+    from simfoundry.spec.project import project_root
     from simfoundry.spec.report.model import Checked
 
     root = project_root(file)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, force_option, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
     from simfoundry.cousins.ledger import Ledger
@@ -45,6 +45,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str | None)
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
 @click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
 @click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
+@force_option
 @json_option
 @reporting
 def command(
@@ -59,6 +60,7 @@ def command(
     no_gallery: bool,
     vlm: str,
     stage: Path | None,
+    force: bool,
     as_json: bool,
 ) -> int:
     """Make variants of a scene or task that keep what can be done in it.
@@ -68,17 +70,26 @@ def command(
     same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
     are united by a run without --shard.
 
-    Exit code 1 where there are fewer cousins than asked for, with the reasons.
+    Exit code 1 where there are fewer cousins, or fewer variants of an object, than asked for, with the reasons.
     """
+    from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.pools import Work, open_pool
     from simfoundry.cousins.reasons import ImpossibleError
-    from simfoundry.cousins.recipe import need_same_project, read_recipe
+    from simfoundry.cousins.recipe import claim_project, read_recipe
     from simfoundry.cousins.run import Plan, begin, run
+    from simfoundry.cousins.stock import ASSETS
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
+    if stage is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(stage, [recipe], force)
     read = read_recipe(recipe, seed)
     folder = (out or read.scene.root / "build" / read.spec.name).absolute()
-    need_same_project(read, folder)
+    marker = claim_project(read, folder)
+    if marker is not None:
+        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
+        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
     setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, _interruptible(folder):
         progress("the twin", 0.0)
@@ -89,7 +100,8 @@ def command(
             see_possible(shared)
         except ImpossibleError as error:
             return _impossible(error, as_json)
-        plan = replace(plan, most=shared.stock.most)
+        made = counts(read.spec.object, folder / ASSETS / "objects")
+        plan = replace(plan, most=shared.stock.most, variants=made)
 
         def heard(ledger: Ledger) -> None:
             from simfoundry.cousins.manifest import told
@@ -99,7 +111,7 @@ def command(
         ledger = run(plan, lambda: open_pool(Work(FUNCTION, (setup,)), where, jobs), heard)
         if shard is None:
             _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
-    return _report(plan, ledger, as_json)
+    return _report(plan, ledger, read.remarks, as_json)
 
 
 @contextmanager
@@ -142,24 +154,29 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
+def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE
     from simfoundry.cousins.manifest import FILE, examples, summary
 
-    facts = {**summary(plan, ledger), "out": str(plan.out)}
+    facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
+    end = FINDINGS if short or any(count.is_short for count in plan.variants) else DONE
     if as_json:
         print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
-        return FINDINGS if short else DONE
+        return end
     share = "" if plan.shard is None else f" of shard {plan.shard[0]}/{plan.shard[1]}"
     click.echo(
         f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}; {ledger.examined} candidates examined, "
         f"{ledger.rate:.1%} accepted"
     )
+    for count in plan.variants:
+        click.echo(f"{count}", err=count.is_short)
     for code, text in examples(ledger).items():
         click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
     for text in ledger.unchecked:
         click.echo(f"not checked: {text}", err=True)
+    for text in remarks:
+        click.echo(f"note: {text}", err=True)
     if ledger.end == "hopeless":
         click.echo(
             f"stopped: after {PATIENCE} candidates and more, fewer than {LEAST_RATE:.1%} are accepted; the reasons "
@@ -170,4 +187,4 @@ def _report(plan: Plan, ledger: Ledger, as_json: bool) -> int:
         click.echo(f"there are no more than these {ledger.examined} candidates", err=True)
     where = plan.out / FILE if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
-    return FINDINGS if short else DONE
+    return end

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from simfoundry.cli.output import CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import json_option, print_json, progress_bar, reporting
 from simfoundry.cli.settle import settle_table
 
 
@@ -21,19 +21,20 @@ from simfoundry.cli.settle import settle_table
 @json_option
 @reporting
 def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
-    """Capture, compile and run: from one picture to four simulators.
+    """Capture, compile and run: from one picture to four simulators, and an arm that does a small task there.
 
     CAPTURE is a folder with capture.yaml; without it, the project's own desk, for which the truth is known.
     """
     from simfoundry.capture.demo import own_capture, run_demo
+    from simfoundry.evaluate.demo import demonstrate
 
     folder = capture or own_capture()
-    if folder is None:
-        raise CannotError("the project's own capture comes with its repository only; give a capture folder")
     with progress_bar(as_json) as progress:
-        demo = run_demo(folder, out, frame, progress, force)
+        demo = run_demo(folder, out, frame, lambda stage, share: progress(stage, 0.7 * share), force)
+        progress("let an arm do a task", 0.7)
+        arm = demonstrate(demo.run.scene_file, out / "arm", force)
     if as_json:
-        print_json(demo.to_json())
+        print_json(demo.to_json() | {"arm": arm.to_json()})
         return
     click.echo(f"recovered {len(demo.run.reconstruction.shapes)} objects from {folder}\n")
     click.echo(settle_table(demo.run.settled.to_json()["objects"]))
@@ -48,10 +49,19 @@ def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_
             worst = max(motions, key=lambda m: m.moved)
             turned = max(m.turned_deg for m in motions)
             click.echo(f"{engine:<9} at most {worst.moved * 1000:.2f} mm ({worst.name}) and {turned:.2f} deg")
+    click.echo("\nan arm beside it")
+    if arm.task is None:
+        click.echo(f"does nothing: {arm.reason}")
+    elif arm.success:
+        click.echo(f"“{arm.instruction}”  done in {arm.seconds:.1f} s")
+    else:
+        click.echo(f"“{arm.instruction}”  failed after {arm.seconds:.1f} s: {arm.reason}")
     click.echo("\ncompiled")
     for target, path in demo.worlds.items():
         click.echo(f"{target:<9} {path}")
     click.echo(f"\nscene     {demo.run.scene_file}\npicture   {demo.picture}")
+    if arm.task is not None:
+        click.echo(f"task      {arm.task}\npictures  {arm.strip}")
 
 
 def _truth_table(rows: list[dict[str, Any]]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, reporting
@@ -11,16 +13,21 @@ from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, repor
 @json_option
 @reporting
 def command(as_json: bool) -> int:
-    """Say what is installed, what is missing and how to get it. Exit code 1 where something required is missing."""
+    """Say what is installed, what is missing and how to get it. Exit code 1 where something required is missing.
+
+    Looked at are packages, extras, known robots, what draws pictures, and foundation models. Nothing is fetched.
+    """
     from simfoundry.worlds.doctor import examine
 
-    facts = examine()
+    parts = examine()
     if as_json:
-        print_json({"parts": [f.to_json() for f in facts]})
+        print_json({"parts": [part.to_json() for part in parts]})
     else:
-        for fact in facts:
-            mark = "ok     " if fact.version else ("MISSING" if fact.required else "absent ")
-            click.echo(f"{mark} {fact.name:<16} {fact.version:<12} {fact.purpose}")
-            if not fact.version:
-                click.echo(f"        {'':<16} {'':<12} -> {fact.remedy}")
-    return FINDINGS if any(f.required and not f.version for f in facts) else DONE
+        for section, group in groupby(parts, lambda part: part.section):
+            click.echo(f"{'' if section == parts[0].section else chr(10)}{section}")
+            for part in group:
+                mark = "ok     " if part.version else ("MISSING" if part.required else "absent ")
+                click.echo(f"  {mark} {part.name:<22} {part.version:<20} {part.purpose}")
+                if not part.version:
+                    click.echo(f"          {'':<22} -> {part.remedy}")
+    return FINDINGS if any(part.required and not part.version for part in parts) else DONE

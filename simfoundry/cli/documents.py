@@ -6,25 +6,45 @@ from pathlib import Path
 
 from simfoundry.cli.output import CannotError
 from simfoundry.spec.kinds import is_document
+from simfoundry.spec.project import MARKER, Project, find_project
 
 
 def documents(paths: tuple[Path, ...]) -> list[Path]:
     """The files themselves, and the documents below the folders; each once.
 
-    Folders and files with a dot in front are passed over.
+    Below folders those with a dot in front are passed over, and those that the project excludes.
     """
     files: dict[Path, None] = {}
+    excluded = 0
     for path in paths:
         if path.is_dir():
-            inside = (p for p in sorted(path.rglob("*.yaml")) if not _is_hidden(p.relative_to(path)))
-            files |= dict.fromkeys(p for p in inside if is_document(p))
-        elif path.exists():
+            found = [p for p in sorted(path.rglob("*.yaml")) if is_document(p) and not _is_hidden(p.relative_to(path))]
+            kept = _included(found, path)
+            excluded += len(found) - len(kept)
+            files |= dict.fromkeys(kept)
+        elif path.exists() or path.is_symlink():  # a link to nothing is reported when it is read
             files[path] = None
         else:
             raise CannotError(f"there is no file {path}")
     if not files:
-        raise CannotError(f"there is no document below {', '.join(map(str, paths))}")
+        but = f" but {excluded} that {MARKER} excludes" if excluded else ""
+        raise CannotError(f"there is no document below {', '.join(map(str, paths))}{but}")
     return list(files)
+
+
+def _included(found: list[Path], folder: Path) -> list[Path]:
+    """The documents that neither the project of ``folder`` nor their own excludes."""
+    outer = find_project(folder)
+    projects: dict[Path, Project | None] = {}
+    kept = []
+    for path in found:
+        if path.parent not in projects:
+            inner = find_project(path.parent)
+            projects[path.parent] = None if inner == outer else inner
+        near = (p for p in (outer, projects[path.parent]) if p is not None)
+        if not any(project.excludes(path, folder) for project in near):
+            kept.append(path)
+    return kept
 
 
 def _is_hidden(path: Path) -> bool:

@@ -14,8 +14,14 @@ import click
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from simfoundry.evaluate.entries import Entry
     from simfoundry.evaluate.run import Outcome, Plan
+
+
+TROUBLES = 10
+"""So many troubles are printed in words; a screen holds no more beside the table."""
 
 
 def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
@@ -29,7 +35,8 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 @click.argument("tasks", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option(
     "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
-    help="random, expert, replay:FILE, a .policy.yaml, or a server: openpi:localhost:8000?action_space=joint_position.",
+    help="random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml, or a server: "
+    "openpi:localhost:8000?action_space=joint_position.",
 )  # fmt: skip
 @click.option(
     "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/eval"), show_default=True
@@ -40,7 +47,9 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 @click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
 @click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
-@click.option("--video/--no-video", default=True, show_default=True, help="A video of each rollout.")
+@click.option(
+    "--video/--no-video", default=None, help="A video of each rollout. Default: where a picture can be drawn."
+)
 @click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
 @click.option("--shard", callback=_shard, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
@@ -57,7 +66,7 @@ def command(
     onward: str | None,
     alone: str | None,
     subtasks: bool,
-    video: bool,
+    video: bool | None,
     cameras: tuple[str, ...],
     jobs: int,
     shard: tuple[int, int],
@@ -71,7 +80,10 @@ def command(
     was stopped goes on where it was, and shards that write to one folder are united there. OUT/results.json has the
     figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos.
 
-    Exit code 1 where a policy did not answer, so that rollouts are missing, or where a rate is below --require.
+    A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
+    not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
+
+    Exit code 1 where rollouts are missing, or where a rate is below --require.
     """
     from simfoundry.evaluate.entries import contenders
     from simfoundry.evaluate.run import Plan, prepare, run
@@ -84,10 +96,10 @@ def command(
         contenders=tuple(contenders(policies)),
         rollouts=rollouts,
         seed=seed,
-        world=world,
+        engines=(world,),
         shard=shard,
         cameras=cameras or None,
-        video=video,
+        video=_can_film(world) if video is None else video,
     )
     troubles: list[str] = []
     with progress_bar(as_json) as progress, _interruptible(out):
@@ -97,15 +109,26 @@ def command(
         def seen(outcome: Outcome, done: int, of: int) -> None:
             label = outcome.job.contender.label
             tally = won.setdefault(label, [0, 0])
-            if outcome.answered and outcome.record is not None:
+            if outcome.answered:
                 tally[0] += outcome.record["success"]
                 tally[1] += 1
-            else:
-                troubles.append(f"{label}, rollout {outcome.job.index}: {outcome.trouble}")
+            if outcome.trouble:
+                verdict = "counts as failed" if outcome.answered else "is missing"
+                troubles.append(f"{label}, rollout {outcome.job.index} {verdict}: {outcome.trouble}")
             progress(f"{label} {tally[0]}/{tally[1]}", done / of)
 
         run(plan, seen, jobs)
     return _report(plan, troubles, require, as_json)
+
+
+def _can_film(world: str | Sequence[str]) -> bool:
+    """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
+    from simfoundry.worlds.gl import Engine, choose_engine
+
+    if "mujoco" not in world or choose_engine() is not Engine.RAYCAST:
+        return True
+    click.echo("no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one", err=True)
+    return False
 
 
 def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
@@ -152,13 +175,15 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
     write_atomically(plan.folder / "results.json", (json.dumps(found, indent=1, ensure_ascii=False) + "\n").encode())
     write_atomically(plan.folder / "report.html", page(records).encode())
     missing = len(pending(plan))
-    low = [cell for cell in cells(records) if require is not None and cell.success.share < require]
+    low = [c for c in cells(records) if require is not None and c.success.of and c.success.share < require]
     if as_json:
         print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
     else:
         _print(records)
-        for trouble in troubles[:10]:
+        for trouble in troubles[:TROUBLES]:
             click.echo(trouble, err=True)
+        if len(troubles) > TROUBLES:
+            click.echo(f"and {len(troubles) - TROUBLES} more; all are in {plan.folder / 'results.json'}", err=True)
         if missing:
             click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
         for cell in low:
@@ -171,19 +196,39 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import cells
+    from simfoundry.evaluate.results import cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
     table = Table(box=None, pad_edge=False)
     for title in ("task", *policies):
         table.add_column(title, no_wrap=True)
-    for name in dict.fromkeys(cell.title for cell in found):
-        here = {cell.policy: cell for cell in found if cell.title == name}
-        table.add_row(name, *(str(here[p].success) if p in here else "" for p in policies))
+    for name, here in titles(found).items():
+        table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
         for step in dict.fromkeys(s for cell in here.values() for s in cell.subtasks):
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             table.add_row(
                 f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
             )
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    _print_pools(console, records)
+
+
+def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
+    """What all tasks together say, and how sure it is that two policies differ."""
+    from rich.table import Table
+
+    from simfoundry.evaluate.strata import comparisons, pools
+
+    found = pools(records)
+    if found:
+        table = Table(box=None, pad_edge=False)
+        for title in ("together", "policy", "tasks", "all rollouts alike", "all tasks alike"):
+            table.add_column(title, no_wrap=True)
+        for pool in found:
+            table.add_row(pool.title, pool.policy, str(len(pool.counts)), str(pool.rate), pool.stratified_text)
+        console.print()
+        console.print(table)
+    for one in comparisons(records):
+        console.print(one.sentence, markup=False, soft_wrap=True)

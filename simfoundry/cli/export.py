@@ -6,7 +6,16 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    force_option,
+    json_option,
+    print_document,
+    print_json,
+    reporting,
+)
 
 
 @click.command()
@@ -16,7 +25,7 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, prin
     help="BDDL as LIBERO or BEHAVIOR reads it, or the task YAML of the authors' release.",
 )  # fmt: skip
 @click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: standard output.")
-@click.option("--force", is_flag=True, help="Replace what is there.")
+@force_option
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out or assumed.")
 @json_option
 @reporting
@@ -27,23 +36,24 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     reads all three formats.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.errors import OutputError
     from simfoundry.files import write_atomically
     from simfoundry.frontends.export_task import export_task
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower_file
     from simfoundry.spec.load import load_kind
     from simfoundry.spec.task import TaskSpec
 
-    spec = load_kind(task, "task/1").spec
+    loaded = load_kind(task, "task/1")
+    spec = loaded.spec
     assert isinstance(spec, TaskSpec)
+    if out is not None:
+        ensure_replaceable(out, [task, *loaded.files()], force)
     if as_json and out is None:
         raise CannotError("--json reports on a file: name it with `-o FILE`")
-    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default()), format_)
+    export = export_task(spec, lower_file(task.parent / spec.scene, Cache.default(), fetch=False), format_)
     if out is None:
-        click.echo(export.text, nl=False)
+        print_document(export.text)
     else:
-        if out.exists() and not force:
-            raise OutputError(f"{out} exists; write elsewhere, or replace it with --force")
         write_atomically(out, export.text.encode())
     if as_json:
         print_json({"source": str(task), "out": str(out), "format": format_, "notes": export.notes})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import DONE, force_option, json_option, print_document, print_json, reporting
 
 
 @click.command()
@@ -15,7 +15,7 @@ from simfoundry.cli.output import DONE, CannotError, json_option, print_json, re
     "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file, not to the screen."
 )
 @click.option("--hash", "only_hash", is_flag=True, help="Print the SHA-256 of the text alone.")
-@click.option("--force", is_flag=True, help="Replace the file that is there.")
+@force_option
 @json_option
 @reporting
 def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
@@ -25,25 +25,25 @@ def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json:
     where the text is written.
     """
     from simfoundry.files import write_atomically
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.flatten import digest, flatten
     from simfoundry.spec.load import load
 
     loaded = load(file)
+    if out is not None:
+        ensure_replaceable(out, [file, *loaded.files()], force)
     if loaded.spec is None or loaded.errors:
         raise SpecError(loaded.errors)
     text = flatten(loaded.spec, file.parent, out.parent if out is not None else file.parent)
     if out is not None:
-        if out.exists() and (out.samefile(file) or not force):
-            hint = "choose another file" if out.samefile(file) else "choose another file, or say --force"
-            raise CannotError(f"{out} is there already; {hint}")
         write_atomically(out, text.encode())
     if as_json:
         print_json({"file": str(file), "out": str(out) if out else None, "hash": digest(text), "text": text})
     elif only_hash:
         click.echo(digest(text))
     elif out is None:
-        click.echo(text, nl=False)
+        print_document(text)
     else:
         click.echo(f"wrote {out}")
     return DONE

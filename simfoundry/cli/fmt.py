@@ -16,6 +16,7 @@ from simfoundry.cli.output import (
     FINDINGS,
     CannotError,
     json_option,
+    print_document,
     print_findings,
     print_json,
     reporting,
@@ -87,7 +88,7 @@ def _stream(check: bool, diff: bool) -> int:
     if diff:
         click.echo(_diff(STDIN, text), nl=False)
     elif not check:
-        click.echo(text.after, nl=False)
+        print_document(text.after)
     return FINDINGS if check and text.changed else DONE
 
 

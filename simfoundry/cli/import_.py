@@ -63,6 +63,11 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
     "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=_bound,
     help="Which object of --scene a name of a BDDL task means; may be given more than once.",
 )  # fmt: skip
+@click.option(
+    "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
+    help="What links of URDF and bodies of USD that state no mass are made of: wood 600, plastics 1100, steel 7800. "
+    "Default: 1000, as simulators take it.",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
 @json_option
@@ -74,6 +79,7 @@ def command(
     scene: Path | None,
     onto: Path | None,
     bound: dict[str, str],
+    density: float | None,
     force: bool,
     strict: bool,
     as_json: bool,
@@ -92,7 +98,7 @@ def command(
         if len(files) > 1:
             raise CannotError("--onto takes one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
-    options = Options(packages, force, scene, bound)
+    options = Options(packages, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
@@ -111,11 +117,13 @@ def _is_ours(path: Path) -> bool:
     """Whether a file is a stage that was compiled from one of our documents."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
+    from simfoundry.frontends.unforeseen import refusing_faults
     from simfoundry.frontends.usd_spec import StageError, carrier
     from simfoundry.frontends.usd_spec.stage import open_stage
 
     try:
-        return carrier(open_stage(path)) is not None
+        with refusing_faults(path):
+            return carrier(open_stage(path)) is not None
     except StageError:
         return False  # whoever imports it says why it cannot be read
 
@@ -168,10 +176,8 @@ def _guarded(source: Path, target: Path, options: Options) -> Report:
 
     try:
         return _brought_back(source, target, options) if _is_ours(source) else import_file(source, target, options)
-    except (SimfoundryError, SpecError) as error:
+    except (SimfoundryError, SpecError, OSError) as error:
         return Report(str(source), None, error=str(error))
-    except Exception as error:  # a fault of ours, or of a library: it is reported, and the rest goes on
-        return Report(str(source), None, error=f"{source}: it broke the importer: {type(error).__name__}: {error}")
 
 
 def _brought_back(source: Path, target: Path, options: Options) -> Report:
@@ -219,6 +225,7 @@ def _described(report: Report) -> str:
     """What was imported, and every way in which it is not what the file says."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
+    lines += _warned_of_masses(report)
     for kind, heading in HEADINGS.items():
         notes = [note for note in report.notes if note.kind == kind]
         if not notes:
@@ -232,6 +239,20 @@ def _described(report: Report) -> str:
         shown = [f"{old} -> {new}" for old, new in report.names]
         lines.append(f"{len(shown)} name{'s' if len(shown) > 1 else ''} changed: {_listed(shown)}")
     return "\n".join(lines)
+
+
+def _warned_of_masses(report: Report) -> list[str]:
+    """A warning of links that state no mass, with what they came to weigh as solids of water: often far too much."""
+    masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
+    if not masses:
+        return []
+    count = f"{len(masses)} link states" if len(masses) == 1 else f"{len(masses)} links state"
+    shown = [f"{name} {mass:.3g} kg" for name, mass in masses]
+    total = sum(report.assumed_masses.values())
+    return [
+        f"warning: {count} no mass, and came to weigh {total:.3g} kg at 1000 kg/m^3, solid: "
+        f"{_listed(shown)}; give their density with --density (wood 600), or write `mass:` for each"
+    ]
 
 
 def _listed(things: list[str], most: int = 4) -> str:
@@ -256,6 +277,7 @@ def _table(reports: list[Report]) -> str:
         else:
             notes = f"; {len(report.notes)} not as in the file" if report.notes else ""
             lines.append(f"{report.source:<{width}}  {_counts(report)}{notes}")
+            lines += [f"  {line}" for line in _warned_of_masses(report)]
     refused = sum(bool(report.error) for report in reports)
     lines.append(f"{len(reports) - refused} of {len(reports)} imported")
     return "\n".join(lines)

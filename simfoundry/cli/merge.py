@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_findings, print_json, reporting
-from simfoundry.spec.diagnostics import Diagnostic, render
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    force_option,
+    json_option,
+    print_document,
+    print_findings,
+    print_json,
+    reporting,
+)
+from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.merge.conflict import Conflict
@@ -26,10 +36,16 @@ if TYPE_CHECKING:
     "--resolve", "side", type=click.Choice(["ours", "theirs"]), help="Take a side: --resolve ours FILE [PATH]..."
 )
 @click.option("--git", "driver", is_flag=True, help="Answer git, as its merge driver: --git %O %A %B %L %P.")
+@force_option
 @json_option
 @reporting
 def command(
-    args: tuple[str, ...], out: Path | None, side: Literal["ours", "theirs"] | None, driver: bool, as_json: bool
+    args: tuple[str, ...],
+    out: Path | None,
+    side: Literal["ours", "theirs"] | None,
+    driver: bool,
+    force: bool,
+    as_json: bool,
 ) -> int:
     """Merge two edits of a document by meaning, or decide the conflicts that a merge left.
 
@@ -41,15 +57,19 @@ def command(
     if driver:
         return _driver(args)
     if side is not None:
-        return _resolve(side, args, out, as_json)
+        return _resolve(side, args, out, force, as_json)
     if len(args) != 3:
         raise CannotError("name three files: what both started from, ours and theirs")
     base, ours, theirs = map(Path, args)
-    return _merge(base, ours, theirs, out, as_json)
+    return _merge(base, ours, theirs, out, force, as_json)
 
 
-def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, as_json: bool) -> int:
+def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, as_json: bool) -> int:
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.merge.texts import merge_texts, new_errors
+
+    if out is not None:
+        ensure_replaceable(out, (base, ours, theirs), force)
 
     texts = [_text(path) for path in (base, ours, theirs)]
     merged = merge_texts(*texts)
@@ -60,7 +80,7 @@ def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, as_json: bool
         print_json({"out": str(out) if out else None, **_report(merged, errors), "text": merged.text})
     else:
         if out is None:
-            click.echo(merged.text, nl=False)
+            print_document(merged.text)
         else:
             click.echo(f"wrote {out}: {_count(merged.conflicts)}")
         _print(merged, errors, out or ours)
@@ -84,10 +104,10 @@ def _driver(args: Sequence[str]) -> int:
         _write(ours, merged.text)
     except Exception as error:  # whatever it is, the user has at least what git alone would have given
         reason = str(error) or type(error).__name__
-        click.echo(_printable(f"{name}: merged line by line, because {reason}"), err=True)
+        click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
         return _by_lines(args)
     if merged.conflicts or errors:
-        click.echo(_printable(f"{name}: {_count(merged.conflicts)}"), err=True)
+        click.echo(printable(f"{name}: {_count(merged.conflicts)}"), err=True)
         _print(merged, errors, Path(name))
     return FINDINGS if merged.conflicts or errors else DONE
 
@@ -101,7 +121,8 @@ def _by_lines(args: Sequence[str]) -> int:
     return FINDINGS if done.returncode else DONE
 
 
-def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, as_json: bool) -> int:
+def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.kinds import KINDS, model_of
     from simfoundry.spec.load import load
@@ -113,6 +134,8 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     if not args:
         raise CannotError("name the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
     file = Path(args[0])
+    if out is not None and out.resolve() != file.resolve():  # in its own place a file is decided as asked
+        ensure_replaceable(out, force=force)
     try:
         document = read(file)
     except YamlError as error:
@@ -129,7 +152,7 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
         print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
     else:
         for key in decided:
-            click.echo(_printable(f"{key}: took {side}"))
+            click.echo(printable(f"{key}: took {side}"))
         print_findings(findings)
     return FINDINGS if any(d.severity == "error" for d in findings) else DONE
 
@@ -155,12 +178,12 @@ def _write(path: Path, text: str) -> None:
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
     """Each conflict on a line, the errors, and what to do."""
     for conflict in merged.conflicts:
-        click.echo(_printable(str(conflict)), err=True)
+        click.echo(printable(str(conflict)), err=True)
     if errors:
         click.echo(render(errors, texts={str(name): merged.text}), err=True)
     if merged.conflicts:
         click.echo(
-            _printable(
+            printable(
                 f"mend {name} and remove its `conflicts`, or take a side: simfoundry merge --resolve ours {name}"
             ),
             err=True,
@@ -176,8 +199,3 @@ def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
 
 def _count(conflicts: Sequence[Conflict]) -> str:
     return f"{len(conflicts) or 'no'} conflict{'s' if len(conflicts) != 1 else ''}"
-
-
-def _printable(line: str) -> str:
-    """A line that cannot steer a terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

@@ -36,7 +36,9 @@ def command(
 
     KIND is scene, task, asset, capture, cousins or policy; it may be left out where PATH says it, as
     desk.scene.yaml does.
-    Where the project has no schemas for editors, they are written into .simfoundry/schemas/.
+    Where no folder above PATH is a project (it has a simfoundry.yaml or a .git), the working folder is marked with a
+    simfoundry.yaml, or the closest folder that holds every file named. Where the project has no schemas for editors,
+    they are written into .simfoundry/schemas/.
     """
     from simfoundry.files import write_atomically
     from simfoundry.spec.new import NewError, kind_and_path, make
@@ -48,14 +50,17 @@ def command(
         new = make(kind, path, name, source, extends)
     except NewError as error:
         raise CannotError(str(error)) from None
-    for file, text in {**new.schemas, new.path: new.text}.items():
+    for file, text in {**new.marker, **new.schemas, new.path: new.text}.items():
         write_atomically(file, text.encode())
     written = sorted({str(file.parent) for file in new.schemas})
     steps = [step.format(path=path, folder=path.parent) for step in NEXT[kind]]
     if as_json:
-        print_json({"file": str(path), "kind": kind, "schemas": written, "next": steps})
+        marker = next((str(file) for file in new.marker), None)
+        print_json({"file": str(path), "kind": kind, "schemas": written, "project": marker, "next": steps})
         return
     click.echo(f"wrote {path}")
+    for file in new.marker:
+        click.echo(f"wrote {_shown(str(file))}, which marks the topmost folder of the project")
     for folder in written:
         click.echo(f"wrote {_shown(folder)}/, with which editors complete and check as you type")
     click.echo("next:")

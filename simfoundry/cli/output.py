@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.extras import how_to_install
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
@@ -26,6 +28,7 @@ P = ParamSpec("P")
 DONE, FINDINGS, CANNOT = 0, 1, 2
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
+force_option = click.option("--force", is_flag=True, help="Replace the output file even where it was not generated.")
 
 
 class CannotError(click.ClickException):
@@ -47,7 +50,12 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
         except SimfoundryError as error:
             raise CannotError(str(error)) from None
         except ModuleNotFoundError as error:
-            raise CannotError(f"{error.name} is not installed; `simfoundry doctor` says how to get it") from None
+            name = error.name or "a package"
+            raise CannotError(
+                f"{name} is not installed; install with `{how_to_install(name)}` (`simfoundry doctor` lists all)"
+            ) from None
+        except MemoryError:
+            raise CannotError("there is not enough memory for this; use smaller meshes or pictures") from None
         except OSError as error:
             if error.errno == errno.EPIPE:  # the reader of a pipe has seen enough; click knows what to do
                 raise
@@ -58,7 +66,36 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
 
 def print_json(data: Any) -> None:
     """JSON on standard output."""
-    click.echo(json.dumps(data, indent=2, ensure_ascii=False))
+    print_json_text(json.dumps(data, indent=2, ensure_ascii=False))
+
+
+def print_json_text(text: str) -> None:
+    """Print JSON; where standard output is not encoded as Unicode, with escapes, which mean the same."""
+    escaped = text if _is_unicode(sys.stdout) else re.sub(r"[^\x00-\x7f]", lambda c: json.dumps(c[0])[1:-1], text)
+    click.echo(escaped)
+
+
+def print_document(text: str) -> None:
+    """Print a document exactly; raises :class:`CannotError` where standard output lacks one of its characters."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError as error:
+        raise CannotError(
+            f"the output is encoded as {sys.stdout.encoding}, which has no {text[error.start]!a}; write to a file "
+            "with -o, or set PYTHONIOENCODING=utf-8"
+        ) from None
+    click.echo(text, nl=False)
+
+
+def allow_any_text() -> None:
+    """Let messages through to a terminal that lacks some of their characters, which show as question marks."""
+    for stream in (sys.stdout, sys.stderr):
+        if not _is_unicode(stream) and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+
+def _is_unicode(stream: TextIO) -> bool:
+    return (stream.encoding or "").lower().replace("-", "").startswith("utf")
 
 
 def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:

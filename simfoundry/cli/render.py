@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import choose_camera, json_option, print_json, reporting
+from simfoundry.cli.output import choose_camera, force_option, json_option, print_json, reporting
 
 
 @click.command()
@@ -20,11 +20,13 @@ from simfoundry.cli.output import choose_camera, json_option, print_json, report
     show_default=True,
     help="MuJoCo by EGL or OSMesa, or the ray caster, which needs no driver.",
 )
+@force_option
 @json_option
 @reporting
-def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_json: bool) -> None:
+def command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
     """Render a PNG from a camera, without a display."""
     from simfoundry.assets.cache import Cache
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
@@ -37,6 +39,7 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, as_j
     view = choose_camera(lowered, loaded.spec, camera)
     chosen = choose_engine(engine)
     target = out or Path(f"{lowered.name}-{view.name}.png")
+    ensure_replaceable(target, [scene, *loaded.files()], force)
     save_png(target, render(lowered, view, engine=chosen))
     if as_json:
         print_json({"out": str(target), "camera": view.name, "engine": chosen.value})

@@ -6,16 +6,26 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    force_option,
+    json_option,
+    print_json,
+    progress_bar,
+    reporting,
+)
 
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where to write the settled scene.")
 @click.option("--engine", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@force_option
 @json_option
 @reporting
-def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
+def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
     """Let a scene come to rest, and say what moved.
 
     Without -o nothing is written. The output is written in canonical form, without the comments of the input. Exit code
@@ -24,6 +34,7 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.files import write_atomically
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.scene.poses import with_state
     from simfoundry.spec.load import load_scene
@@ -37,6 +48,8 @@ def command(scene: Path, out: Path | None, engine: str, as_json: bool) -> int:
             "write the settled scene beside the original: its paths to meshes are relative to that folder"
         )
     loaded = load_scene(scene)
+    if out is not None:
+        ensure_replaceable(out, [scene, *loaded.files()], force)
     with progress_bar(as_json) as progress:
         lowered = lower(loaded, Cache.default(), lambda name, done, total: progress(name, 0.5 * done / total))
         with open_world(lowered, engine) as world:

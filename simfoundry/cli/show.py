@@ -25,7 +25,7 @@ def command(scene: Path, as_json: bool) -> None:
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)
     with progress_bar(as_json) as progress:
-        lowered = lower(loaded, Cache.default(), lambda name, done, total: progress(name, done / total))
+        lowered = lower(loaded, Cache.default(), lambda name, done, total: progress(name, done / total), fetch=False)
     facts: dict[str, Any] = summary(lowered, loaded.spec)
     if as_json:
         print_json(facts)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import choose_camera, json_option, print_json, reporting
+from simfoundry.cli.output import choose_camera, force_option, json_option, print_json, reporting
 
 
 @click.command()
@@ -17,12 +17,14 @@ from simfoundry.cli.output import choose_camera, json_option, print_json, report
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the sensor noise.")
 @click.option("--masks", is_flag=True, help="Write instance masks too.")
+@force_option
 @json_option
 @reporting
-def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, as_json: bool) -> None:
+def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, force: bool, as_json: bool) -> None:
     """Render a scene to a capture: colour and depth as a real sensor would see them, with its noise and holes."""
     from simfoundry.assets.cache import Cache
-    from simfoundry.capture.synthesize import synthesize
+    from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
+    from simfoundry.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.scene import SceneSpec
@@ -31,6 +33,8 @@ def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, 
     assert isinstance(loaded.spec, SceneSpec)
     lowered = lower(loaded, Cache.default())
     view = choose_camera(lowered, loaded.spec, camera)
+    for name in CAPTURE_FILES:
+        ensure_replaceable(out / name, [scene, *loaded.files()], force)
     path = synthesize(lowered, view, out, seed, masks, truth=scene)
     if as_json:
         print_json({"capture": str(path), "camera": view.name, "seed": seed})

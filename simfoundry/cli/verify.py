@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.output import (
+    DONE,
+    FINDINGS,
+    CannotError,
+    force_option,
+    json_option,
+    print_json,
+    progress_bar,
+    reporting,
+)
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import Found
@@ -27,6 +36,7 @@ if TYPE_CHECKING:
 @click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
 @click.option("--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True, help="Seconds for a build.")
 @click.option("--html", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with tables and pictures.")
+@force_option
 @click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Engines at a time.")
 @json_option
 @reporting
@@ -39,6 +49,7 @@ def command(
     require: tuple[str, ...],
     timeout: float,
     html: Path | None,
+    force: bool,
     jobs: int,
     as_json: bool,
 ) -> int:
@@ -58,6 +69,10 @@ def command(
         raise CannotError("--build takes one scene: the one that the build was made of")
     if not paths and not behaviours:
         raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
+    if html is not None:
+        from simfoundry.outputs import ensure_replaceable
+
+        ensure_replaceable(html, paths, force)
     wanted = [engine_called(name) for name in dict.fromkeys((*engines, *require))] if engines else list(ENGINES)
     for name in require:
         engine_called(name)

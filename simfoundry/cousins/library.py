@@ -7,6 +7,7 @@ the wall. Both are measured once and kept in the cache.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache, key_of
+from simfoundry.cousins.objects.likeness import Likeness, likeness
+from simfoundry.cousins.objects.stuff import same_kind, sort_of
 from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.model import SceneObject
@@ -24,7 +27,7 @@ from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
 
-VERSION = "library facts 1"
+VERSION = "library facts 2"
 """Changes with what is measured."""
 
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "by": "library"}
@@ -38,7 +41,10 @@ _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", 
 
 @dataclass(frozen=True)
 class Item:
-    """A thing of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounds."""
+    """A thing of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounds.
+
+    ``stated`` says whether its document gives the category; otherwise that is what its file is called.
+    """
 
     name: str
     category: str
@@ -47,6 +53,7 @@ class Item:
     volume: float
     size: tuple[float, float, float]
     digest: str
+    stated: bool = True
 
     @property
     def density(self) -> float:
@@ -181,15 +188,24 @@ def measured(file: Path, cache: Cache) -> Item:
     stored = cache.get(key)
     facts = _read(stored) if stored is not None else None
     if facts is None:
-        facts = measure(lowered(file))
+        facts = {**measure(lowered(file)), "stated": _states_category(loaded, file)}
         cache.put(key, json.dumps(facts).encode())
-    return Item(name_of(file), facts["category"], file, facts["mass"], facts["volume"], tuple(facts["size"]), digest)
+    size, stated = tuple(facts["size"]), facts["stated"]
+    return Item(name_of(file), facts["category"], file, facts["mass"], facts["volume"], size, digest, stated)
+
+
+def _states_category(scene: Loaded, file: Path) -> bool:
+    """Whether the document of a thing gives its category; a mesh never does."""
+    from simfoundry.spec.asset import AssetSpec
+
+    asset = scene.used(file.name)
+    return asset is not None and isinstance(asset.spec, AssetSpec) and asset.spec.category is not None
 
 
 def _read(stored: bytes) -> dict[str, Any] | None:
     try:
         data = json.loads(stored)
-        return data if {"category", "mass", "volume", "size"} <= data.keys() else None
+        return data if {"category", "mass", "volume", "size", "stated"} <= data.keys() else None
     except (ValueError, AttributeError):
         return None
 
@@ -209,8 +225,6 @@ def measure(item: SceneObject) -> dict[str, Any]:
 
 def volume(geometry: Any) -> float:
     """Volume of a primitive or closed mesh [m^3]."""
-    import math
-
     from simfoundry.assets import mass
     from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Sphere
 
@@ -228,6 +242,15 @@ def volume(geometry: Any) -> float:
     raise TypeError(f"no geometry: {geometry!r}")
 
 
+KIND_OF_TWIN = "a category that the twin has not"
+SHAPE_OF_TWIN = "a category, or a shape that the twin has not"
+"""Two of the filters, in the words of messages."""
+
+LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
+"""A thing that nothing names looks like another if its sides differ by at most 1.3 times and its shape by 0.1 (see
+:class:`Apart`): the shipped cup and mug are 0.05 apart in shape, a pot and a bowl 0.08."""
+
+
 # -- filters -----------------------------------------------------------------------------------------------------------
 
 
@@ -239,14 +262,18 @@ class Step:
     taken: tuple[Item, ...]
 
 
-def filtered(library: Library, axis: DistractorAxis, own: Iterable[str] = ()) -> tuple[tuple[Item, ...], list[Step]]:
+def filtered(
+    library: Library, axis: DistractorAxis, own: Iterable[str] = (), twin: Callable[[], Sequence[SceneObject]] = tuple
+) -> tuple[tuple[Item, ...], list[Step]]:
     """The things that an axis allows, and what each of its filters took away.
 
-    Where the axis names no categories, those of the twin's ``own`` things are left out: of a second bowl nobody knew
-    which is meant. Raises :class:`ImpossibleError` where nothing is left.
+    Where the axis names no categories, what an instruction could mean instead of a thing of the twin is left out: of a
+    second bowl nobody knew which is meant. ``own`` are the words that the twin has for its things: categories, names
+    and labels. A thing of the library that states no category is judged by its name, and where that says nothing, by
+    its size and shape beside the things that ``twin`` returns. Raises :class:`ImpossibleError` where nothing is left.
     """
     left, steps = library.items, list[Step]()
-    for asks, passes in _filters(axis, tuple(own)):
+    for asks, passes in _filters(axis, tuple(own), twin):
         taken = tuple(item for item in left if not passes(item))
         left = tuple(item for item in left if passes(item))
         steps.append(Step(asks, taken))
@@ -255,17 +282,67 @@ def filtered(library: Library, axis: DistractorAxis, own: Iterable[str] = ()) ->
     return left, steps
 
 
-def _filters(axis: DistractorAxis, own: tuple[str, ...]) -> Iterator[tuple[str, Callable[[Item], bool]]]:
+def _filters(
+    axis: DistractorAxis, own: tuple[str, ...], twin: Callable[[], Sequence[SceneObject]]
+) -> Iterator[tuple[str, Callable[[Item], bool]]]:
     if axis.categories:
         yield f"category {_listed(axis.categories)}", lambda item: item.category in axis.categories
     elif own:
-        yield "a category that the twin has not", lambda item: item.category not in own
+        yield KIND_OF_TWIN, lambda item: not _is_called(item, own)
+        yield SHAPE_OF_TWIN, lambda item: not _is_nameless(item) or not _resembles(item, twin())
     if axis.without:
-        yield f"not category {_listed(axis.without)}", lambda item: item.category not in axis.without
+        yield f"not category {_listed(axis.without)}", lambda item: not _is_called(item, axis.without)
     for what, unit in (("mass", "kg"), ("volume", "m^3"), ("density", "kg/m^3")):
         between: Between = getattr(axis, what)
         if between.least is not None or between.most is not None:
             yield f"{what} {_range(between)} {unit}", _within(what, between)
+
+
+def _is_called(item: Item, words: Iterable[str]) -> bool:
+    """Whether a thing is of a kind that one of the words names: by its category, or its name where it states none."""
+    names = (item.category,) if item.stated else (item.category, item.name)
+    return any(same_kind(word, name) for word in words for name in names)
+
+
+def _is_nameless(item: Item) -> bool:
+    """Whether neither a category nor a word of its name says what a thing is."""
+    return not item.stated and sort_of(item.name) is None
+
+
+def _resembles(item: Item, things: Sequence[SceneObject]) -> bool:
+    """Whether a thing is about as large as one of the others and has about its shape."""
+    mine = _likeness(item.file)
+    return any(
+        apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
+        for thing in things
+        if not thing.fixed
+        for apart in [mine.apart(likeness(thing))]
+    )
+
+
+@lru_cache(maxsize=1024)
+def _likeness(file: Path) -> Likeness:
+    return likeness(lowered(file))
+
+
+def remarks(library: Library, chosen: Sequence[Item], steps: Sequence[Step]) -> tuple[str, ...]:
+    """What a user should know of the choice: what was left out beside the twin, and what states no category."""
+    found = []
+    for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
+        if step.taken:
+            found.append(f"left out {_few(step.taken)} of {library.title}: distractors need {why}")
+    nameless = [item for item in chosen if not item.stated]
+    if nameless:
+        found.append(
+            f"{_few(nameless)} of {library.title} state no `category` and are judged by name and shape; write one in "
+            "their assets, so that no instruction can mean them by accident"
+        )
+    return tuple(found)
+
+
+def _few(items: Sequence[Item], most: int = 5) -> str:
+    names = ", ".join(f"`{item.name}`" for item in items[:most])
+    return names if len(items) <= most else f"{names} and {len(items) - most} more"
 
 
 def _within(what: str, between: Between) -> Callable[[Item], bool]:

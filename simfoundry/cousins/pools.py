@@ -17,6 +17,7 @@ from simfoundry.contain import FailedError, Limits, Worker
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import MissingEngineError
+from simfoundry.extras import install_line
 
 SILENT_S = 600.0
 """More than a candidate may take, with all that its process has to prepare before the first [s]."""
@@ -147,7 +148,7 @@ class OnRay:
         try:
             import ray as module
         except ModuleNotFoundError:
-            raise MissingEngineError("Ray is not installed: pip install 'simfoundry[ray]'") from None
+            raise MissingEngineError(f"`--on ray` needs ray; install with `{install_line('ray')}`") from None
         ray: Any = module
         self._ray, self._owns = ray, not ray.is_initialized()
         if self._owns:

@@ -13,6 +13,7 @@ import numpy as np
 
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.extras import EXTRAS, install_line
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene
 
@@ -62,11 +63,9 @@ class Reach:
     @cached_property
     def missing(self) -> str:
         """Why nothing can be checked; empty where it can."""
-        try:
-            import daqp  # type: ignore[import-not-found, import-untyped, unused-ignore]  # noqa: F401
-            import mink  # type: ignore[import-not-found, import-untyped, unused-ignore]  # noqa: F401
-        except ImportError:
-            return "inverse kinematics needs mink: `pip install 'simfoundry[expert]'`"
+        missing = EXTRAS["expert"].missing
+        if missing:
+            return f"inverse kinematics needs {', '.join(missing)}; install with `{install_line('expert')}`"
         if not self._names:
             return "no robot acts here"
         if not any(robot.name in self._names for robot in self._scene.robots):

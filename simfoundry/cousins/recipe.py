@@ -9,13 +9,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from simfoundry.cousins.library import Item, default_folder, filtered, read_library, united
+from simfoundry.assets.cache import Cache
+from simfoundry.cousins.library import Item, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
+from simfoundry.files import write_atomically
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import SceneObject
 from simfoundry.spec.cousins import CousinsSpec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.write import to_data
@@ -55,26 +60,41 @@ class Recipe:
         """The document of the twin."""
         return (self.task or self.scene).path
 
-    @cached_property
+    @property
     def distractors(self) -> tuple[Item, ...]:
         """The things that may be put beside the task; raises :class:`ImpossibleError` where there are none."""
-        axis = self.spec.distractors
-        if axis is None:
-            return ()
-        folders = [] if axis.library is None else [located(axis.library, self.loaded.path)]
-        folders += [default_folder()] if axis.shipped else []
-        return filtered(united([read_library(folder) for folder in folders]), axis, self.categories)[0]
+        return self._choice[0]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user should know of the choice of distractors."""
+        return self._choice[1]
 
     @cached_property
-    def categories(self) -> tuple[str, ...]:
-        """What the things of the twin are, sorted."""
+    def _choice(self) -> tuple[tuple[Item, ...], tuple[str, ...]]:
+        axis = self.spec.distractors
+        if axis is None:
+            return (), ()
+        folders = [] if axis.library is None else [located(axis.library, self.loaded.path)]
+        folders += [default_folder()] if axis.shipped else []
+        library = united([read_library(folder) for folder in folders])
+        items, steps = filtered(library, axis, self.kinds, lambda: self._lowered)
+        return items, remarks(library, items, steps)
+
+    @cached_property
+    def _lowered(self) -> tuple[SceneObject, ...]:
+        return lower(self.scene, Cache.default()).objects
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The words for the things of the twin, sorted: their names and labels, and their categories or asset names."""
         from simfoundry.spec.asset import AssetSpec
 
         found = set()
         for name, item in self.scene_spec.objects.items():
             asset = self.scene.used(item.asset) if item.asset is not None else None
             spec = asset.spec if asset is not None and isinstance(asset.spec, AssetSpec) else None
-            found |= {item.category or (spec.category or spec.name if spec is not None else name)}
+            found |= {name, item.category or (spec.category or spec.name if spec is not None else name), *item.labels}
         return tuple(sorted(found))
 
     def about(self) -> dict[str, Any]:
@@ -122,11 +142,20 @@ def read_recipe(path: Path, seed: int | None = None) -> Recipe:
     return Recipe(loaded, scene, task, spec.seed if seed is None else seed)
 
 
-def need_same_project(recipe: Recipe, out: Path) -> None:
-    """Raise :class:`OutputError` unless documents in ``out`` can extend the twin: both lie in one project."""
-    root = recipe.scene.root
-    if project_root(out / "x.scene.yaml") != root or not out.resolve().is_relative_to(root):
+def claim_project(recipe: Recipe, out: Path) -> Path | None:
+    """Mark the project of a recipe and its cousins where no folder is one; the marker that was written, if one was.
+
+    Raises :class:`OutputError` unless documents in ``out`` can extend the twin: both lie in one project.
+    """
+    try:
+        project = common_project(recipe.loaded.path, recipe.scene.path, out / "cousin.scene.yaml")
+    except NoProjectError:
+        root = recipe.scene.root
         raise OutputError(
             f"cousins extend their twin by a relative path, so they must lie in its project, {root}; "
             f"give a folder below it, as -o {root / 'build' / recipe.spec.name}"
-        )
+        ) from None
+    for marker, text in markers(project).items():
+        write_atomically(marker, text.encode())
+        return marker
+    return None

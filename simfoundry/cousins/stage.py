@@ -18,6 +18,7 @@ from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
 from simfoundry.files import writing_atomically
+from simfoundry.outputs import MARK
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
 from simfoundry.spec import base
@@ -29,6 +30,7 @@ SET, TWIN = "cousin", "twin"
 _HEAD = """\
 #usda 1.0
 (
+    "{mark}"
     defaultPrim = "World"
     kilogramsPerUnit = 1
     metersPerUnit = 1
@@ -115,7 +117,7 @@ def _build(whole: Any, path: Path) -> None:
 
 
 def _head(path: Path) -> str:
-    return _HEAD.format(whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
+    return _HEAD.format(mark=MARK, whole=f"./{path.stem}/usd/scene.usda", set=SET, first=TWIN)
 
 
 def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str, Pose]) -> str:

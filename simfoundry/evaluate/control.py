@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import ActionSpace, PolicyError
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.policies.base import ActionSpace, InvalidAnswerError
 from simfoundry.scene.frames import Array
 from simfoundry.worlds.robot import WorldRobot
 
@@ -30,19 +31,39 @@ def action_size(robots: Mapping[str, WorldRobot]) -> int:
 
 
 def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """What a policy answered as actions, shape (horizon, numbers of an action); raises :class:`PolicyError`."""
+    """What a policy answered as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
     size = action_size(robots)
-    wanted = " + ".join(f"{len(r.joints)} joints and the gripper of `{n}`" for n, r in robots.items())
     try:
         array = np.array(actions, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise PolicyError(f"actions must be an array of numbers, got {type(actions).__name__}: {error}") from None
+        raise InvalidAnswerError(
+            f"actions must be an array of numbers, got {type(actions).__name__}: {error}"
+        ) from None
     if array.ndim != 2 or array.shape[1] != size or not len(array):
-        raise PolicyError(f"actions must have shape (horizon, {size}), for {wanted}; got {array.shape}")
+        raise InvalidAnswerError(f"actions must have shape (horizon, {size}), for {_words(robots)}; got {array.shape}")
     if not np.isfinite(array).all():
         row, column = (int(v) for v in np.argwhere(~np.isfinite(array))[0])
-        raise PolicyError(f"actions must be finite; number {column} of action {row} is {array[row, column]}")
+        raise InvalidAnswerError(f"actions must be finite; number {column} of action {row} is {array[row, column]}")
     return array
+
+
+def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
+    """One action, shape (numbers of an action,), finite; raises :class:`SimfoundryError` for anything else."""
+    size = action_size(robots)
+    try:
+        array = np.array(action, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SimfoundryError(f"an action must be numbers, not `{type(action).__name__}`: {error}") from None
+    if array.shape != (size,):
+        raise SimfoundryError(f"an action must have shape ({size},), for {_words(robots)}; got {array.shape}")
+    if not np.isfinite(array).all():
+        k = int(np.argmin(np.isfinite(array)))
+        raise SimfoundryError(f"an action must be finite; number {k} of it is {array[k]}, and nothing was moved")
+    return array
+
+
+def _words(robots: Mapping[str, WorldRobot]) -> str:
+    return " + ".join(f"{len(r.joints)} joints and the gripper of `{n}`" for n, r in robots.items())
 
 
 class Controller:

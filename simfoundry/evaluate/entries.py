@@ -11,6 +11,7 @@ from pathlib import Path
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.choose import Choice, Replay, parse_policy
+from simfoundry.evaluate.policies.python_class import PythonClass
 from simfoundry.evaluate.task import Task, load_task
 
 _LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
@@ -56,6 +57,8 @@ class Contender:
     def digest(self) -> str:
         """Names what was asked for, by the content of its document or recording where it has one."""
         choice = self.choice()
+        if isinstance(choice, PythonClass):
+            return choice.digest
         said = choice.path.read_bytes() if isinstance(choice, Replay) else repr(choice).encode()
         return hashlib.sha256(said).hexdigest()[:16]
 
@@ -69,7 +72,9 @@ def contenders(texts: tuple[str, ...]) -> list[Contender]:
         if any(label == other.label for other in found):
             raise SimfoundryError(f"two policies are called `{label}`; give one a name of its own: `NAME={policy}`")
         one = Contender(label, policy)
-        one.choice()  # a policy that cannot be is said now, and not after an hour
+        choice = one.choice()  # a policy that cannot be is said now, and not after an hour
+        if isinstance(choice, PythonClass):
+            choice.find()
         found.append(one)
     return found
 
@@ -78,6 +83,8 @@ def _label(text: str) -> str:
     word = text
     if text.endswith((".yaml", ".yml")):
         word = Path(text).name.partition(".")[0]
+    elif text.startswith("python:"):
+        word = text.partition("?")[0].rpartition(":")[2]
     elif ":" in text:
         word = text.partition("?")[0]
     return _UNFIT.sub("-", word).strip("-.") or "policy"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import Controller, physics_steps
+from simfoundry.evaluate.control import Controller, checked_action, physics_steps
 from simfoundry.evaluate.judging import Progress, judge_of
 from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
@@ -110,9 +110,9 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), self._info(False)
 
     def step(self, action: Array) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Carry out one action."""
+        """Carry out one action; raises :class:`SimfoundryError` for one of another length, or not finite."""
         now, task = self._now, self._now.task
-        self._controller.apply(np.asarray(action, dtype=np.float64))
+        self._controller.apply(checked_action(action, now.robots))
         now.world.step(physics_steps(self._steps, task.control_hz, now.world.timestep))
         self._steps += 1
         self._trouble = now.world.trouble()

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from simfoundry.evaluate.results import Cell, Rate, cells
+from simfoundry.evaluate.metrics import Rate
+from simfoundry.evaluate.results import Cell, cell_key, cells, titles
 
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:1200px;padding:0 1rem;color:#1d232b;background:#fff}
@@ -33,22 +34,19 @@ def page(records: Sequence[Mapping[str, Any]], title: str = "Evaluation") -> str
         "counts once its goal has held, in whatever order.</p>",
         _summary(found),
     ]
-    for name in dict.fromkeys(cell.title for cell in found):
+    by_cell: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for record in records:
+        by_cell.setdefault(cell_key(record), []).append(record)
+    for name, here in titles(found).items():
         parts.append(f"<h2>{escape(name)}</h2>")
-        parts += [_details(cell, _of(cell, records)) for cell in found if cell.title == name]
+        parts += [_details(cell, by_cell[cell.key]) for cell in here.values()]
     return "\n".join([*parts, "</body></html>\n"])
-
-
-def _of(cell: Cell, records: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    key = (cell.task, cell.part, cell.step, cell.policy)
-    return [r for r in records if (r["task"], r["part"], r["step"], r["policy"]) == key]
 
 
 def _summary(found: Sequence[Cell]) -> str:
     policies = list(dict.fromkeys(cell.policy for cell in found))
     rows = ["<tr><th>task</th>" + "".join(f"<th>{escape(p)}</th>" for p in policies) + "</tr>"]
-    for name in dict.fromkeys(cell.title for cell in found):
-        by_policy = {cell.policy: cell for cell in found if cell.title == name}
+    for name, by_policy in titles(found).items():
         rows.append(
             _row(
                 f"<th>{escape(name)}</th>", [_rate(by_policy[p].success if p in by_policy else None) for p in policies]

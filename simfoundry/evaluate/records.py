@@ -1,7 +1,8 @@
 """Finished rollouts on disk, one file each, so that a run that is stopped goes on where it was.
 
-``rollouts/TASK/POLICY/007.json`` tells what came of a rollout, ``007.npz`` holds its actions (``--policy replay:…``
-takes it), ``007.webm`` its video. A rollout whose policy failed is ``007.failed.json``, and is tried again.
+``rollouts/TASK/POLICY/ENGINE/007.json`` tells what came of a rollout, ``007.npz`` holds its actions (``--policy
+replay:…`` takes it), ``007.webm`` its video. A rollout whose policy did not answer is ``007.missing.json``: it has no
+result and is tried again. One whose policy answered with something invalid has a result: it has failed.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from simfoundry.evaluate.policies.base import ActionSpace
 from simfoundry.evaluate.rollout import End, Rollout
 from simfoundry.files import write_atomically
 
-VERSION = "rollout/1"
+VERSION = "rollout/2"
+_MISSING = ".missing.json"
 MOST_BYTES = 16 * 2**20
 
 
@@ -31,17 +33,18 @@ class Slot:
     folder: Path
     task: str
     policy: str
+    engine: str
     index: int
 
     @property
     def path(self) -> Path:
         """The file that says it is done."""
-        return self.folder / "rollouts" / self.task / self.policy / f"{self.index:03d}.json"
+        return self.folder / "rollouts" / self.task / self.policy / self.engine / f"{self.index:03d}.json"
 
     @property
-    def failed(self) -> Path:
+    def missing(self) -> Path:
         """The file that says why it is not."""
-        return self.path.with_suffix(".failed.json")
+        return self.path.with_suffix(_MISSING)
 
     @property
     def video(self) -> Path:
@@ -55,14 +58,21 @@ class Slot:
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
         """Write a rollout with what else is to be known ``about`` it; the file that says it is done comes last."""
         record = record_of(result, about)
-        if result.end is End.POLICY:
-            write_atomically(self.failed, _text(record))
+        if result.end is End.NO_ANSWER:
+            write_atomically(self.missing, _text(record))
             return record
         stored = io.BytesIO()
         np.savez_compressed(stored, actions=result.actions, action_space=np.array(str(space)))
         write_atomically(self.path.with_suffix(".npz"), stored.getvalue())
         write_atomically(self.path, _text(record))
-        self.failed.unlink(missing_ok=True)
+        self.missing.unlink(missing_ok=True)
+        return record
+
+    def write_missing(self, reason: str, about: Mapping[str, Any]) -> dict[str, Any]:
+        """Write that the policy could not even be opened for this rollout, with what is to be known ``about`` it."""
+        found = {"index": self.index, "success": False, "end": str(End.NO_ANSWER), "reason": reason, "steps": 0}
+        record = {"simfoundry": VERSION, **about, **found, "subtasks": {}}
+        write_atomically(self.missing, _text(record))
         return record
 
 
@@ -84,6 +94,11 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def is_result(record: Mapping[str, Any]) -> bool:
+    """Whether a record tells how well a policy did; where it did not answer, nothing is known of that."""
+    return bool(record["end"] != End.NO_ANSWER)
+
+
 def read_record(path: Path) -> dict[str, Any]:
     """A file that :meth:`Slot.write` wrote; raises :class:`OutputError` for any other."""
     try:
@@ -98,9 +113,16 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Every finished rollout of an evaluation with its file, in the order of the names."""
-    for path in sorted((folder / "rollouts").glob("*/*/*.json")):
-        if not path.name.endswith(".failed.json"):
+    """Every rollout of an evaluation with its file, in the order of the names: the missing ones too, by their ``end``.
+
+    Raises :class:`OutputError` for a file that is none of ours, or that an earlier version laid out differently.
+    """
+    for path in (folder / "rollouts").glob("*/*/*.json"):
+        raise OutputError(
+            f"{path} was written by an earlier version, which kept no folder for each engine; write to another folder"
+        )
+    for path in sorted((folder / "rollouts").glob("*/*/*/*.json")):
+        if not path.name.endswith(_MISSING) or not path.with_name(path.name.replace(_MISSING, ".json")).exists():
             yield path, read_record(path)
 
 

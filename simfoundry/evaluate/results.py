@@ -1,4 +1,8 @@
-"""Records of rollouts as success rates of tasks and of their steps, with intervals: what ``results.json`` holds."""
+"""Records of rollouts as success rates of tasks and of their steps, with intervals: what ``results.json`` holds.
+
+A rollout whose policy answered with something invalid has failed and counts among the rollouts; one whose policy did
+not answer has no result: it counts as missing and in no rate.
+"""
 
 from __future__ import annotations
 
@@ -8,46 +12,33 @@ from dataclasses import dataclass
 from typing import Any
 
 from simfoundry import __version__
-from simfoundry.evaluate.metrics import wilson
+from simfoundry.evaluate.metrics import Rate
+from simfoundry.evaluate.records import is_result
+from simfoundry.evaluate.rollout import End
+from simfoundry.evaluate.strata import comparisons, pools
 
-VERSION = "results/1"
-
-
-@dataclass(frozen=True)
-class Rate:
-    """How often something was done: ``done`` of ``of``."""
-
-    done: int
-    of: int
-
-    @property
-    def share(self) -> float:
-        """The rate in [0, 1]; 0 where nothing was tried."""
-        return self.done / self.of if self.of else 0.0
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the rate."""
-        return wilson(self.done, self.of)
-
-    def __str__(self) -> str:
-        low, high = self.interval
-        return f"{self.done}/{self.of}  {self.share:.0%} ({low:.0%} to {high:.0%})"
+VERSION = "results/2"
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A task with a policy: ``success`` of the whole, ``subtasks`` of each step, and how the rollouts ended."""
+    """A task with a policy in an engine: ``success`` of the whole, ``subtasks`` of each step, how the rollouts ended.
+
+    ``invalid`` of the rollouts failed by an answer that is no action; ``missing`` of those asked for have no result.
+    """
 
     task: str
     part: str
     step: str
+    engine: str
     policy: str
     success: Rate
     subtasks: Mapping[str, Rate]
     ends: Mapping[str, int]
     mean_steps: float | None
     """Control steps of the rollouts that succeeded, None where none did."""
+    invalid: int
+    missing: int
 
     @property
     def title(self) -> str:
@@ -56,15 +47,35 @@ class Cell:
             self.part
         ]
 
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What its records have in common, as :func:`cell_key` gives it."""
+        return self.task, self.part, self.step, self.engine, self.policy
+
+    @property
+    def exceptions(self) -> str:
+        """How many rollouts failed by an invalid answer, and how many are missing; empty where none."""
+        invalid = f"{self.invalid} by an invalid answer" if self.invalid else ""
+        return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
+
+    @property
+    def summary(self) -> str:
+        """The success rate in words, with what did not go as it should."""
+        rate = str(self.success) if self.success.of else "no result"
+        return f"{rate}, {self.exceptions}" if self.exceptions else rate
+
     def to_json(self) -> dict[str, Any]:
         """A row of ``scores``, as `simfoundry correlate` reads it; a step alone is a task of its own there."""
         return {
             "task": f"{self.task}.{self.step}" if self.part == "alone" else self.task,
             **({"from": self.step} if self.part == "onward" else {}),
+            "engine": self.engine,
             "policy": self.policy,
             "successes": self.success.done,
             "rollouts": self.success.of,
-            "rate": round(self.success.share, 6),
+            "invalid": self.invalid,
+            "missing": self.missing,
+            "rate": round(self.success.share, 6) if self.success.of else None,
             "interval": [round(v, 6) for v in self.success.interval],
             "mean_steps": None if self.mean_steps is None else round(self.mean_steps, 2),
             "subtasks": {
@@ -76,34 +87,60 @@ class Cell:
 
 
 def cells(records: Iterable[Mapping[str, Any]]) -> list[Cell]:
-    """The records by task and policy, in their order."""
-    groups: dict[tuple[str, str, str, str], list[Mapping[str, Any]]] = {}
+    """The records by task, engine and policy, in their order."""
+    groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for record in records:
-        key = (record["task"], record["part"], record["step"], record["policy"])
-        groups.setdefault(key, []).append(record)
-    return [_cell(*key, found) for key, found in groups.items()]
+        groups.setdefault(cell_key(record), []).append(record)
+    return [_cell(key, found) for key, found in groups.items()]
 
 
-def _cell(task: str, part: str, step: str, policy: str, found: list[Mapping[str, Any]]) -> Cell:
+def titles(found: Sequence[Cell]) -> dict[str, dict[str, Cell]]:
+    """The cells by title and policy; the title names the engine where there are several."""
+    several = len({cell.engine for cell in found}) > 1
+    named: dict[str, dict[str, Cell]] = {}
+    for cell in found:
+        named.setdefault(f"{cell.title} in {cell.engine}" if several else cell.title, {})[cell.policy] = cell
+    return named
+
+
+def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Task, part, step, engine and policy of a record: what the rollouts of a cell have in common."""
+    return tuple(record[key] for key in ("task", "part", "step", "engine", "policy"))
+
+
+def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> Cell:
+    task, part, step, engine, policy = key
+    found = [r for r in every if is_result(r)]
+    asked = max(r["asked_rollouts"] for r in every)
     steps = [r["steps"] for r in found if r["success"]]
     names = list(dict.fromkeys(name for record in found for name in record["subtasks"]))
     return Cell(
         task=task,
         part=part,
         step=step,
+        engine=engine,
         policy=policy,
         success=Rate(sum(r["success"] for r in found), len(found)),
         subtasks={n: Rate(sum(r["subtasks"].get(n) is not None for r in found), len(found)) for n in names},
         ends=dict(sorted(Counter(r["end"] for r in found).items())),
         mean_steps=sum(steps) / len(steps) if steps else None,
+        invalid=sum(r["end"] == End.INVALID for r in found),
+        missing=max(0, asked - len(found)),
     )
 
 
 def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """All of an evaluation as plain data; the same rollouts give the same bytes."""
+    """All of an evaluation as plain data; the same rollouts give the same bytes.
+
+    ``rollouts`` are those with a result, ``unanswered`` those that were tried and have none.
+    """
+    kept = [{key: value for key, value in r.items() if key not in ("timings", "simfoundry")} for r in records]
     return {
         "simfoundry": VERSION,
         "version": __version__,
         "scores": [cell.to_json() for cell in cells(records)],
-        "rollouts": [{key: value for key, value in r.items() if key not in ("timings", "simfoundry")} for r in records],
+        "pooled": [pool.to_json() for pool in pools(records)],
+        "comparisons": [one.to_json() for one in comparisons(records)],
+        "rollouts": [r for r in kept if is_result(r)],
+        "unanswered": [r for r in kept if not is_result(r)],
     }

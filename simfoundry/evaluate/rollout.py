@@ -15,7 +15,7 @@ import numpy as np
 from simfoundry.evaluate.control import Controller, action_size, checked, physics_steps
 from simfoundry.evaluate.judging import Progress, judge_of
 from simfoundry.evaluate.observe import check_cameras, pictures, readings
-from simfoundry.evaluate.policies.base import Image, ImageSize, Observation, Policy, PolicyError
+from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.predicates import Judge
@@ -37,7 +37,10 @@ class End(StrEnum):
     HORIZON = "horizon"
     FELL = "fell"
     DIVERGED = "diverged"
-    POLICY = "policy error"
+    INVALID = "invalid answer"
+    """The policy answered with an error or with something that is not actions: the rollout has failed."""
+    NO_ANSWER = "no answer"
+    """The policy could not be asked, or the connection was lost: there is no result, and the rollout is missing."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,9 @@ def rollout(
     """Let a policy act from a start in a world of the task's scene.
 
     The actions of an answer are carried out one after another, and then the policy is asked again; pictures are
-    rendered for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A failing policy
-    ends a rollout and is recorded; raises :class:`SimfoundryError` where robots or cameras are missing.
+    rendered for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A policy that
+    answers with something else than actions has failed, one that does not answer leaves no result. Raises
+    :class:`SimfoundryError` where robots or cameras are missing.
     """
     need_robots(task)
     check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
@@ -155,8 +159,10 @@ class _Run:
                 ended = self._carry_out(self._ask()[: self.task.horizon - len(self.actions)])
                 if ended is not None:
                     return ended
+        except InvalidAnswerError as error:
+            return End.INVALID, str(error)
         except PolicyError as error:
-            return End.POLICY, str(error)
+            return End.NO_ANSWER, str(error)
         return End.HORIZON, f"not done after {self.task.horizon} control steps"
 
     def _carry_out(self, actions: Array) -> tuple[End, str] | None:

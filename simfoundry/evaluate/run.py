@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.entries import Contender, Entry, Part
+from simfoundry.evaluate.observe import check_cameras
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.policies.choose import Expert, open_policy
-from simfoundry.evaluate.records import Slot
-from simfoundry.evaluate.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.records import Slot, is_result
+from simfoundry.evaluate.rollout import End, Rollout, Video, rollout
 from simfoundry.evaluate.starts import Start, starts
+from simfoundry.evaluate.strata import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.evaluate.videos import whole_picture
+from simfoundry.extras import need_extra
+from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 GIVE_UP = 3
-"""After so many rollouts in a row that a policy did not answer, the others are not tried with it."""
+"""After so many rollouts in a row that a policy did not answer, the others are not tried with it: a server that is gone
+keeps each of them waiting for its whole `timeout`."""
 
 FRAME_EVERY = 3
 """Control steps from one picture of a video to the next: five a second at 15 Hz."""
@@ -40,11 +48,10 @@ class Plan:
     contenders: tuple[Contender, ...]
     rollouts: int = 25
     seed: int = 0
-    world: str = "mujoco"
+    engines: tuple[str, ...] = ("mujoco",)
     shard: tuple[int, int] = (0, 1)
     cameras: tuple[str, ...] | None = None
     video: bool = True
-    size: ImageSize = field(default=ImageSize(320, 240))
 
 
 @dataclass(frozen=True)
@@ -54,20 +61,25 @@ class Job:
     entry: Entry
     contender: Contender
     index: int
+    engine: str
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job: its record; or, where there is none, why it could not be tried."""
+    """What came of a job."""
 
     job: Job
-    record: dict[str, Any] | None
-    trouble: str = ""
+    record: dict[str, Any]
 
     @property
     def answered(self) -> bool:
-        """Whether the policy answered to the end."""
-        return self.record is not None and self.record["end"] != "policy error"
+        """Whether there is a result: the policy answered, be it with something invalid."""
+        return is_result(self.record)
+
+    @property
+    def trouble(self) -> str:
+        """What the policy did wrong; empty where it answered as policies do."""
+        return str(self.record["reason"]) if self.record["end"] in (End.INVALID, End.NO_ANSWER) else ""
 
 
 Seen = Callable[[Outcome, int, int], None]
@@ -81,14 +93,22 @@ def task_key(entry: Entry, task: Task) -> str:
 
 
 def jobs(plan: Plan) -> list[Job]:
-    """Every rollout of the plan's shard: tasks, then policies, then starts."""
+    """Every rollout of the plan's shard: tasks, then engines, then policies, then starts."""
     first, of = plan.shard
-    every = [Job(e, c, k) for e in plan.entries for c in plan.contenders for k in range(plan.rollouts)]
+    every = [
+        Job(e, c, k, engine)
+        for e in plan.entries
+        for engine in plan.engines
+        for c in plan.contenders
+        for k in range(plan.rollouts)
+    ]
     return every[first::of]
 
 
 def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Load every task and find its starts, so that what is wrong is said before the first rollout."""
+    if any(isinstance(contender.choice(), Expert) for contender in plan.contenders):
+        need_extra("expert", "policy `expert`")
     cache, keys = Cache.default(), set()
     for entry in plan.entries:
         task = entry.load(cache)
@@ -151,42 +171,63 @@ def _carried_out(
 
 def carry_out(plan: Plan, job: Job) -> Outcome:
     """One rollout, written where it belongs."""
-    setting = _setting(job.entry, plan.rollouts, plan.seed, plan.world)
+    setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
+    start, slot = setting.starts[job.index], _slot(plan, job, setting.task)
+    about = {**_conditions(job, setting.task, start), **_about(plan, setting.task, start, job.engine)}
     try:
         policy = _policy(job, setting)
     except PolicyError as error:
-        return Outcome(job, None, str(error))
-    start = setting.starts[job.index]
+        return Outcome(job, slot.write_missing(str(error), about))
     video = _video(plan, setting.task)
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
-    slot = _slot(plan, job, setting.task)
-    about = {
-        **_conditions(plan, job, setting.task, start),
-        "grid": list(setting.task.reset.grid),
-        "cells": {name: list(cell) for name, cell in start.cells.items()},
-    }
     if video is not None and result.frames:
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
         _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
-    return Outcome(job, slot.write(result, about, policy.action_space), result.reason)
+    return Outcome(job, slot.write(result, about, policy.action_space))
+
+
+def _about(plan: Plan, task: Task, start: Start, engine: str) -> dict[str, Any]:
+    """What a reader of a record wants to know besides its conditions."""
+    regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
+    cousin = cousin_of(task)
+    return {
+        "version": __version__,
+        "engine_version": version(engine),
+        "seed": start.seed,
+        "asked_rollouts": plan.rollouts,
+        "instruction": task.instruction,
+        "robots": {name: _model_name(task.scene.robot(name)) for name in task.robots},
+        "control_hz": task.control_hz,
+        "horizon": task.horizon,
+        **({"cousin": cousin} if cousin else {}),
+        "grid": list(task.reset.grid),
+        "regions": regions,
+        "cells": {name: list(cell) for name, cell in start.cells.items()},
+    }
+
+
+def _model_name(robot: Robot) -> str:
+    """What a robot is called where its document knows it, else the file of its model."""
+    return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
 def _is_done(plan: Plan, job: Job) -> bool:
-    setting = _setting(job.entry, plan.rollouts, plan.seed, plan.world)
+    setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
     slot = _slot(plan, job, setting.task)
     record = slot.read()
     if record is None:
         return False
-    for key, value in _conditions(plan, job, setting.task, setting.starts[job.index]).items():
+    for key, value in _conditions(job, setting.task, setting.starts[job.index]).items():
         if record.get(key) != value:
+            what = "policy (its document, recording or code)" if key == "asked" else key
             raise OutputError(
-                f"{slot.path} is of another evaluation: its {key} is {record.get(key)!r}, not {value!r}; "
+                f"{slot.path} is of another evaluation: its {what} is {record.get(key)!r}, not {value!r}; "
                 "write to another folder, or remove that one"
             )
     return True
 
 
-def _conditions(plan: Plan, job: Job, task: Task, start: Start) -> dict[str, Any]:
+def _conditions(job: Job, task: Task, start: Start) -> dict[str, Any]:
     """Under which conditions a rollout takes place; two of the same are the same to the last bit."""
     return {
         "task": task.name,
@@ -194,13 +235,13 @@ def _conditions(plan: Plan, job: Job, task: Task, start: Start) -> dict[str, Any
         "step": job.entry.step,
         "policy": job.contender.label,
         "asked": job.contender.digest,
-        "world": plan.world,
+        "engine": job.engine,
         "start": start.digest,
     }
 
 
 def _slot(plan: Plan, job: Job, task: Task) -> Slot:
-    return Slot(plan.folder, task_key(job.entry, task), job.contender.label, job.index)
+    return Slot(plan.folder, task_key(job.entry, task), job.contender.label, job.engine, job.index)
 
 
 def _video(plan: Plan, task: Task) -> Video | None:
@@ -208,17 +249,17 @@ def _video(plan: Plan, task: Task) -> Video | None:
     names = plan.cameras if plan.cameras is not None else tuple(known[:1])
     if not plan.video or not names:
         return None
-    return Video(dict.fromkeys(names, plan.size), FRAME_EVERY)
+    check_cameras(task.scene, dict.fromkeys(names, ImageSize(1, 1)), "the video")
+    shapes = {c.name: c for c in (*task.scene.cameras, *(mounted.camera for mounted in task.scene.mounted))}
+    return Video({name: whole_picture(shapes[name].width, shapes[name].height) for name in names}, FRAME_EVERY)
 
 
 def _write_video(path: Path, result: Rollout, rate: float) -> None:
-    import numpy as np
-
-    from simfoundry.evaluate.videos import write_video
+    from simfoundry.evaluate.videos import side_by_side, write_video
 
     views = [frames for frames in result.frames.values() if frames]
     if views:
-        write_video(path, [np.concatenate(row, axis=1) for row in zip(*views, strict=True)], rate)
+        write_video(path, [side_by_side(row) for row in zip(*views, strict=True)], rate)
 
 
 @dataclass(frozen=True)
@@ -232,14 +273,14 @@ class _Setting:
 
 
 @lru_cache(maxsize=1)
-def _setting(entry: Entry, rollouts: int, seed: int, world: str) -> _Setting:
+def _setting(entry: Entry, rollouts: int, seed: int, engine: str) -> _Setting:
     """Kept for the next rollout of the same task."""
     from simfoundry.evaluate.judging import judge_of
 
     cache = Cache.default()
     task = entry.load(cache)
     found = starts(task, rollouts, seed, cache)
-    return _Setting(task, found, open_world(task.scene, world), judge_of(task.scene))
+    return _Setting(task, found, open_world(task.scene, engine), judge_of(task.scene))
 
 
 _open: dict[tuple[Entry | None, str], Policy] = {}

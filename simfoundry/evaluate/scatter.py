@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from simfoundry.evaluate.correlate import Agreement, mean_agreement
+from simfoundry.outputs import MARK
 
 SIDE, MARGIN, LEGEND = 440, 56, 210
 COLORS = ("#2f6fde", "#e07b1a", "#2a9d63", "#b23a8f", "#6b7280")
@@ -22,6 +23,7 @@ def scatter(series: Mapping[str, Sequence[Agreement]]) -> str:
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {SIDE + 2 * MARGIN}" '
             f'width="{width}" font-family="system-ui,sans-serif" font-size="13">',
+            f"<!-- {MARK} -->",
             '<rect width="100%" height="100%" fill="#ffffff"/>',
             *_axes(),
             *(

@@ -8,8 +8,27 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.base import Image
+from simfoundry.evaluate.policies.base import Image, ImageSize
+
+HEIGHT, WIDEST = 240, 640
+"""Pixels of a video's height, and of a camera's width at most: 25 rollouts of a page stay below 10 MB, and pictures
+of no more than 640 pixels are drawn quickly."""
+
+
+def whole_picture(width: int, height: int) -> ImageSize:
+    """The size in which a video shows all that a camera of ``width`` x ``height`` pixels sees; even, for VP8."""
+    scale = min(HEIGHT / height, WIDEST / width)
+    return ImageSize(*(max(2, 2 * round(side * scale / 2)) for side in (width, height)))
+
+
+def side_by_side(pictures: Sequence[Image]) -> Image:
+    """The pictures of several cameras in one, black where one is lower than the others."""
+    highest = max(len(picture) for picture in pictures)
+    even = [np.pad(p, ((0, highest - len(p)), (0, 0), (0, 0))) for p in pictures]
+    return np.asarray(np.concatenate(even, axis=1), np.uint8)
 
 
 def write_video(path: Path, frames: Sequence[Image], rate: float) -> None:

@@ -7,19 +7,23 @@ import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.files import replace_folder, write_atomically
+from simfoundry.files import replace_folder, write_atomically, write_file
 from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
+from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.spec.diagnostics import Diagnostic, Severity
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.task import TaskSpec
+
+if TYPE_CHECKING:
+    from simfoundry.scene.model import Scene
 
 SCENE, ASSET = ".scene.yaml", ".asset.yaml"
 VALID = (
@@ -44,6 +48,8 @@ class Options:
     """The scene document that a task is for."""
     bound: Mapping[str, str] = field(default_factory=dict)
     """Objects of that scene by the names that a task of BDDL has for them."""
+    density: float | None = None
+    """Density [kg/m^3] of links that state no mass; None for that of water, which simulators take."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,8 @@ class Report:
     names: tuple[tuple[str, str], ...] = ()
     more: tuple[str, ...] = ()
     error: str = ""
+    assumed_masses: Mapping[str, float] = field(default_factory=dict)
+    """Masses [kg] of links that move and state none, at the density of water, by `object.link`."""
 
     def to_json(self) -> dict[str, Any]:
         """A plain mapping for ``--json``."""
@@ -77,6 +85,7 @@ class Report:
             "notes": [note.to_json() for note in self.notes],
             "renamed": dict(self.names),
             "more": list(self.more),
+            "assumed_masses": dict(self.assumed_masses),
         }
 
 
@@ -109,13 +118,13 @@ def _reader(path: Path) -> Callable[[Path, Options], Draft]:
 def _read_urdf(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.urdf import read_urdf
 
-    return read_urdf(path, options.packages)
+    return read_urdf(path, options.packages, options.density)
 
 
-def _read_usd(path: Path, _options: Options) -> Draft:
+def _read_usd(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.usd import read_usd
 
-    return read_usd(path)
+    return read_usd(path, options.density)
 
 
 def _read_json(path: Path, options: Options) -> Draft:
@@ -123,21 +132,33 @@ def _read_json(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.urdf_folder import is_poses, read_poses
 
     data = read_json(path)
-    return read_poses(path, data, options.packages) if is_poses(data) else read_omnigibson(path, options.packages)
+    if is_poses(data):
+        return read_poses(path, data, options.packages)
+    return read_omnigibson(path, options.packages, options.density)
 
 
 def _read_mjcf(path: Path, options: Options) -> Draft:
     from simfoundry.frontends.mjcf import read_mjcf
 
+    if options.density is not None:
+        hint = "leave out `--density`, and write `<default><geom density=…/></default>` into the file"
+        raise ImportRefusedError(
+            path, "every geom of an MJCF file has a density, MuJoCo's own where none is given", 0, hint
+        )
     return read_mjcf(path, options.packages)
 
 
 def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
     """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with what it needs in NAME_files beside it.
 
-    Raises :class:`ImportRefusedError` for a file that cannot be imported, and :class:`OutputError` where something
-    would be lost. What is written lowers without an error, or nothing is written.
+    Raises :class:`ImportRefusedError` for a file that cannot be imported, whatever goes wrong with it, and
+    :class:`OutputError` where something would be lost. What is written lowers without an error, or nothing is written.
     """
+    with refusing_faults(path):
+        return _import(path, out, options)
+
+
+def _import(path: Path, out: Path, options: Options) -> Report:
     if path.suffix.lower() in (*TASKS, BDDL):
         return _import_task(path, out, options)
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
@@ -155,8 +176,8 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
         draft.changed(
             "its root, which does not move", "objects are fixed where they are used: write `fixed: true` there"
         )
-    built = _write(draft, kind, name, out, folder, path)
-    return _report(path, out, draft, built)
+    built, masses = _write(draft, kind, name, out, folder, path)
+    return _report(path, out, draft, built, masses)
 
 
 def _import_task(path: Path, out: Path, options: Options) -> Report:
@@ -190,7 +211,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     from simfoundry.spec.scene import SceneSpec
 
     loaded = load_kind(scene_file, "scene/1")
-    lowered = lower(loaded, Cache.default())
+    lowered = lower(loaded, Cache.default(), fetch=False)
     if path.suffix.lower() == BDDL:
         from simfoundry.frontends.bddl import read_bddl_task
 
@@ -201,8 +222,10 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     return read_task(path, scene_file, loaded.spec, lowered, out)
 
 
-def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path) -> Built:
-    """Write everything beside its place, check it there, and move it."""
+def _write(
+    draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path
+) -> tuple[Built, Mapping[str, float]]:
+    """Write everything beside its place, check it there, and move it; what was built, and the masses assumed in it."""
     root = project_root(out)
     marked = any((root / mark).exists() for mark in (".git", "simfoundry.yaml"))
     build = build_asset if kind == ASSET else build_scene
@@ -212,7 +235,7 @@ def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: 
         for _ in range(ATTEMPTS):
             made = build(draft, name, staging, root if marked else None)
             _fill(staging, made)
-            found = _check(staging, f"{name}{kind}", root)
+            scene, found = _check(staging, f"{name}{kind}", root)
             if not found or not _without_bad_meshes(draft, made, found, source):
                 break
         if found:
@@ -225,19 +248,31 @@ def _write(draft: Draft, kind: str, name: str, out: Path, folder: Path, source: 
         if (staging / folder.name).exists():
             replace_folder(staging / folder.name, folder)
         write_atomically(out, built.documents[out.name].encode())
-    return built
+    return built, {} if scene is None else _assumed_masses(draft, built, scene)
+
+
+def _assumed_masses(draft: Draft, built: Built, scene: Scene) -> dict[str, float]:
+    """Masses [kg] of links that state none and move, by `object.link`, or by link where there is one object."""
+    out = {}
+    by_name = {item.name: item for item in scene.objects}
+    for body in draft.bodies:
+        item = scene.objects[0] if len(by_name) == 1 else by_name[built.names.get(body.name, body.name)]
+        masses = {link.name: link.mass for link in item.links}
+        for link in body.links.values():
+            name = built.names.get(f"{body.name}/{link.name}", link.name) if len(masses) > 1 else item.links[0].name
+            if link.assumed and link.density is not None and not (body.fixed and link.name == body.root):
+                out[f"{item.name}.{name}" if len(by_name) > 1 else name] = masses[name]
+    return out
 
 
 def _fill(folder: Path, built: Built) -> None:
     texts = {name: text.encode() for name, text in built.documents.items()}
     for name, data in {**texts, **built.files}.items():
-        target = folder / name
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(data)
+        write_file(folder / name, data)
 
 
 def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:
-    """Leave out flat colliders, which nothing can touch, and things seen that are too wide; whether there were any."""
+    """Leave out flat colliders, which nothing can touch, and what cannot be shown; whether there was any."""
     from simfoundry.frontends.masses import make_sound
 
     mended = False
@@ -254,8 +289,9 @@ def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], sou
                 part.use = "visual"
             else:
                 link.parts.remove(part)
-        elif finding.code == "SF303" and part.use == "visual":
-            draft.dropped(what, "no mesh of such a size is shown", finding.message)
+        elif finding.code in ("SF301", "SF303") and part.use == "visual":
+            why = "no mesh of such a size is shown" if finding.code == "SF303" else "its mesh cannot be shown"
+            draft.dropped(what, why, finding.message)
             link.parts.remove(part)
         else:
             continue
@@ -268,8 +304,8 @@ def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], sou
     return mended
 
 
-def _check(folder: Path, document: str, root: Path) -> list[Diagnostic]:
-    """Errors of what was written, found by lowering it."""
+def _check(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[Diagnostic]]:
+    """What was written, lowered, or the errors that were found by trying to."""
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.diagnostics import SpecError
@@ -282,17 +318,16 @@ def _check(folder: Path, document: str, root: Path) -> list[Diagnostic]:
         scene = folder / document
     loaded = load(scene, root)
     try:
-        lower(loaded, Cache.default())
+        return lower(loaded, Cache.default(), fetch=False), []
     except SpecError as error:
-        return [d for d in error.diagnostics if d.severity is Severity.ERROR]
-    return []
+        return None, [d for d in error.diagnostics if d.severity is Severity.ERROR]
 
 
-def _report(path: Path, out: Path, draft: Draft, built: Built) -> Report:
+def _report(path: Path, out: Path, draft: Draft, built: Built, masses: Mapping[str, float]) -> Report:
     links = sum(len(body.links) for body in draft.bodies)
     joints = sum(len(body.joints) for body in draft.bodies)
     meshes = sum(name.lower().endswith((".obj", ".stl", ".glb", ".ply")) for name in built.files)
     return Report(
         str(path), str(out), draft.format, len(draft.bodies), links, joints, len(draft.cameras), len(draft.lights),
-        meshes, tuple(draft.notes), tuple(built.names.items()),
+        meshes, tuple(draft.notes), tuple(built.names.items()), assumed_masses=masses,
     )  # fmt: skip

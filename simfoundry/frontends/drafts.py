@@ -221,6 +221,8 @@ class Draft:
     """Links of different bodies that pass through each other."""
     notes: list[Note] = field(default_factory=list)
     description: str = ""
+    density: float | None = None
+    """Density [kg/m^3] that the user gives to what states no mass; None for what the format takes."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
         """Note what is left out."""

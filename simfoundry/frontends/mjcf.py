@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.found import NotFoundError, Search, refused
-from simfoundry.frontends.masses import ball, make_sound
+from simfoundry.frontends.masses import feather_link, make_sound
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf_geoms import Geoms
 from simfoundry.frontends.mjcf_own import BACKGROUND, TWIN, restore, said
@@ -29,9 +30,6 @@ from simfoundry.scene.frames import Array, Pose
 
 FAR = 1000.0
 """Limit [m] of a slide that has none."""
-
-FEATHER = 1e-6
-"""Mass [kg] of a link that only joins two joints of one body."""
 
 MAX_INCLUDES = 100
 
@@ -80,9 +78,10 @@ def _checked(path: Path, packages: Mapping[str, Path]) -> list[Element]:
 def _check_file(search: Search, path: Path, element: Element, folders: list[Path]) -> None:
     """Refuse a file outside the folders of the model; whether it exists is for MuJoCo to say."""
     reference = element.need("file")
-    for folder in [Path(), *folders]:
+    beside = dict.fromkeys((path.resolve().parent, element.file.resolve().parent))  # MuJoCo looks beside both
+    for here, folder in itertools.product(beside, [Path(), *folders]):
         try:
-            search.find((folder / reference).as_posix(), path.resolve().parent)
+            search.find((folder / reference).as_posix(), here)
             return
         except NotFoundError as error:
             if "outside" in str(error):
@@ -109,12 +108,24 @@ class _Mjcf:
         self.owner: dict[int, tuple[BodyDraft, str, Pose]] = {}
         """By body id: what it belongs to, its link, and the pose of the link's frame in the body's."""
         self.joint_owner: dict[int, tuple[BodyDraft, JointDraft]] = {}
+        self.names = {kind: self.element_names(kind) for kind in ("body", "joint")}
+        self.taken = {kind: set(names) for kind, names in self.names.items()}
+
+    def element_names(self, kind: str) -> list[str]:
+        """A name for each element of a kind, its own or what it is with its number; no two are alike."""
+        m, model = self.mujoco, self.model
+        count = {"body": model.nbody, "joint": model.njnt}[kind]
+        own = [m.mj_id2name(model, getattr(m.mjtObj, f"mjOBJ_{kind.upper()}"), k) or "" for k in range(count)]
+        taken = set(own)
+        return [name or _free_name(f"{kind}_{k}", taken) for k, name in enumerate(own)]
 
     def name(self, kind: str, number: int) -> str:
-        """The name of an element, or what it is with its number."""
-        m = self.mujoco
-        kinds = {"body": m.mjtObj.mjOBJ_BODY, "joint": m.mjtObj.mjOBJ_JOINT, "geom": m.mjtObj.mjOBJ_GEOM}
-        return m.mj_id2name(self.model, kinds[kind], number) or f"{kind}_{number}"
+        """The name of a body or joint, or what it is with its number."""
+        return self.names[kind][number]
+
+    def new_name(self, kind: str, wish: str) -> str:
+        """A name like ``wish`` for a link or joint that the file does not have; nothing else is called so."""
+        return _free_name(wish, self.taken[kind])
 
     def read(self) -> Draft:
         model = self.model
@@ -179,16 +190,30 @@ class _Mjcf:
             self.draft.bodies.append(draft)
             if free:
                 self.free[name] = self.name("joint", joints[0])
+                self.note_free_dynamics(joints[0])
             draft.links[name] = self.new_link(body, name, Pose.of())
             self.owner[body] = (draft, name, Pose.of())
             if int(model.body_mocapid[body]) >= 0:
                 self.draft.changed(f"mocap body `{name}`", "nothing moves it by hand here; it is fixed")
             return
-        base = "base" if name != "base" else "mount"
+        base = self.root_name(body)
         X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
         draft = BodyDraft(unique, base, {base: LinkDraft(base, mass=0.0)}, fixed=True, X_WO=X_WB)
         self.draft.bodies.append(draft)
         self.chain(draft, body, base, Pose.of(), joints)
+
+    def note_free_dynamics(self, joint: int) -> None:
+        """Note what resists a free joint: what is free has no joint here that could say it."""
+        dof, what = int(self.model.jnt_dofadr[joint]), f"free joint `{self.name('joint', joint)}`"
+        for field, word in (("dof_armature", "armature"), ("dof_damping", "damping"), ("dof_frictionloss", "friction")):
+            value = float(np.ravel(getattr(self.model, field)[dof])[0])
+            if value:
+                self.draft.dropped(f"{word} of {what}", "what is free moves without one", f"{value:.4g}")
+
+    def root_name(self, body: int) -> str:
+        """A name for the link that carries a body of the world: no body below it is called so."""
+        below = {self.name("body", b) for b in range(1, self.model.nbody) if self.model.body_rootid[b] == body}
+        return next((wish for wish in ("base", "mount") if wish not in below), "") or self.new_name("body", "base")
 
     def link(self, body: int) -> None:
         """A child of another body."""
@@ -202,23 +227,22 @@ class _Mjcf:
         model, name = self.model, self.name("body", body)
         if not joints:
             draft.links[name] = self.new_link(body, name, Pose.of())
-            draft.joints.append(JointDraft(f"{name}_mount", "fixed", parent, name, X_PB))
+            draft.joints.append(JointDraft(self.new_name("joint", f"{name}_mount"), "fixed", parent, name, X_PB))
             self.owner[body] = (draft, name, Pose.of())
             return
         anchor = np.zeros(3)
         for k, joint in enumerate(joints):
             X_PL = X_PB @ Pose.of(model.jnt_pos[joint] - anchor)
             last = k == len(joints) - 1
-            link = name if last else f"{name}_{k + 1}_of_{len(joints)}"
+            link = name if last else self.new_name("body", f"{name}_{k + 1}_of_{len(joints)}")
             made = self.joint(joint, parent, link, X_PL)
             draft.joints.append(made)
             self.joint_owner[joint] = (draft, made)
             anchor, parent, X_PB = model.jnt_pos[joint], link, Pose.of()
             if not last:
-                feather = LinkDraft(link, mass=FEATHER, com=np.zeros(3), inertia=ball(FEATHER), assumed="import")
-                draft.links[link] = feather
-                why = f"a body has one joint here; {FEATHER * 1e6:g} mg between two joints of one body"
-                self.draft.assumed(f"link `{link}`", why)
+                draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
+                why = "a body has one joint here; a link of almost no mass joins two joints of one body"
+                self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         X_BL = Pose.of(model.jnt_pos[joints[-1]])
         draft.links[name] = self.new_link(body, name, X_BL)
         self.owner[body] = (draft, name, X_BL)
@@ -277,6 +301,14 @@ class _Mjcf:
             axes = (X_LB @ Pose.of(q=model.body_iquat[body])).rotation
             link.inertia = _symmetric(axes @ np.diag(model.body_inertia[body]) @ axes.T)
         return link
+
+
+def _free_name(wish: str, taken: set[str]) -> str:
+    """A wish, with a number behind it where the name is taken; it is taken from then on."""
+    numbered = (f"{wish}_{k}" for k in itertools.count(2))
+    name = wish if wish not in taken else next(n for n in numbered if n not in taken)
+    taken.add(name)
+    return name
 
 
 def _symmetric(inertia: Array) -> Array:

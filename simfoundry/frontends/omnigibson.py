@@ -30,9 +30,12 @@ ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM":
 LEVELS = 5
 
 
-def read_omnigibson(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
-    """The scene of a JSON file of the release; raises :class:`ImportRefusedError`."""
-    return _Scene(path, packages or {}).read()
+def read_omnigibson(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> Draft:
+    """The scene of a JSON file of the release; raises :class:`ImportRefusedError`.
+
+    ``density`` [kg/m^3] is for links that state no mass.
+    """
+    return _Scene(path, packages or {}, density).read()
 
 
 def read_json(path: Path) -> Any:
@@ -53,10 +56,10 @@ def read_json(path: Path) -> Any:
 class _Scene:
     """One scene file while it is read."""
 
-    def __init__(self, path: Path, packages: Mapping[str, Path]) -> None:
+    def __init__(self, path: Path, packages: Mapping[str, Path], density: float | None) -> None:
         self.path, self.packages = path, packages
         self.data = read_json(path)
-        self.draft = Draft(path.stem, "OmniGibson")
+        self.draft = Draft(path.stem, "OmniGibson", density=density)
         self.infos = self.at(self.data, "objects_info", "init_info")
         self.states = self.at(self.data, "state", "registry", "object_registry")
         self.listed = self.object_list()
@@ -121,7 +124,7 @@ class _Scene:
         """An object from its URDF, with the friction and pose that stand elsewhere."""
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
-        draft = read_urdf(self.urdf(name, category, model, args), self.packages)
+        draft = read_urdf(self.urdf(name, category, model, args), self.packages, self.draft.density)
         body = draft.bodies[0]
         self.draft.notes += draft.notes
         generic = name.startswith("iter_") and name[5:].isdigit()

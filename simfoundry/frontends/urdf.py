@@ -24,6 +24,7 @@ from simfoundry.frontends.drafts import (
 from simfoundry.frontends.found import NotFoundError, Search, refused
 from simfoundry.frontends.masses import make_sound
 from simfoundry.frontends.meshes import mesh_draft, width
+from simfoundry.frontends.obj_groups import group_drafts
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
@@ -40,20 +41,24 @@ _READ_IN_LINK = ("inertial", "visual", "collision", "contact")
 _READ_IN_CONTACT = ("lateral_friction", "restitution", "spinning_friction", "rolling_friction", "inertia_scaling")
 
 
-def read_urdf(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
-    """The one body of a URDF; raises :class:`ImportRefusedError` with the line where it cannot be read."""
-    return _Urdf(path, packages or {}).read()
+def read_urdf(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> Draft:
+    """The one body of a URDF, ``density`` [kg/m^3] for links that state no mass.
+
+    Raises :class:`ImportRefusedError` with the line where it cannot be read.
+    """
+    return _Urdf(path, packages or {}, density).read()
 
 
 class _Urdf:
     """One file while it is read."""
 
-    def __init__(self, path: Path, packages: Mapping[str, Path]) -> None:
+    def __init__(self, path: Path, packages: Mapping[str, Path], density: float | None) -> None:
         self.path, self.search = path, Search(path, packages)
         self.root = read_xml(path, "robot")
-        self.draft = Draft(self.root.get("name") or path.stem, "URDF")
+        self.draft = Draft(self.root.get("name") or path.stem, "URDF", density=density)
         self.left: Counter[str] = Counter()
         self.meshes: dict[tuple[Path, tuple[float, float, float]], MeshDraft] = {}
+        self.pieces: dict[tuple[Path, tuple[float, float, float]], list[tuple[str, MeshDraft]]] = {}
         self.widths: dict[int, float] = {}
         self.colors: dict[str, Element] = {}
         for material in self.root.walk():
@@ -145,6 +150,10 @@ class _Urdf:
         if shape is None:
             raise element.refused(f"a `<{element.tag}>` of link `{link}` has no geometry")
         X_LG = _origin(element)
+        pieces = self.hulls(shape, link) if use == "collision" and shape.tag == "mesh" else []
+        if pieces:
+            yield from (PartDraft(element.get("name") or name, mesh, use, X_LG) for name, mesh in pieces)
+            return
         made = self.geometry(shape, use, link)
         if made is None:
             return
@@ -187,17 +196,35 @@ class _Urdf:
         self.draft.dropped(f"{use} `{shape.tag}` of `{link}`", "it has no size")
         return None
 
-    def mesh(self, shape: Element) -> MeshDraft:
+    def hulls(self, shape: Element, link: str) -> list[tuple[str, MeshDraft]]:
+        """The groups of an OBJ, by name, each of which touches as a hull of its own; none where it has but one."""
+        key = (self.file(shape), self.scale(shape))
+        if key not in self.pieces:
+            try:
+                self.pieces[key] = group_drafts(*key)
+            except MeshError as error:
+                raise shape.refused(str(error), error.hint) from None
+        pieces = self.pieces[key]
+        if pieces:
+            why = "each group of its OBJ touches as a convex hull, as in PyBullet; MuJoCo takes one hull of all"
+            self.draft.changed(f"collision mesh of `{link}`", why, f"{len(pieces)} groups of {key[0].name}")
+        return pieces
+
+    def file(self, shape: Element) -> Path:
+        """The file of a mesh."""
         reference = shape.need("filename")
-        scale = self.scale(shape)
         try:
-            file = self.search.find(reference)
-            if (file, scale) not in self.meshes:
-                self.meshes[file, scale] = mesh_draft(file, scale, self.search)
+            return self.search.find(reference)
         except NotFoundError as error:
             raise refused(self.path, shape.line, reference, error) from None
-        except MeshError as error:
-            raise shape.refused(str(error), error.hint) from None
+
+    def mesh(self, shape: Element) -> MeshDraft:
+        file, scale = self.file(shape), self.scale(shape)
+        if (file, scale) not in self.meshes:
+            try:
+                self.meshes[file, scale] = mesh_draft(file, scale, self.search)
+            except MeshError as error:
+                raise shape.refused(str(error), error.hint) from None
         return self.meshes[file, scale]
 
     def too_wide(self, mesh: MeshDraft) -> bool:

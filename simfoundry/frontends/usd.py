@@ -37,8 +37,8 @@ _EXPECTED = {
 }
 
 
-def read_usd(path: Path) -> Draft:
-    """The scene of a USD file; raises :class:`ImportRefusedError`."""
+def read_usd(path: Path, density: float | None = None) -> Draft:
+    """The scene of a USD file, ``density`` [kg/m^3] for what states no mass; raises :class:`ImportRefusedError`."""
     from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
     pxr = SimpleNamespace(
@@ -52,7 +52,7 @@ def read_usd(path: Path) -> Draft:
         reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
         raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
     _check_layers(path, stage)
-    draft = _Usd(path, pxr, stage).read()
+    draft = _Usd(path, pxr, stage, density).read()
     quiet.TakeUncoalescedDiagnostics()
     return draft
 
@@ -69,13 +69,13 @@ def _check_layers(path: Path, stage: Any) -> None:
 class _Usd:
     """A stage on its way into a draft."""
 
-    def __init__(self, path: Path, pxr: Any, stage: Any) -> None:
+    def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
         self.path, self.pxr, self.stage = path, pxr, stage
         usd, physics = pxr.UsdGeom, pxr.UsdPhysics
         self.to_m = float(usd.GetStageMetersPerUnit(stage)) or 1.0
         self.to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
         default = stage.GetDefaultPrim()
-        self.draft = Draft(default.GetName() if default else path.stem, "USD")
+        self.draft = Draft(default.GetName() if default else path.stem, "USD", density=density)
         self.W = np.eye(4)
         self.W[:3, :3] *= self.to_m
         if usd.GetStageUpAxis(stage) == "Y":

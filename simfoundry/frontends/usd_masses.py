@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.drafts import Draft, LinkDraft
+from simfoundry.frontends.masses import USUAL_DENSITY, take_density
 from simfoundry.frontends.usd_geoms import Geoms
 from simfoundry.scene.frames import IDENTITY, Array, Pose
-
-DENSITY = 1000.0
-"""Density [kg/m^3] that UsdPhysics takes where none is given."""
 
 
 @dataclass
@@ -57,8 +55,7 @@ def weigh(pxr: Any, draft: Draft, body: Body, colliders: list[Any], geoms: Geoms
     if known is not None:
         link.density = known
     elif any(part.use != "visual" for part in link.parts):
-        link.density, link.assumed = DENSITY, "import"
-        draft.assumed(f"mass of `{link.name}`", f"none is given; {DENSITY:g} kg/m^3, as UsdPhysics takes it")
+        take_density(draft, link, f"{USUAL_DENSITY:g} kg/m^3, as UsdPhysics takes it")
     else:
         link.mass, link.com, link.assumed = 1.0, np.zeros(3), "import"
         draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")

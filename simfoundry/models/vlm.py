@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import BaseModel
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.extras import install_line
 
 if TYPE_CHECKING:
     from pydantic_ai.models import Model
@@ -122,7 +123,7 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         from pydantic_ai.exceptions import UserError
         from pydantic_ai.models import infer_model
     except ImportError:
-        raise VlmError("models that see need pydantic-ai; `pip install 'simfoundry[vlm]'`") from None
+        raise VlmError(f"models that see need pydantic-ai; install with `{install_line('vlm')}`") from None
     if not isinstance(model, str):
         return model
     try:
@@ -136,7 +137,7 @@ def _model(model: str | Model, base_url: str | None) -> Model:
         key = os.environ.get("OPENAI_API_KEY") or "none"  # a server of one's own seldom asks for one
         return OpenAIChatModel(model.removeprefix("openai:"), provider=OpenAIProvider(base_url=base_url, api_key=key))
     except ImportError as error:
-        raise VlmError(f"`{model}` needs the package `{error.name}`; `pip install 'simfoundry[vlm]'`") from None
+        raise VlmError(f"`{model}` needs the package `{error.name}`; install with `{install_line('vlm')}`") from None
     except (UserError, ValueError) as error:
         raise VlmError(f"`{model}` cannot be used: {_short(error)}") from None
 

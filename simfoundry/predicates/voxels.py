@@ -28,6 +28,10 @@ WALLED = 10
 SMALLEST = 8
 """A cavity of fewer cells is none."""
 
+OPEN_SIDES = 0.45
+"""Share of its level boundary by which a cavity may be open. A cabinet without a front is open by 0.35; the loop of a
+mug's handle, between the wall and the grip, by 0.52; a strip along an outer wall by half."""
+
 Mask = NDArray[np.bool_]
 
 
@@ -158,8 +162,30 @@ def _hollow(outside: NDArray[np.float32], cell: float, axis: int, sign: int) -> 
     for dx, dy in WAYS:
         for way in ((dx, dy), (-dx, -dy)):
             around += _met(standing, *way)
-    found = (turned > 0) & floored & (around >= WALLED)
+    found = _enclosed((turned > 0) & floored & (around >= WALLED), wall)
     return np.moveaxis(found[:, :, ::sign], 2, axis)
+
+
+def _enclosed(found: Mask, wall: Mask) -> Mask:
+    """The cells of connected hollows whose sides are closed enough (:data:`OPEN_SIDES`), up to the true walls.
+
+    ``wall`` is thickened: what it covers of ``found`` belongs to the hollow that it touches, and to none outside.
+    """
+    from scipy.ndimage import binary_dilation, label
+
+    room = found & ~wall
+    labels, count = label(room)
+    boundary, free = np.zeros(count + 1), np.zeros(count + 1)
+    for axis in (0, 1):
+        for step in (1, -1):  # nothing wraps around: the grid has a margin of free cells
+            beside = np.roll(labels, step, axis) != labels
+            boundary += np.bincount(labels[room & beside], minlength=count + 1)
+            open_side = beside & ~np.roll(wall, step, axis)
+            free += np.bincount(labels[room & open_side], minlength=count + 1)
+    closed = free < OPEN_SIDES * boundary
+    closed[0] = False  # label 0 is what is no room
+    reached = binary_dilation(closed[labels], iterations=2)  # the thickened wall is at most two cells
+    return np.asarray(found & reached)
 
 
 def _met(wall: Mask, dx: int, dy: int) -> Mask:

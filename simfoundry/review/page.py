@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from simfoundry.outputs import MARK
 from simfoundry.review.compare import Comparison, Side
 from simfoundry.review.style import STYLE
 from simfoundry.spec.diagnostics import SpecError
@@ -42,6 +43,7 @@ def page(comparisons: Sequence[Comparison]) -> str:
 <html lang="en">
 <head>
 <meta charset="utf-8">
+<meta name="generator" content="{MARK}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <title>{escape(title)}</title>
@@ -146,7 +148,7 @@ def _lowered(side: Side | None) -> Scene | str:
     if not isinstance(side.spec, SceneSpec):
         return "This is not a scene."
     try:
-        return lower(side.loaded, Cache.default())
+        return lower(side.loaded, Cache.default(), fetch=False)
     except SpecError as error:
         first = error.diagnostics[0]
         count = len(error.diagnostics)

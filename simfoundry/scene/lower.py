@@ -56,11 +56,11 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 
 
-def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
+def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
     """Lower a checked scene document; raises :class:`SpecError` with every finding.
 
     ``cache`` keeps convex decompositions between runs; ``progress`` is called with a name, how many objects are done,
-    and how many there are.
+    and how many there are. Without ``fetch`` no robot's model is downloaded: one that is not here is left out.
     """
     if loaded.errors:
         raise SpecError(loaded.errors)
@@ -74,7 +74,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         lowering.done += 1
     if lowering.findings:
         raise SpecError(lowering.findings)
-    robots, no_models = _robots(loaded, spec)
+    robots, no_models = _robots(loaded, spec, fetch)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
     mounted, lost = _carried(mounted, {o.name: o for o in lowered}, {r.name for r in robots})
@@ -142,17 +142,17 @@ def _placed(loaded: Loaded, spec: SceneSpec, objects: list[SceneObject]) -> tupl
     return tuple(solved.values())
 
 
-def _robots(loaded: Loaded, spec: SceneSpec) -> tuple[tuple[Robot, ...], list[LeftOut]]:
+def _robots(loaded: Loaded, spec: SceneSpec, fetch: bool) -> tuple[tuple[Robot, ...], list[LeftOut]]:
     """The robots whose models are there, and what is left out with those that are not."""
     if not spec.robots:
         return (), []
-    from simfoundry.scene.robot_files import NoModelError
+    from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
 
     found, lost = [], []
     for name, item in spec.robots.items():
         try:
-            found.append(lower_robot(name, item, loaded.path))
+            found.append(lower_robot(name, item, loaded.path, fetch))
         except NoModelError as error:
             lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
@@ -355,6 +355,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
+        closed=spec.closed,
     )
 
 
@@ -405,8 +406,8 @@ class _At:
         return True
 
 
-def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None) -> Scene:
-    """Load, check and lower the scene document at ``path``; raises :class:`SpecError`."""
+def lower_file(path: Path, cache: Cache | None = None, progress: Progress | None = None, fetch: bool = True) -> Scene:
+    """Load, check and lower the scene document at ``path``, as :func:`lower` does; raises :class:`SpecError`."""
     from simfoundry.spec.load import load_scene
 
-    return lower(load_scene(path), cache, progress)
+    return lower(load_scene(path), cache, progress, fetch)

@@ -3,66 +3,39 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-from simfoundry.spec.files import FileError, located
+from simfoundry.scene.robot_packages import NoModelError, described_model, menagerie_model
+from simfoundry.spec.files import FileError, located, packaged_model
 
-_DESCRIPTION = re.compile(r"robot_descriptions:([a-z0-9_]+)(?:/(.+))?\Z")
-_ATTRIBUTE = {".urdf": "URDF_PATH", ".xml": "MJCF_PATH"}
 _TEXTURES = re.compile(r"^\s*(?:map_\w+|bump|disp|norm)\s+(?:-\S+\s+\S+\s+)*(\S.*?)\s*$", re.MULTILINE)
 _MATERIALS = re.compile(r"^mtllib\s+(\S.*?)\s*$", re.MULTILINE)
 _IMAGES = re.compile(r"<init_from>\s*([^<]+?)\s*</init_from>")
 
 
-class NoModelError(Exception):
-    """A model that is not there; the message is a clause that says what is missing and what to do about it."""
+def find_model(reference: str, document: Path, suffix: str, fetch: bool = True) -> Path:
+    """The file that ``reference`` means in ``document``: a path, ``pkg:package/path``, ``menagerie:robot/path`` or
+    ``robot_descriptions:name``.
 
-
-def find_model(reference: str, document: Path, suffix: str) -> Path:
-    """The file that ``reference`` means in ``document``: a path, ``pkg:package/path``, ``robot_descriptions:name``.
-
-    ``suffix`` (``.xml``, ``.urdf``) says which of a description's files is meant. The package `robot_descriptions`
-    fetches a description when it is first used. Raises :class:`NoModelError`.
+    ``suffix`` (``.xml``, ``.urdf``) says which of a description's files is meant. The last two come from packages that
+    fetch a robot when it is first used; without ``fetch`` nothing is. Raises :class:`NoModelError`.
     """
-    described = _DESCRIPTION.match(reference)
-    if described is not None:
-        return _description(described[1], described[2], suffix)
+    packaged = packaged_model(reference)
+    if packaged is not None:
+        package, name, path = packaged
+        if package == "menagerie":
+            return menagerie_model(name, path, fetch)
+        return described_model(name, path, suffix, fetch)
     try:
         target = located(reference, document)
     except FileError as error:
-        raise NoModelError(f"{error}; {error.hint}") from None
+        raise NoModelError(f"{error}; {error.hint}", is_known=False) from None
     if not target.is_file():
         raise NoModelError(f"there is no file `{reference}`")
     return target
-
-
-def _description(name: str, path: str | None, suffix: str) -> Path:
-    try:
-        importlib.import_module("robot_descriptions")
-    except ImportError:
-        raise NoModelError("install its models with `pip install robot_descriptions`") from None
-    try:
-        module = importlib.import_module(f"robot_descriptions.{name}")
-    except ModuleNotFoundError:
-        raise NoModelError(f"`robot_descriptions` has no `{name}`; update it") from None
-    except Exception as error:  # whatever git says of a network that is not there
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise NoModelError(f"`robot_descriptions` could not fetch `{name}`: {reason}") from None
-    if path is not None:
-        target = Path(module.PACKAGE_PATH, path).resolve()
-        if not target.is_relative_to(Path(module.PACKAGE_PATH).resolve()):
-            raise NoModelError(f"`{path}` leaves the description `{name}`")
-    elif (found := getattr(module, _ATTRIBUTE.get(suffix, "USD_PATH"), None)) is not None:
-        target = Path(found)
-    else:
-        raise NoModelError(f"`robot_descriptions:{name}` has no {suffix.lstrip('.')} file")
-    if not target.is_file():
-        raise NoModelError(f"`robot_descriptions:{name}` has no file {target.name}")
-    return target.resolve()
 
 
 def digest(files: list[Path]) -> str:

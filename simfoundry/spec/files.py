@@ -14,7 +14,7 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy")
 MAX_PATH = 512
 
 _PACKAGE = re.compile(r"pkg:([A-Za-z_][A-Za-z0-9_]*)/(.+)\Z", re.DOTALL)
-_DESCRIPTION = re.compile(r"robot_descriptions:[a-z0-9_]+(/[A-Za-z0-9_./-]+)?\Z")
+_ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9_./-]+))?\Z")
 
 
 class FileError(Exception):
@@ -30,9 +30,13 @@ def is_document(reference: str) -> bool:
     return reference.lower().endswith(ASSET_SUFFIX)
 
 
-def is_description(reference: str) -> bool:
-    """Whether a robot's model is one of the package robot_descriptions, which fetches it when it is first used."""
-    return _DESCRIPTION.match(reference) is not None
+def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
+    """Package, robot and path of a robot's model that a package fetches when it is first used; None for another file.
+
+    The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
+    """
+    found = _ROBOT.match(reference)
+    return None if found is None else (found[1], found[2], found[3])
 
 
 def located(reference: str, document: Path) -> Path:
@@ -76,7 +80,9 @@ def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, .
 
 def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
     if Path(reference).is_absolute() or not target.is_relative_to(root):
-        hint = f"files must lie below the project, {root}; copy it there and give a relative path"
+        hint = (
+            f"files must lie below the project, {root}; copy it there and give a relative path{_or_mark(target, root)}"
+        )
         raise FileError("SF204", f"`{reference}` leaves the project", hint)
     if suffixes and not reference.lower().endswith(suffixes):
         raise FileError("SF203", f"`{reference}` is not a file of the right kind", f"valid: {', '.join(suffixes)}")
@@ -88,6 +94,16 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
     near = [p.name for p in folder.iterdir() if p.name.lower().endswith(suffixes or "")]
     hint = nearest(target.name, near) or f"there is none in the folder `{folder.name}`"
     raise FileError("SF203", f"there is no {'file' if suffixes else 'folder'} `{reference}`", hint)
+
+
+def _or_mark(target: Path, root: Path) -> str:
+    """The other way out for a document that belongs to no project yet: one that holds the file, too."""
+    from simfoundry.spec.project import Project
+
+    common = Path(os.path.commonpath([target.parent, root]))
+    if Project(root).is_marked or not target.is_file() or common == Path(common.anchor):
+        return ""
+    return f", or put an empty `simfoundry.yaml` into {common}"
 
 
 def shown(reference: str, document: Path) -> Path:

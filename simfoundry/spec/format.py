@@ -11,7 +11,7 @@ from simfoundry.spec.base import Model
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.kinds import model_of
 from simfoundry.spec.load import kind_of
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.text import Document, YamlError, parse, read
 from simfoundry.spec.tree import KIND, Tree, read_tree
 from simfoundry.spec.write import write_tree
@@ -59,15 +59,18 @@ def format_file(path: Path) -> Formatted:
     return Formatted(document.text, _formatted(document, model, schema_line(path, document)))
 
 
-def schema_line(path: Path, document: Document) -> str | None:
-    """The path of a schema that the first line of a document should name; None where it may stay as it is."""
+def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
+    """The path of a schema that the first line of a document should name; None where it may stay as it is.
+
+    It is looked for up to ``root``, by default that of the document's project.
+    """
     tree = Tree(None, tuple(_top_comments(document.text)))
     named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
     folder = path.resolve().parent
     if named is not None and ("://" in named or (folder / named).is_file()):
         return None
     kind = str(document.data[KIND]).partition("/")[0]
-    root = project_root(path)
+    root = project_root(path) if root is None else root
     for above in (folder, *folder.parents):
         for schemas in (above / "schemas", above / ".simfoundry" / "schemas"):
             if (schemas / f"{kind}.schema.json").is_file():

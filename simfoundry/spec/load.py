@@ -9,8 +9,9 @@ from simfoundry.spec.check import check
 from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.kinds import KINDS, model_of
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.loaders import LOADERS
+from simfoundry.spec.project import project_root
 from simfoundry.spec.text import Document, YamlError, parse, read
 from simfoundry.spec.validate import sound_part, validate
 

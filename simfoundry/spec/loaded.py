@@ -38,6 +38,10 @@ class Loaded:
         """Findings of this document and of those that it uses."""
         return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
+    def files(self) -> list[Path]:
+        """The documents that this one was read from: itself, its bases, and those that it uses with theirs."""
+        return [self.path, *self.bases, *(file for used in self.uses.values() for file in used.files())]
+
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
         """An error at a place of this document."""
         if self.document is None:
@@ -55,12 +59,3 @@ class Loaded:
     def shown(self, reference: str) -> Path:
         """The same file by the path that a person would write, relative where this document's own is."""
         return shown(reference, self.path)
-
-
-def project_root(path: Path) -> Path:
-    """The folder below which a document's files must lie: the nearest with a ``.git`` or ``simfoundry.yaml``."""
-    folder = path.resolve().parent
-    for candidate in (folder, *folder.parents):
-        if (candidate / ".git").exists() or (candidate / "simfoundry.yaml").exists():
-            return candidate
-    return folder

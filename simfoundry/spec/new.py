@@ -15,7 +15,8 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.format import format_text, schema_line
 from simfoundry.spec.kinds import KINDS
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.project import NoProjectError, common_project, markers
 from simfoundry.spec.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.text import parse
@@ -34,11 +35,12 @@ class NewError(Exception):
 
 @dataclass(frozen=True)
 class New:
-    """A file to write, and the schemas to write beside it where the project has none."""
+    """A file to write, and what its project gets with it where it lacks them: schemas for editors, and its marker."""
 
     path: Path
     text: str
     schemas: dict[Path, str]
+    marker: dict[Path, str]
 
 
 def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
@@ -68,25 +70,31 @@ def _file(kind: str) -> str:
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
     """A starting file; raises :class:`NewError` where there can be none, :class:`SpecError` where a source is wrong."""
+    try:
+        project = common_project(path, *(named for named in (source, extends) if named is not None))
+    except NoProjectError as error:
+        raise NewError(str(error)) from None
     values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
     if extends is not None:
-        template, more = "overlay", _overlay(kind, path, extends)
-    elif kind in ("task", "cousins"):
-        template, more = kind, _task(path, source) if kind == "task" else _cousins(path, source)
+        template, more = "overlay", _overlay(kind, path, extends, project.root)
+    elif kind == "task":
+        template, more = kind, _task(path, source, project.root)
+    elif kind == "cousins":
+        template, more = kind, _cousins(path, source, project.root)
     else:
         if source is not None:
             raise NewError(f"`--from` is for tasks and recipes; a {kind} that changes another is made with `--extends`")
         template, more = kind, {}
     text = (files("simfoundry.spec") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
     text = format_text(Template(text).substitute(values | more), str(path))
-    line, schemas = schema_line(path, parse(text)), dict[Path, str]()
+    line, schemas = schema_line(path, parse(text), project.root), dict[Path, str]()
     if line is None:
         from simfoundry.spec.schema import schemas as texts
 
-        folder = project_root(path) / ".simfoundry" / "schemas"
+        folder = project.root / ".simfoundry" / "schemas"
         schemas = {folder / file: content for file, content in texts().items()}
         line = _relative(folder / f"{kind}.schema.json", path)
-    return New(path, format_text(text, str(path), line), schemas)
+    return New(path, format_text(text, str(path), line), schemas, markers(project))
 
 
 def _name(path: Path, name: str | None) -> str:
@@ -118,7 +126,7 @@ def _comment(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _source(path: Path, source: Path | None, suffixes: tuple[str, ...]) -> Loaded:
+def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
     """The document that another is made from: the one that was named, or the only one beside it."""
     if source is None:
         folder = path.parent
@@ -127,7 +135,7 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...]) -> Loade
             found = "there are several" if beside else "there is none"
             raise NewError(f"say with --from which scene it is about; {found} in {folder.resolve().name}/")
         source = beside[0]
-    loaded = load(source)
+    loaded = load(source, root)
     if loaded.errors:
         raise SpecError(loaded.errors)
     return loaded
@@ -153,9 +161,9 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
     return free
 
 
-def _task(path: Path, source: Path | None) -> dict[str, str]:
+def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     """Put the first thing that carries nothing and does not roll on another such; where there is none, lift it."""
-    loaded = _source(path, source, (".scene.yaml",))
+    loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
     rolling = [name for name, item in free.items() if isinstance(item.shape, SphereShape)]
@@ -198,9 +206,9 @@ def _region(x: float, y: float) -> str:
     return f"{{x: [{', '.join(ends[0])}], y: [{', '.join(ends[1])}], yaw_deg: [-180, 180]}}"
 
 
-def _cousins(path: Path, source: Path | None) -> dict[str, str]:
+def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
     """Move the first thing that can move around another, or around what is fixed."""
-    loaded = _source(path, source, (".scene.yaml", ".task.yaml"))
+    loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
     if not anchors:
@@ -208,9 +216,9 @@ def _cousins(path: Path, source: Path | None) -> dict[str, str]:
     return {**_named(loaded.path, path), "thing": thing, "anchor": anchors[0]}
 
 
-def _overlay(kind: str, path: Path, base: Path) -> dict[str, str]:
+def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
     """A change of the first thing that can move: it is turned."""
-    loaded = load(base)
+    loaded = load(base, root)
     if loaded.errors:
         raise SpecError(loaded.errors)
     if getattr(loaded.spec, "simfoundry", None) != f"{kind}/1":

@@ -33,6 +33,9 @@ def _home(*positions: float, **more: float) -> MappingProxyType[str, float]:
 
 ROBOTS = MappingProxyType(
     {
+        # Ours, of simple solids. Reach is measured (tests/robots/test_demo_arm.py): the pads with the gripper down, a
+        # centimetre above the ground that it stands on; home has the gripper over a table, 0.38 m in front.
+        "demo_arm": KnownRobot(0.82, 0.09, ("base", "hand"), _home(0.0, 0.0, 0.0, 2.0, 0.0, 1.141593, 0.0)),
         # Datasheets of the Panda (0.855 m) and of the 2F-85 (85 mm); home is the posture in which DROID starts.
         "franka_robotiq": KnownRobot(
             0.855, 0.085, ("base", "hand"), _home(0.0, -0.628319, 0.0, -2.513274, 0.0, 1.884956, 0.0)
@@ -48,16 +51,25 @@ ROBOTS = MappingProxyType(
 
 
 class RobotFiles(Model):
-    """A robot of your own: its model in each format that there is one for; targets take their native one."""
+    """A robot of your own: its model in each format that there is one for; targets take their native one.
 
-    mjcf: FileName | None = Field(None, description="MJCF: a path, `pkg:package/path` or `robot_descriptions:name`.")
+    Rollouts ask for its hand and, where it has one, its gripper, which no model names: those stand in a robot ``file``.
+    """
+
+    file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
+    mjcf: FileName | None = Field(
+        None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
+    )
     urdf: FileName | None = Field(None, description="URDF, named in the same ways.")
     usd: FileName | None = Field(None, description="USD, named in the same ways.")
 
     @model_validator(mode="after")
     def _any(self) -> Self:
-        if self.mjcf is None and self.urdf is None and self.usd is None:
-            raise PydanticCustomError("sf107", "one of `mjcf`, `urdf`, `usd` is needed", {})
+        bare = [key for key in ("mjcf", "urdf", "usd") if getattr(self, key) is not None]
+        if self.file is not None and bare:
+            raise PydanticCustomError("sf107", f"`file` names all models: remove `{bare[0]}`, or `file`", {})
+        if self.file is None and not bare:
+            raise PydanticCustomError("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed", {})
         return self
 
 

@@ -29,6 +29,10 @@ CHOICES = {
         "It is only seen.",
         "It touches and weighs, and is not seen.",
     ),
+    ("lower", "upper"): (
+        "It is closed at its lower limit.",
+        "It is closed at its upper limit.",
+    ),
     ("fixed", "revolute", "prismatic", "continuous", "ball", "free"): (
         "It does not move.",
         "It turns about `axis` within `limits_deg`, as a door.",
@@ -223,7 +227,7 @@ FIRST: dict[str, Body] = {
     "reset": {"objects": {"${1:cup}": "{x: [${2:0.35}, ${3:0.55}], y: [${4:-0.2}, ${5:0.2}]}"}},
     "restitution": "${1:0.1}",
     "right_of": "${1:name}",
-    "robots": {"${1:arm}": "{model: ${2:franka_robotiq}}"},
+    "robots": {"${1:arm}": "{model: ${2:demo_arm}}"},
     "TaskSpec.robots": "[${1:arm}]",
     "TaskSpec.scene": "${1:desk.scene.yaml}",
     "scene": "{anchor: ${1:plate}, objects: {${2:cup}: [${3:LeftOf}, ${4:RightOf}]}}",
@@ -263,7 +267,7 @@ Without one, an editor offers what the value itself offers: predicates for a goa
 
 MEMBERS: dict[str, Body] = {
     "Material": "{density: ${1:700}, friction: ${2:0.5}}",
-    "RobotSpec": "{model: ${1:franka_robotiq}, pose: {xyz: [${2:0}, ${3:0}, ${4:0}]}}",
+    "RobotSpec": "{model: ${1:demo_arm}, pose: {xyz: [${2:0}, ${3:0}, ${4:0}]}}",
     "LightSpec": "{type: ${1:dome}}",
     "Part": "{shape: {box: [${1:0.1}, ${2:0.1}, ${3:0.1}]}}",
     "ResetRegion": "{x: [${1:0.35}, ${2:0.55}], y: [${3:-0.2}, ${4:0.2}]}",

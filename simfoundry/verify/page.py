@@ -6,6 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from simfoundry.outputs import MARK
 from simfoundry.verify.behaviours import Behaviour
 from simfoundry.verify.engines import Found
 from simfoundry.verify.rest import Rested
@@ -53,6 +54,7 @@ def page(
     """The whole page; ``pictures`` are PNGs by the name of the subject."""
     parts = [
         "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>",
+        f"<meta name='generator' content='{MARK}'>",
         "<meta name='viewport' content='width=device-width,initial-scale=1'>",
         f"<title>simfoundry verify</title><style>{_STYLE}</style></head><body>",
         "<h1>What each simulator holds, and how it behaves</h1>",

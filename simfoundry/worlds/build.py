@@ -12,8 +12,9 @@ from pathlib import Path
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import InvalidSceneError
-from simfoundry.errors import OutputError, SimfoundryError
+from simfoundry.errors import SimfoundryError
 from simfoundry.files import replace_folder, scratch, strangers, write_files
+from simfoundry.outputs import ensure_folder_replaceable
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target
@@ -51,8 +52,8 @@ def build(
     A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled, and written beside
     its place, before the first folder is replaced; each is replaced in one step. ``record`` goes to ``out/build.json``,
     last of all, with the hashes of the manifests. Raises :class:`OutputError` where a folder holds files that no build
-    wrote, unless ``force``; and, when the others are written, without a record, :class:`TargetsError` where a target
-    fails. The folder of one that fails stays as it was.
+    wrote, or that were edited since, unless ``force``; and, when the others are written, without a record,
+    :class:`TargetsError` where a target fails. The folder of one that fails stays as it was.
     """
     found = [find_target(name) for name in dict.fromkeys(targets)]
     artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
@@ -131,14 +132,18 @@ def _json(data: object) -> bytes:
 
 
 def _ensure_ours(folder: Path) -> None:
-    """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name."""
+    """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name, or edits."""
     if not folder.is_dir():
         return
     try:
-        written = list(json.loads((folder / MANIFEST).read_bytes())["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        written = []
-    foreign = strangers(folder, [*written, *([MANIFEST] if written else [])])
-    if foreign:
-        names = ", ".join(foreign[:3])
-        raise OutputError(f"{folder} holds files that no build wrote ({names}); choose another folder, or say --force")
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        written = {str(path): str(digest) for path, digest in manifest["files"].items()}
+        entry = folder / str(manifest["entry"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        written, entry = {}, folder
+    keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if _is_stage(entry) else ""
+    ensure_folder_replaceable(folder, written, MANIFEST, keeps)
+
+
+def _is_stage(entry: Path) -> bool:
+    return entry.suffix in (".usd", ".usda", ".usdc")

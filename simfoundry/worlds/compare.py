@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.files import write_atomically
+from simfoundry.outputs import MARK
+
 Image = NDArray[np.uint8]
 """An sRGB picture, uint8, shape (h, w, 3)."""
 
@@ -63,16 +66,17 @@ def label_color(label: int) -> tuple[int, int, int]:
 def png_bytes(image: Image) -> bytes:
     """The picture as a PNG; the same picture gives the same bytes."""
     from PIL import Image as Pillow
+    from PIL.PngImagePlugin import PngInfo
 
-    buffer = io.BytesIO()
-    Pillow.fromarray(image).save(buffer, format="PNG", compress_level=9)
+    buffer, info = io.BytesIO(), PngInfo()
+    info.add_text("Software", MARK)
+    Pillow.fromarray(image).save(buffer, format="PNG", compress_level=9, pnginfo=info)
     return buffer.getvalue()
 
 
 def save_png(path: Path, image: Image) -> None:
     """Write :func:`png_bytes` to ``path``; its folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(png_bytes(image))
+    write_atomically(path, png_bytes(image))
 
 
 def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
-from simfoundry.scene.robot_files import NoModelError, companions
+from simfoundry.scene.robot_files import companions
+from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.scene.robots import OWN_MODELS, lower_robot
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.files import is_document

@@ -40,7 +40,7 @@ class MujocoWorld:
         try:
             import mujoco
         except ImportError as error:
-            raise MissingEngineError("MuJoCo is not installed; install it with `pip install mujoco`") from error
+            raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
         files = compile_mjcf(scene).files
@@ -54,7 +54,7 @@ class MujocoWorld:
         initial = SceneState.initial(scene)
         self._qpos = {name: int(self.model.joint(name).qposadr[0]) for name in (*initial.joints, *initial.motions)}
         self._free = {tree.name: self._free_qpos(tree) for tree in parts if not tree.fixed}
-        self._renderer: MujocoRenderer | None = None
+        self._renderers: dict[bool, MujocoRenderer] = {}
         self._moving = [_Moving(self.model, item) for item in scene.objects if item.joints or not item.fixed]
         self._arms = {robot.name: mjcf_rows(robot) for robot in scene.robots}
         self._arm_qpos = {
@@ -160,20 +160,31 @@ class MujocoWorld:
     def render(self, camera: str, width: int, height: int) -> Image:
         """What a camera of the scene sees now: sRGB, uint8, shape (height, width, 3)."""
         view = camera_of(self, camera, width, height)
-        quick = max(width, height) <= SMALL
-        if self._renderer is None or not self._renderer.holds(width, height, quick):
-            self._close_renderer()
-            self._renderer = MujocoRenderer(self.model, width, height, quick=quick)
+        renderer = self._renderer(width, height, quick=max(width, height) <= SMALL)
         # After a step, what is drawn would be where it was before it.
         self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_comPos(self.model, self.data)
         self._mujoco.mj_camlight(self.model, self.data)
-        return self._renderer.picture(self.data, view)
+        return renderer.picture(self.data, view)
 
-    def _close_renderer(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
-        self._renderer = None
+    def _renderer(self, width: int, height: int, quick: bool) -> MujocoRenderer:
+        """A renderer for small pictures and one for others; each grows to hold whatever sizes were asked for.
+
+        Making one uploads every mesh and texture, which takes as long as tens of pictures: a new one must hold what the
+        one before it held, or two sizes would evict each other at every picture.
+        """
+        known = self._renderers.get(quick)
+        if known is not None and known.holds(width, height):
+            return known
+        if known is not None:
+            width, height = max(width, known.size[0]), max(height, known.size[1])
+            self._renderers.pop(quick).close()
+        self._renderers[quick] = MujocoRenderer(self.model, width, height, quick=quick)
+        return self._renderers[quick]
+
+    def _close_renderers(self) -> None:
+        while self._renderers:
+            self._renderers.popitem()[1].close()
 
     def trouble(self) -> str:
         """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
@@ -272,7 +283,7 @@ class MujocoWorld:
 
     def close(self) -> None:
         """Let go of the GL driver; MuJoCo frees its own memory with the object."""
-        self._close_renderer()
+        self._close_renderers()
 
     def __enter__(self) -> Self:
         """Return itself."""

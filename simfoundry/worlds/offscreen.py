@@ -68,9 +68,14 @@ class MujocoRenderer:
         self._option.geomgroup[:] = 0
         self._option.geomgroup[VISUAL_GROUP] = 1
 
-    def holds(self, width: int, height: int, quick: bool) -> bool:
-        """Whether a picture of this size can be drawn, ``quick`` or not."""
-        return width <= self._size[0] and height <= self._size[1] and quick == (self._fine > 1)
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the largest picture that it draws [px]."""
+        return self._size
+
+    def holds(self, width: int, height: int) -> bool:
+        """Whether a picture of this size can be drawn."""
+        return width <= self._size[0] and height <= self._size[1]
 
     def picture(self, data: mujoco.MjData, camera: Camera) -> Image:
         """What ``camera`` sees: sRGB, uint8, shape (h, w, 3)."""

@@ -281,7 +281,7 @@ def _import_pybullet() -> ModuleType:
     try:
         import pybullet
     except ImportError as error:
-        raise MissingEngineError(f"PyBullet is not installed; {PYBULLET_REMEDY}") from error
+        raise MissingEngineError(f"PyBullet is not installed; install with {PYBULLET_REMEDY}") from error
     module: ModuleType = pybullet
     return module
 

@@ -167,7 +167,7 @@ def test_an_edit_of_earlier_output_is_not_replaced(tmp_path: Path, earlier: Path
     folder = write(tmp_path / "capture")
     (earlier / "desk.scene.yaml").write_text("simfoundry: scene/1\nname: my_desk\n")
     done = run("capture", folder, "-o", earlier, "--json")
-    assert done.code == 2 and "edits of yours (desk.scene.yaml)" in done.json["error"]
+    assert done.code == 2 and "edited since they were generated (desk.scene.yaml)" in done.json["error"]
 
 
 @pytest.mark.parametrize("inside", ["", "deeper"])

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.errors import SimfoundryError
@@ -123,7 +123,6 @@ def test_annotations_count_from_the_checkout(tree: Path, monkeypatch: pytest.Mon
 ANY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=20)
 
 
-@settings(derandomize=True, deadline=None)
 @given(message=ANY, hint=ANY, file=ANY.filter(lambda t: "/" not in t and t not in (".", "..")), line=st.integers(0, 9))
 def test_no_text_breaks_out_of_an_annotation(message: str, hint: str, file: str, line: int) -> None:
     finding = Diagnostic("SF101", Severity.ERROR, message, file, line, line, "", hint)
@@ -285,7 +284,6 @@ def test_a_finding_of_a_whole_file_has_no_line(tree: Path) -> None:
     assert "region" not in region["physicalLocation"] and "logicalLocations" not in region
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
 @given(st.randoms(use_true_random=False))
 def test_findings_come_in_one_order_however_they_were_found(random: Any) -> None:
     alike = [Diagnostic("SF101", Severity.ERROR, "no", "a.yaml", 1, 1, path, hint) for path in "pqr" for hint in "xyz"]

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cli.main import COMMANDS
+from simfoundry.extras import EXTRAS
+from simfoundry.spec.robot import ROBOTS
 from tests.cli.command import MAIN, Done, python, run, without
 
 SCENE = """\
@@ -265,7 +267,26 @@ def test_doctor_names_what_is_missing() -> None:
     facts = parts(done)
     assert facts["shapely"]["version"] == "" and facts["shapely"]["remedy"] == "pip install shapely"
     assert facts["pybullet"]["version"] == "" and facts["trimesh"]["version"]
+    assert str(facts["pybullet"]["remedy"]).startswith("pip install 'simfoundry[pybullet]'")
     assert "MISSING shapely" in python(without("shapely"), "doctor").out
+
+
+def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each() -> None:
+    env = {"SIMFOUNDRY_IMAGES_URL": "http://127.0.0.1:1", "SIMFOUNDRY_ROBOTS": "/nowhere"}
+    done = python(without("mink", "mujoco_menagerie", "robot_descriptions"), "doctor", "--json", **env)
+    assert done.code == 0 and done.err == ""
+    facts, sections = parts(done), list(dict.fromkeys(p["section"] for p in json.loads(done.out)["parts"]))
+    assert sections == ["packages", "extras", "robots", "renderers", "models"]
+    assert {name for name, part in facts.items() if part["section"] == "extras"} == set(EXTRAS)
+    assert {name for name, part in facts.items() if part["section"] == "robots"} == set(ROBOTS)
+    assert facts["expert"]["version"] == ""
+    assert facts["expert"]["remedy"] == "pip install 'simfoundry[expert]' (missing: mink)"
+    assert "SIMFOUNDRY_ROBOTS names /nowhere, and there is no such folder" in str(facts["yam"]["remedy"])
+    assert facts["raycast"]["version"] and facts["images"]["version"] and not facts["meshes"]["version"]
+    assert all(part["version"] or part["remedy"] for part in facts.values())
+    without_folder = python(without("mujoco_menagerie", "robot_descriptions"), "doctor", SIMFOUNDRY_ROBOTS="").out
+    assert "-> install its models with `pip install 'simfoundry[robots]'`" in without_folder
+    assert "ok      demo_arm               mjcf" in without_folder
 
 
 def test_doctor_does_without_pybullet() -> None:
@@ -276,6 +297,7 @@ def test_a_missing_package_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.scene.yaml").write_text(SCENE.replace("cylinder: {radius: 0.04, height: 0.1}", PRISM))
     done = python(without("mapbox_earcut", "shapely"), "show", tmp_path / "a.scene.yaml")
     assert done.code == 2 and "Traceback" not in done.err and "simfoundry doctor" in done.err
+    assert "is not installed; install with `pip install " in done.err
 
 
 PRISM = "prism: {outline: [[0, 0], [0.1, 0], [0.05, 0.02], [0, 0.1]], height: 0.05}"

@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 from simfoundry.review.page import COLORS
+from simfoundry.review.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
 
@@ -187,6 +188,32 @@ def test_what_a_revision_refers_to_comes_from_that_revision(repository: Reposito
     ]
     (repository.folder / "parts/cabinet.asset.yaml").unlink()
     assert "cup moved 3.0 cm (+x 3.0)" in run("diff", "moved.scene.yaml").out
+
+
+def test_numbers_of_a_mesh_are_no_files(repository: Repository) -> None:
+    """A mesh has more numbers than a document may refer to files; what comes behind them is found all the same."""
+    corners = [f"v {k / 1e6:.6f} {k % 7 / 7:.6f} {k % 11 / 11:.6f}" for k in range(4500)]
+    repository.write("meshes/a b.obj", "\n".join(["mtllib  skin of b.mtl", *corners, "f 1 3 2", ""]))
+    repository.write("meshes/skin of b.mtl", "newmtl skin\nKd 0.123456 0.2 0.3\nmap_Kd -s 1 1 1 ../skins/b.png\n")
+    repository.write("skins/b.png", "no picture")
+    repository.write("z.asset.yaml", CABINET.replace("shape: {box: [0.08, 0.08, 0.05]}", 'mesh: "meshes/a b.obj"'))
+    objects = '  cup_a: {asset: "meshes/a b.obj", mass: 0.1}\n  last: {asset: z.asset.yaml}\ncameras:'
+    repository.write("table.scene.yaml", BASE.replace("cameras:", objects))
+    repository.commit("meshes")
+    with files_of(repository.folder, "HEAD") as read:
+        export(read, "table.scene.yaml", repository.folder / "out")
+    found = {p.relative_to(repository.folder / "out").as_posix() for p in (repository.folder / "out").rglob("*.*")}
+    meshes = {"meshes/a b.obj", "meshes/skin of b.mtl", "skins/b.png"}
+    assert found == {"table.scene.yaml", "z.asset.yaml", "parts/cabinet.asset.yaml", *meshes}
+    assert _lines(run("diff", "HEAD", "table.scene.yaml")) == ["no difference"]
+
+
+def test_more_files_than_anybody_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simfoundry.review.revisions.MAX_FILES", 3)
+    files = {"a.scene.yaml": b"[a.obj, b.obj, a.obj]", "b.scene.yaml": b"[a.obj, b.obj, c.obj]"}
+    assert export(lambda name: files.get(name, b""), "a.scene.yaml", tmp_path) is not None
+    with pytest.raises(GitError, match=r"b\.scene\.yaml refers to more than 3 files"):
+        export(lambda name: files.get(name, b""), "b.scene.yaml", tmp_path)
 
 
 def test_the_unit_of_a_joint_comes_from_its_asset(repository: Repository) -> None:

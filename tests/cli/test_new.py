@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower_file
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.format import format_file
 from simfoundry.spec.kinds import KINDS
@@ -17,6 +20,7 @@ from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.schema import schemas
 from simfoundry.spec.task import TaskSpec
 from simfoundry.worlds import open_world
+from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 from tests.cli.command import run
 
@@ -226,6 +230,32 @@ def test_an_asset_calls_its_joint_as_what_it_moves() -> None:
     asset = load(made("a.asset.yaml")).spec
     assert isinstance(asset, AssetSpec)
     assert {name: joint.child for name, joint in asset.joints.items()} == {"drawer": "drawer"}
+
+
+@pytest.mark.parametrize("push", [(0.0, 1.0), (0.0, -1.0), (-1.0, 0.0)], ids=["left", "right", "back"])
+def test_what_lies_in_the_drawer_of_a_new_asset_stays_in_it(push: tuple[float, float], project: Path) -> None:
+    """A ball that is pushed against a side of the drawer while that is pulled open in MuJoCo, and afterwards."""
+    made("asset", "cabinet.asset.yaml")
+    (project / "room.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: room\nmaterials: {rubber: {density: 900}}\nobjects:\n"
+        "  cabinet: {fixed: true, asset: cabinet.asset.yaml}\n"
+        "  ball: {shape: {sphere: 0.02}, material: rubber, pose: {xyz: [0.01, 0, 0.061]}}\n"
+    )
+    scene = lower_file(project / "room.scene.yaml")
+    judge = Judge(scene)
+    with MujocoWorld(scene) as world:
+        slide, ball = world.model.joint("cabinet.drawer"), world.model.body("ball")
+        for _ in range(round(1.5 / world.timestep)):
+            world.data.qfrc_applied[slide.dofadr[0]] = 3.0  # N: open within half a second, then held at the end
+            world.data.xfrc_applied[ball.id, :2] = 0.15 * np.array(push)  # N, half of what the ball weighs
+            world.step()
+        world.data.xfrc_applied[ball.id] = 0.0
+        world.step(round(0.5 / world.timestep))
+        state = world.state()
+    assert judge("Open(cabinet.drawer)", state).value
+    inside = judge("Inside(ball, cabinet.drawer)", SceneState.of(state.poses, state.joints))
+    assert inside.value, inside.why
+    assert state.poses["ball"].p[2] > 0.04
 
 
 def test_a_source_with_errors_is_shown(project: Path) -> None:

@@ -40,6 +40,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Scene, Path]:
     return scene, folder
 
 
+@pytest.mark.slow
 def test_one_capture_meets_every_bar(shared_data: Path, tmp_path: Path) -> None:
     pytest.importorskip("pybullet", reason="PyBullet is not installed")
     capture = next(c for c in real_captures(shared_data) if c.name == FAST)

@@ -8,13 +8,26 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.library import Item, Library, default_folder, filtered, name_of, names, read_library, united
+from simfoundry.cousins.library import (
+    Item,
+    Library,
+    default_folder,
+    filtered,
+    lowered,
+    name_of,
+    names,
+    read_library,
+    remarks,
+    united,
+)
 from simfoundry.cousins.reasons import ImpossibleError
+from simfoundry.cousins.recipe import read_recipe
 from simfoundry.cousins.stock import copied, references
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.cousins import DistractorAxis
 from simfoundry.spec.load import load
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from tests.assets.meshes import obj
 from tests.conftest import REPOSITORY
 
@@ -154,3 +167,39 @@ def test_the_shipped_library_is_whole() -> None:
     assert default_folder() == REPOSITORY / "specs" / "assets"
     assert all(isinstance(i, Item) and 0.005 < i.mass < 20 and 50 < i.density < 9000 for i in library.items)
     assert isinstance(library, Library)
+
+
+def test_nothing_is_added_that_an_instruction_could_mean(tmp_path: Path) -> None:
+    """A second cup is one by its category, by its name, or, where neither says anything, by its size and shape."""
+    shipped = REPOSITORY / "specs" / "assets"
+    plain = (shipped / "cup.asset.yaml").read_text().replace("category: cup\n", "")
+    for name in ("green_cup", "gadget"):
+        (tmp_path / f"{name}.asset.yaml").write_text(plain.replace("name: cup", f"name: {name}"))
+    ball = (shipped / "tennis_ball.asset.yaml").read_text().replace("category: tennis_ball\n", "")
+    (tmp_path / "widget.asset.yaml").write_text(ball.replace("name: tennis_ball", "name: widget"))
+    tumbler = plain.replace("name: cup", "name: mine\ncategory: tumbler").replace("950", "990")
+    (tmp_path / "mine.asset.yaml").write_text(tumbler)
+    library = read_library(tmp_path)
+    things = (lowered(shipped / "blue_cup.asset.yaml"),)
+    left, steps = filtered(library, DistractorAxis(), ["cup", "blue_cup"], lambda: things)
+    assert [item.name for item in left] == ["widget"]
+    assert [[item.name for item in step.taken] for step in steps] == [["green_cup", "mine"], ["gadget"]]
+    said = remarks(library, left, steps)
+    assert said[0].startswith("left out `green_cup`, `mine` of ") and "a category that the twin has not" in said[0]
+    assert said[1].startswith("left out `gadget` of ") and "a shape that the twin has not" in said[1]
+    assert said[2].startswith("`widget` of ") and "state no `category`" in said[2]
+    without = filtered(library, DistractorAxis(without=("cup",)))[0]
+    assert [item.name for item in without] == ["gadget", "widget"]
+
+
+def test_a_task_that_says_the_cup_gets_no_second_one() -> None:
+    recipe = read_recipe(REPOSITORY / "specs" / "cousins" / "cup_in_bowl.cousins.yaml")
+    names = {item.name for item in recipe.distractors}
+    assert names and not names & {"cup", "blue_cup", "orange_cup", "bowl"}
+    assert all(item.stated for item in recipe.distractors) and len(recipe.remarks) == 1
+
+
+@pytest.mark.parametrize("path", sorted((REPOSITORY / "specs" / "assets").glob("*.asset.yaml")), ids=lambda p: p.name)
+def test_every_shipped_asset_states_its_category(path: Path) -> None:
+    spec = load(path).spec
+    assert isinstance(spec, AssetSpec) and spec.category is not None

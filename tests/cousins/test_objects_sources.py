@@ -19,7 +19,8 @@ from simfoundry.cousins.objects.item import Item, item_of_mesh, lowered
 from simfoundry.cousins.objects.likeness import likeness
 from simfoundry.cousins.objects.meshes import deformed
 from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Variations, Verdict, prompt
-from simfoundry.cousins.objects.retrieval import Library, Retrieval, same_kind
+from simfoundry.cousins.objects.retrieval import Library, Retrieval
+from simfoundry.cousins.objects.stuff import same_kind
 from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.reasons import Reason
 from simfoundry.models.web import ModelError

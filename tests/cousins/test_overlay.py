@@ -14,7 +14,7 @@ import pytest
 from simfoundry.cousins import library
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.overlay import dependents, relative
-from simfoundry.cousins.recipe import need_same_project, read_recipe
+from simfoundry.cousins.recipe import claim_project, read_recipe
 from simfoundry.cousins.tasks.choices import TaskCousin
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -160,7 +160,7 @@ def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None
 def test_a_place_from_which_the_twin_cannot_be_reached(project: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     recipe = read_recipe(project / "scenes.cousins.yaml")
     with pytest.raises(OutputError, match="must lie in its project"):
-        need_same_project(recipe, tmp_path_factory.mktemp("elsewhere"))
+        claim_project(recipe, tmp_path_factory.mktemp("elsewhere"))
     assert relative(project / "table.scene.yaml", project / "a" / "b") == "../../table.scene.yaml"
 
 

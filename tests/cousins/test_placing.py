@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -52,7 +52,6 @@ def rectangle(x: float, y: float, a: float, b: float, turn: float) -> shapely.Po
 
 
 @given(sizes, sizes, turns, sizes, sizes, turns, st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-@settings(max_examples=300, deadline=None)
 def test_rectangles_meet_as_polygons_do(
     a: float, b: float, s: float, c: float, d: float, t: float, x: float, y: float
 ) -> None:
@@ -68,7 +67,6 @@ def test_rectangles_meet_as_polygons_do(
 
 
 @given(sizes, sizes, sizes, turns)
-@settings(max_examples=50, deadline=None)
 def test_the_outline_of_a_box_is_its_rectangle(a: float, b: float, c: float, yaw: float) -> None:
     turned = SceneObject("b", "", False, Pose.of(q=quat_from_rpy(0, 0, yaw)), box(a, b, c).links)
     outline = Outline.of(hulls(turned))

@@ -6,6 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simfoundry.cousins.tasks.accept import accept
@@ -134,6 +135,23 @@ def test_what_is_closed_is_opened_on_the_way(setting: Setting) -> None:
     assert isinstance(found, Witness)
     assert found.opened == ("cabinet.drawer",)
     assert found.state.joints["cabinet.drawer"] == pytest.approx(0, abs=2e-3)
+
+
+def test_a_bottle_stands_in_a_mug_with_a_handle(tmp_path: Path) -> None:
+    for name in ("mug", "red_bottle"):
+        shutil.copy(REPOSITORY / "specs" / "assets" / f"{name}.asset.yaml", tmp_path)
+    file = tmp_path / "mug.scene.yaml"
+    file.write_text(
+        "simfoundry: scene/1\nname: mug\nmaterials: {wood: {density: 600}}\nobjects:\n"
+        "  table: {fixed: true, shape: {box: [1, 1, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}\n"
+        "  mug: {asset: mug.asset.yaml, place: {on: table, xy: [0, 0]}}\n"
+        "  bottle: {asset: red_bottle.asset.yaml, place: {on: table, xy: [0.3, 0]}}\n"
+    )
+    setting = Setting.load(file)
+    found = witness(setting, "Inside(bottle, mug)")
+    assert isinstance(found, Witness)
+    apart = found.state.poses["bottle"].p - found.state.poses["mug"].p
+    assert float(np.hypot(*apart[:2])) < 0.036  # the mug's inner radius
 
 
 SHELF = """

@@ -111,6 +111,25 @@ def test_options_that_mean_nothing_are_refused(env: TaskEnv, options: dict[str, 
         env.reset(options=options)
 
 
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.array([0.0, np.nan, 0.0]), "must be finite; number 1 of it is nan, and nothing was moved"),
+        (np.array([np.inf, 0.0, 0.0]), "number 0 of it is inf"),
+        (np.zeros(2), r"must have shape \(3,\), for 2 joints and the gripper of `arm`; got \(2,\)"),
+        (np.zeros((1, 3)), r"got \(1, 3\)"),
+        ("up", "must be numbers, not `str`"),
+        (None, "must be finite|must have shape"),
+    ],
+)
+def test_an_action_that_is_none_moves_nothing(env: TaskEnv, action: np.ndarray, message: str) -> None:
+    env.reset(options={"start": 0})
+    before = env.step(np.zeros(3))[0]["arm/joints"]
+    with pytest.raises(SimfoundryError, match=message):
+        env.step(action)
+    np.testing.assert_allclose(env.step(np.zeros(3))[0]["arm/joints"], before, atol=1e-3)
+
+
 def test_slips_in_making_one_are_refused(push: Task) -> None:
     with pytest.raises(SimfoundryError, match="no engine `mujuco`; there are: mujoco, pybullet"):
         TaskEnv(push, engine="mujuco")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from simfoundry.evaluate.entries import contenders
 from simfoundry.evaluate.metrics import wilson
 from simfoundry.evaluate.page import page
 from simfoundry.evaluate.results import cells
+from simfoundry.evaluate.videos import side_by_side, whole_picture
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
 
@@ -70,7 +72,7 @@ def test_policies_begin_alike_in_cells_of_their_own(done: Path) -> None:
 def test_a_second_run_does_nothing_and_a_lost_rollout_comes_back_the_same(bench: Path, done: Path) -> None:
     before = (done / "results.json").read_bytes()
     files = {p: p.stat().st_mtime_ns for p in (done / "rollouts").rglob("*")}
-    lost = done / "rollouts/push/push/002.json"
+    lost = done / "rollouts/push/push/mujoco/002.json"
     command: tuple[str | Path, ...] = (
         "eval",
         bench / "push.task.yaml",
@@ -115,12 +117,23 @@ def test_videos_play_and_the_page_shows_grids_and_links(bench: Path, tmp_path: P
     ok, frame = video.read()
     assert ok and frame.shape == (240, 640, 3) and frame.std() > 5
     text = (tmp_path / "report.html").read_text()
-    assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/000.webm" in text
+    assert text.count("<video") == 1 and text.count("<figure>") == 3 and "rollouts/push/push/mujoco/000.webm" in text
+
+
+@pytest.mark.parametrize(
+    ("camera", "shown"),
+    [((1280, 720), (426, 240)), ((640, 480), (320, 240)), ((480, 640), (180, 240)), ((4000, 500), (640, 80))],
+)
+def test_a_video_shows_all_that_a_camera_sees(camera: tuple[int, int], shown: tuple[int, int]) -> None:
+    size = whole_picture(*camera)
+    assert (size.width, size.height) == shown
+    row = side_by_side([np.full((size.height, size.width, 3), 9, np.uint8), np.full((240, 10, 3), 7, np.uint8)])
+    assert row.shape == (240, size.width + 10, 3)
 
 
 def test_a_recorded_rollout_replays_to_the_same_trajectory(bench: Path, done: Path, tmp_path: Path) -> None:
     recorded = _results(done)["rollouts"][0]
-    replay = f"again=replay:{done / 'rollouts/push/push/000.npz'}"
+    replay = f"again=replay:{done / 'rollouts/push/push/mujoco/000.npz'}"
     assert run("eval", bench / "push.task.yaml", "-p", replay, "-n", "1", "-o", tmp_path, "--no-video").code == 0
     assert _results(tmp_path)["rollouts"][0]["trajectory"] == recorded["trajectory"]
 
@@ -152,16 +165,16 @@ def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Pat
 
 def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, tmp_path: Path) -> None:
     task: tuple[str | Path, ...] = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
-    np.save(tmp_path / "wide.npy", np.zeros((1, 8)))
-    one = f"one=replay:{tmp_path / 'wide.npy'}"
-    result = run(*task, "-p", one, "-p", _policies(bench)[3])
-    assert result.code == 1 and "8 numbers for each action, and the robots take 3" in result.err
+    nobody = "simfoundry: policy/1\nname: gone\nprotocol: openpi\naddress: localhost:1\naction_space: joint_position\n"
+    (tmp_path / "gone.policy.yaml").write_text(f"{nobody}horizon: 8\ncameras: {{}}\nretries: 0\ntimeout: 0.2\n")
+    result = run(*task, "-p", tmp_path / "gone.policy.yaml", "-p", _policies(bench)[3])
+    assert result.code == 1 and "gone, rollout 0 is missing: no server answers at" in result.err
     assert "5 rollouts are missing" in result.err
-    assert len(list((tmp_path / "rollouts/push/one").glob("*.failed.json"))) == 3  # then it was given up
-    assert [s["policy"] for s in _results(tmp_path)["scores"]] == ["still"]
-    np.save(tmp_path / "wide.npy", np.zeros((1, 3)))
-    assert run(*task, "-p", one).code == 0
-    assert not list((tmp_path / "rollouts/push/one").glob("*.failed.json"))
+    assert len(list((tmp_path / "rollouts/push/gone/mujoco").glob("*.missing.json"))) == 3  # then it was given up
+    scores = _results(tmp_path)["scores"]
+    assert [(s["policy"], s["successes"], s["rollouts"], s["missing"]) for s in scores] == [
+        ("gone", 0, 0, 5), ("still", 0, 5, 0)
+    ]  # fmt: skip
 
 
 def test_what_cannot_be_is_said_before_the_first_rollout(bench: Path, tmp_path: Path) -> None:
@@ -197,8 +210,10 @@ def test_the_page_escapes_what_it_is_told() -> None:
     record = {
         "task": "<script>", "part": "whole", "step": "", "policy": "p&q", "index": 0, "success": False, "end": "fell",
         "reason": "<b>", "steps": 3, "subtasks": {"<i>": None}, "cells": {"x": [0, 0]}, "grid": [5, 5],
-        "video": "a'b.webm",
+        "video": "a'b.webm", "engine": "<u>", "engine_version": "<s>", "robots": {"<q>": "<z>"}, "start": "1",
+        "version": "<v>", "seed": 0, "instruction": "<k>", "asked_rollouts": 1, "control_hz": 15.0, "horizon": 9,
+        "regions": {"x": {"x": [0, 1], "y": [0, 1]}}, "cousin": {"recipe": "<r>", "axes": ["<a>"]},
     }  # fmt: skip
     text = page([record])
-    assert "<script>" not in text and "<b>" not in text and "<i>" not in text and "a'b" not in text
+    assert not re.search(r"<(script|b|i|u|s|q|z|v|k|r|a)>", text) and "a'b" not in text
     assert cells([record])[0].success.interval == pytest.approx(wilson(0, 1))

@@ -264,7 +264,7 @@ def test_a_checkpoint_without_lerobot_is_one_sentence(capsys: pytest.CaptureFixt
     assert lerobot.main(["folder"]) == 2
     assert capsys.readouterr().err == (
         "a LeRobot checkpoint needs the package `torch`; "
-        "install it where the checkpoint runs (`pip install lerobot 'simfoundry[policies]'`)\n"
+        "install it where the checkpoint runs (`pip install 'simfoundry[policies]' lerobot`)\n"
     )
 
 
@@ -285,7 +285,9 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, prot
     for module in ("websockets.sync.client", "zmq"):
         monkeypatch.setitem(sys.modules, module, None)
     policy = open_policy(spec_of(protocol, "127.0.0.1:1"))
-    with pytest.raises(PolicyError, match=rf"protocol of {protocol} needs the package `(websockets|zmq)`; pip install"):
+    with pytest.raises(
+        PolicyError, match=rf"protocol of {protocol} needs the package `(websockets|zmq)`; install with"
+    ):
         policy.reset("", 0)
 
 

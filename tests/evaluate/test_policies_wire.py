@@ -11,7 +11,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
@@ -29,7 +29,6 @@ ARRAYS = arrays.arrays(DTYPES, arrays.array_shapes(min_dims=0, min_side=0, max_s
 
 
 @given(array=ARRAYS)
-@settings(derandomize=True, deadline=None, max_examples=60)
 def test_arrays_come_back_as_they_were(array: np.ndarray[Any, Any]) -> None:
     for pack, unpack in ((codec.pack, codec.unpack), (groot_codec.pack, groot_codec.unpack)):
         back = unpack(pack({"a": [array], "prompt": "größer"}))
@@ -39,7 +38,6 @@ def test_arrays_come_back_as_they_were(array: np.ndarray[Any, Any]) -> None:
 
 
 @given(data=st.binary(max_size=200))
-@settings(derandomize=True, deadline=None, max_examples=200)
 def test_any_bytes_are_a_message_or_an_error_of_ours(data: bytes) -> None:
     for unpack in (codec.unpack, groot_codec.unpack):
         with suppress(CodecError):

@@ -105,7 +105,16 @@ def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
     link = thing.links[-1]
     X = thing.X_WO @ link_poses(thing)[link.name]
     assert X.apply(link.com) == pytest.approx(data.xipos[1], abs=1e-8)
-    assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-6)
+    assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-7 * link.mass)
+
+
+def test_links_between_joints_of_a_light_body_are_lighter(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="b"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+      <joint/><geom size="0.01" mass="0.005"/></body></worldbody></mujoco>"""
+    _, scene = importing("b.xml", text)
+    *_, first, second, body = scene.objects[0].links
+    assert body.mass == 0.005 and first.mass + second.mass < 1e-6 * body.mass
+    assert np.linalg.eigvalsh(first.inertia).min() > 1e-15  # what MuJoCo takes for nothing
 
 
 def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
@@ -135,6 +144,95 @@ def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
     assert (collider.friction, collider.torsional_friction, collider.rolling_friction) == (0.7, 0.02, 0.003)
     assert scene.object("e").joints[0].type is JointType.BALL
     assert "actuator number 2" in {n.what for n in report.notes}
+
+
+def test_inertias_are_those_that_mujoco_takes(importing: Importing) -> None:
+    """Models keep a thing from turning by an inertia that nothing of its size has."""
+    text = """<mujoco><default><joint armature="0.5"/></default><worldbody><body name="b"><joint type="free"/>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1000 1000 1000"/><geom size="0.01"/></body></worldbody></mujoco>"""
+    report, scene = importing("b.xml", text)
+    assert np.diag(scene.objects[0].links[0].inertia) == pytest.approx([1000] * 3)
+    assert [n.what for n in report.notes] == ["armature of free joint `joint_0`"]
+
+
+def test_a_mesh_lies_beside_the_file_that_includes_it(tmp_path: Path) -> None:
+    (tmp_path / "parts/meshes").mkdir(parents=True)
+    (tmp_path / "parts/meshes/m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
+    (tmp_path / "parts/assets.xml").write_text('<mujoco><asset><mesh name="m" file="meshes/m.obj"/></asset></mujoco>')
+    body = '<worldbody><body><geom type="mesh" mesh="m"/></body></worldbody>'
+    (tmp_path / "a.xml").write_text(f'<mujoco><include file="parts/assets.xml"/>{body}</mujoco>')
+    mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
+    assert import_file(tmp_path / "a.xml", tmp_path / "a.scene.yaml").meshes == 1
+
+
+HAND = """<mujoco><worldbody><body name="hand"><freejoint/><geom size=".1" mass="1"/>
+  <body name="finger" pos=".2 0 0"><joint name="f" type="slide" range="0 .1"/><geom size=".05" mass=".1"/>
+    <body name="pad" pos="0 0 .1"><inertial mass="0" pos="0 0 0" diaginertia="0 0 0"/>{pad}</body></body></body>
+  <body name="cup" pos="1 0 0"><freejoint/><geom size=".05"/></body></worldbody>
+  <contact><exclude body1="hand" body2="pad"/><exclude body1="cup" body2="pad"/>{more}</contact></mujoco>"""
+
+
+def test_a_massless_body_takes_its_exclusions_along(importing: Importing) -> None:
+    _, scene = importing("m.xml", HAND.format(pad="<site/>", more=""))
+    assert scene.object("hand").no_contact == () and scene.no_contact == ()  # nothing of the pad touches
+    pad = '<geom size=".02" mass="0"/>'
+    report, scene = importing("m.xml", HAND.format(pad=pad, more='<exclude body1="cup" body2="finger"/>'))
+    (pair,) = scene.no_contact
+    assert set(pair) == {"cup", "hand.finger"}
+    (note,) = [n for n in report.notes if n.what.startswith("excluded contact")]
+    assert "`pad` and `hand`" in note.what and note.detail == "nothing of it passes through"
+
+
+def test_a_camera_in_a_massless_body_rides_on_what_carries_it(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="arm"><joint/><geom size=".1"/>
+      <body name="mount" pos=".2 0 0"><geom size=".05"/>
+        <body name="cam_frame" pos="0 0 .1" euler="0 90 0"><camera name="eye" pos=".3 0 0"/></body></body></body>
+    </worldbody></mujoco>"""
+    _, scene = importing("m.xml", text)
+    (mounted,) = scene.mounted
+    assert (mounted.carrier, mounted.link) == ("arm", "mount")
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    arm = scene.object("arm")
+    X_WC = arm.X_WO @ link_poses(arm)["mount"] @ mounted.camera.X_WC
+    assert X_WC.p == pytest.approx(data.cam_xpos[0])
+    assert X_WC.rotation @ np.diag([1, -1, -1]) == pytest.approx(data.cam_xmat[0].reshape(3, 3))
+
+
+def test_names_made_for_links_and_joints_are_no_names_of_the_file(importing: Importing) -> None:
+    """A base of two slides and a hinge is three links, carried by one; an attached gripper may call its bodies so."""
+    text = """<mujoco><worldbody>
+      <body name="mobile"><joint name="x" type="slide" axis="1 0 0" range="-1 1"/>
+        <joint name="y" type="slide" axis="0 1 0" range="-1 1"/><joint name="yaw" type="hinge" axis="0 0 1"/>
+        <geom size=".1"/>
+        <body name="arm" pos=".2 0 0"><joint name="elbow"/><geom size=".05"/>
+          <body name="base" pos="0 0 .1"><geom size=".05"/>
+            <body pos="0 0 .1"><joint name="base_mount" range="0 1"/><geom size=".02"/>
+              <body name="mobile_1_of_3" pos="0 0 .1"><joint/><geom size=".02"/>
+                <body name="body_4" pos="0 0 .1"><joint name="joint_5"/><geom size=".02"/></body></body></body>
+          </body></body></body>
+    </worldbody></mujoco>"""
+    _, scene = importing("m.xml", text)
+    thing = scene.object("mobile")
+    assert len(thing.links) == 9 and len(thing.joints) == 8
+    model = mujoco.MjModel.from_xml_string(text)
+    assert sum(link.mass for link in thing.links[1:]) == pytest.approx(model.body_mass.sum(), rel=1e-6)
+
+
+def test_an_unforeseen_error_is_a_refusal_with_its_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: object) -> None:
+        raise KeyError("pad")
+
+    monkeypatch.setattr("simfoundry.frontends.build.pose_data", broken)
+    source = tmp_path / "m.xml"
+    source.write_text(HAND.format(pad="", more=""))
+    with pytest.raises(
+        ImportRefusedError, match=r"m\.xml:3: the importer failed .*KeyError: 'pad', at frontends/build"
+    ):
+        import_file(source, tmp_path / "m.scene.yaml", Options())
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Cylinder, JointType, Mesh
+from tests.cli.command import run
 from tests.frontends.conftest import Importing
 
 INERTIAL = '<inertial><mass value="2"/><inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -94,6 +95,55 @@ def test_meshes_are_scaled_and_mirrored(
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(np.prod(size) / 6)
 
 
+def _tray(path: Path) -> None:
+    """An OBJ of a floor, two walls and a flat label, each a group; the last names its corners from the end."""
+    text, count = "", 0
+    for name, (x, z), (width, height) in (
+        ("o floor", (0, 0.01), (0.4, 0.02)),
+        ("g left wall", (-0.19, 0.1), (0.02, 0.2)),
+        ("\to right", (0.19, 0.1), (0.02, 0.2)),
+    ):
+        corners = [
+            (x + sx * width / 2, y, z + sz * height / 2) for y in (-0.2, 0.2) for sz in (-1, 1) for sx in (-1, 1)
+        ]
+        text += f"{name}\n" + "".join(f"v {x:g} {y:g} {z:g}\n" for x, y, z in corners)
+        quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        text += "".join("f " + " ".join(f"{count + k + 1}/" for k in quad) + "\n" for quad in quads)
+        count += 8
+    text += "g\no label\nv 0 0 .02\nv .1 0 .02\nv 0 .1 .02\nf -3 -2 -1\no nothing\n"
+    path.write_text(text)
+
+
+def test_each_group_of_an_obj_touches_as_a_hull_of_its_own(importing: Importing, tmp_path: Path) -> None:
+    """As in PyBullet, so that what is dropped into a drawer lands on its floor."""
+    (tmp_path / "source").mkdir()
+    _tray(tmp_path / "source" / "tray.obj")
+    geometry = '<geometry><mesh filename="tray.obj" scale="1 2 -1"/></geometry>'
+    shown = f"<visual>{geometry}</visual><collision>{geometry}</collision>"
+    report, scene = importing("a.urdf", _robot(_link("a", INERTIAL + shown)))
+    (link,) = scene.objects[0].links
+    vertices = [c.geometry.vertices for c in link.colliders if isinstance(c.geometry, Mesh)]
+    bounds = sorted((*v.min(axis=0).round(6), *v.max(axis=0).round(6)) for v in vertices)
+    assert len(link.visuals) == 1 and len(bounds) == 3
+    assert {n.what for n in report.notes} == {"collision mesh of `a`", "contact of `label` of link `a`"}
+    walls = [(-0.2, -0.4, -0.2, -0.18, 0.4, 0.0), (0.18, -0.4, -0.2, 0.2, 0.4, 0.0)]
+    assert np.array(bounds) == pytest.approx(np.array([walls[0], (-0.2, -0.4, -0.02, 0.2, 0.4, 0.0), walls[1]]))
+
+
+def test_masses_that_nobody_states_are_warned_of_and_given_by_a_density(tmp_path: Path) -> None:
+    source, out = tmp_path / "a.urdf", tmp_path / "a.asset.yaml"
+    source.write_text(_robot(_link("a"), _link("b", BOX), _joint("continuous", "")))
+    shown = run("import", source, "-o", out)
+    assert "warning: 1 link states no mass, and came to weigh 6 kg at 1000 kg/m^3, solid: b 6 kg;" in shown.out
+    assert run("import", source, "-o", out, "--force", "--json").json["assumed_masses"] == pytest.approx({"b": 6.0})
+    shown = run("import", source, "-o", out, "--force", "--density", "600")
+    assert "warning" not in shown.out and "600 kg/m^3" in shown.out
+    assert "    density: 600\n" in out.read_text()
+    source.with_suffix(".xml").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    refused = run("import", source.with_suffix(".xml"), "--density", "600")
+    assert refused.code == 2 and "every geom of an MJCF file has a density" in refused.err
+
+
 def test_a_frame_without_mass_becomes_part_of_what_carries_it(importing: Importing) -> None:
     tip = _link("tip", BOX.replace("collision", "visual"))
     text = _robot(
@@ -123,6 +173,24 @@ def test_an_inertia_that_no_body_has_is_that_of_the_shapes(importing: Importing)
     assert link.com == pytest.approx([0.01, 0, 0])
     assert np.diag(link.inertia) == pytest.approx(2 / 12 * np.array([0.13, 0.10, 0.05]))
     assert [(str(n.kind), n.what) for n in report.notes] == [("changed", "inertia of `a`")]
+
+
+def test_a_link_that_only_joins_two_joints_weighs_next_to_nothing(importing: Importing) -> None:
+    """Joints with several degrees of freedom are often written as links of nothing between them."""
+    joints = _joint("continuous", "") + _joint("continuous", '<axis xyz="0 1 0"/>', "k", "b", "c")
+    report, scene = importing("a.urdf", _robot(_link("a"), _link("b", ""), _link("c"), joints))
+    _, between, carried = scene.objects[0].links
+    assert 0 < between.mass < 1e-6 * carried.mass and np.linalg.eigvalsh(between.inertia).min() > 1e-15
+    assert "mass of `b`" in {n.what for n in report.notes}
+
+
+def test_a_mass_without_inertia_at_a_fixed_joint_stays_a_point(importing: Importing) -> None:
+    point = '<inertial><origin xyz="0.1 0 0"/><mass value="0.3"/><inertia ixx="0" iyy="0" izz="0"/></inertial>' + BOX
+    _, scene = importing("a.urdf", _robot(_link("a"), _link("b", point), _joint("fixed", "")))
+    link = scene.objects[0].links[1]
+    assert link.mass == 0.3 and 0 < np.linalg.eigvalsh(link.inertia).max() < 1e-12
+    _, scene = importing("a.urdf", _robot(_link("a"), _link("b", point), _joint("continuous", "")))
+    assert np.linalg.eigvalsh(scene.objects[0].links[1].inertia).min() > 1e-4  # of its shapes
 
 
 def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import HealthCheck, Phase, assume, given, settings
+from hypothesis import Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from simfoundry.backends.artifact import Artifact
@@ -66,9 +66,7 @@ def standing(item: ObjectSpec) -> ObjectSpec:
     return item.model_copy(update=given)
 
 
-@settings(
-    derandomize=True, deadline=None, max_examples=60, suppress_health_check=list(HealthCheck), phases=[Phase.generate]
-)
+@settings(phases=[Phase.generate])
 @given(SCENES, RELATIONS)
 def test_any_scene_comes_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, spec: SceneSpec, texts: Any) -> None:
     import numpy as np
@@ -141,6 +139,67 @@ def test_a_stage_that_refers_to_ours_has_its_document(desk: Project, tmp_path: P
     stage.DefinePrim("/Room/Table").GetReferences().AddReference(str(desk.stage))
     stage.Save()
     assert import_usd(tmp_path / "room.usda", desk.document).text == DESK
+
+
+def room(desk: Project, path: Path, unit: float | None, up: str, turn: float, scale: float, above: bool) -> Path:
+    """A stage of some unit that refers to ours with a corrective transform, at the prim or at one above it."""
+    from pxr import Gf, Usd, UsdGeom
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, up)
+    if unit is not None:
+        UsdGeom.SetStageMetersPerUnit(stage, unit)
+    prims = [UsdGeom.Xform.Define(stage, "/Room"), UsdGeom.Xform.Define(stage, "/Room/Table")]
+    prims[1].GetPrim().GetReferences().AddReference(str(desk.stage))
+    corrected = prims[0] if above else prims[1]
+    if turn:
+        corrected.AddRotateXOp(opSuffix="unitsResolve").Set(turn)
+    if scale != 1.0:
+        corrected.AddScaleOp(opSuffix="unitsResolve").Set(Gf.Vec3f(scale))
+    stage.Save()
+    return path
+
+
+@pytest.mark.parametrize("above", [False, True])
+@pytest.mark.parametrize(
+    ("unit", "up", "turn", "scale"),
+    [(0.01, "Y", -90.0, 100.0), (None, "Y", -90.0, 100.0), (0.01, "Z", 0.0, 100.0), (1.0, "Y", -90.0, 1.0),
+     (0.0254, "Y", -90.0, 39.3701), (0.01, "Y", 0.0, 1.0), (0.001, "Z", 0.0, 1.0)],
+)  # fmt: skip
+def test_a_stage_of_other_units_that_corrects_for_ours_changes_nothing(
+    desk: Project, tmp_path: Path, unit: float | None, up: str, turn: float, scale: float, above: bool
+) -> None:
+    assert import_usd(room(desk, tmp_path / "room.usda", unit, up, turn, scale, above), desk.document).text == DESK
+
+
+def test_edits_in_a_stage_of_other_units_are_those_of_the_scene(desk: Project, tmp_path: Path) -> None:
+    from pxr import Gf, Usd, UsdGeom, UsdPhysics
+
+    path = room(desk, tmp_path / "room.usda", 0.01, "Y", -90.0, 100.0, True)
+    stage = Usd.Stage.Open(str(path))
+    ball = stage.GetPrimAtPath("/Room/Table/Objects/ball")
+    ball.GetAttribute("xformOp:translate").Set(Gf.Vec3d(0.25, -0.2, 0.03))
+    cube = UsdGeom.Cube.Define(stage, "/Room/Table/crate")  # turned and scaled with the room
+    cube.CreateSizeAttr(0.2)
+    cube.AddTranslateOp().Set(Gf.Vec3d(0.5, 0.2, 0.1))
+    box = UsdGeom.Cube.Define(stage, "/Box")  # in centimetres and y up
+    box.CreateSizeAttr(30)
+    box.AddTranslateOp().Set(Gf.Vec3d(50, 15, 40))
+    UsdPhysics.RigidBodyAPI.Apply(box.GetPrim())
+    UsdPhysics.MassAPI.Apply(box.GetPrim()).CreateDensityAttr(0.0006)
+    stage.Save()
+    objects = read_stage(path).data["objects"]
+    assert objects["ball"]["pose"] == {"xyz": (0.25, -0.2, 0.03), "rpy_deg": (10, 20, 30)}
+    assert objects["crate"]["shape"] == {"box": (0.2, 0.2, 0.2)} and objects["crate"]["pose"]["xyz"] == (0.5, 0.2, 0.1)
+    assert objects["box"]["shape"] == {"box": (0.3, 0.3, 0.3)} and objects["box"]["density"] == 600
+    assert objects["box"]["pose"]["xyz"] == (0.5, -0.4, 0.15)
+    assert objects["desk"] == read_stage(desk.stage).data["objects"]["desk"]
+
+
+@pytest.mark.parametrize(("unit", "scale"), [(0.01, 50.0), (None, 0.01), (0.001, 100.0)])
+def test_a_scale_that_fits_no_unit_is_refused(desk: Project, tmp_path: Path, unit: float | None, scale: float) -> None:
+    with pytest.raises(StageError, match=r"/Room/Table: it is scaled by .* in a stage whose unit is"):
+        read_stage(room(desk, tmp_path / "room.usda", unit, "Y", -90.0, scale, False))
 
 
 def test_numbers_before_and_after_are_those_of_the_scene(desk: Project) -> None:

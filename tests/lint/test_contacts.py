@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.lint.contacts import DEEP, HOVERING, carries, deepest
@@ -126,7 +126,6 @@ shifts = st.tuples(*[st.floats(-0.07, 0.07)] * 3)
 wholes = st.tuples(*[st.floats(-2, 2)] * 3)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
 @given(shift=shifts, turn=angles, tilt=angles, whole=wholes, yaw=angles, kinds=st.permutations(["cup", "box", "bowl"]))
 def test_moving_the_whole_scene_changes_nothing(
     tmp_path_factory: pytest.TempPathFactory,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.assets.faults import MeshError
@@ -25,7 +25,6 @@ def refused(points: list[tuple[float, float]]) -> str:
     return ""
 
 
-@settings(max_examples=400, deadline=None, derandomize=True)
 @given(points=corners)
 def test_an_outline(points: list[tuple[float, float]]) -> None:
     fault = shape_fault(PrismShape(prism=Prism(outline=tuple(points), height=0.1)))

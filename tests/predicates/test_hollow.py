@@ -10,6 +10,7 @@ import pytest
 
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.frames import Pose
+from tests.conftest import REPOSITORY
 from tests.predicates.conftest import Setting, changed, posed
 
 Found = Callable[[str], Setting]
@@ -140,3 +141,22 @@ def test_the_cavity_of_a_turned_mesh_frame_is_found(setting: Found) -> None:
     assert hole.deep == pytest.approx(0.087, abs=0.012) or hole.deep > 0
     inside = hole.at(turn.apply(np.array([[0.0, 0.0, 0.05]])))
     assert inside[0] > 0.01
+
+
+def test_the_cavity_of_a_mug_does_not_reach_into_its_handle() -> None:
+    """The space between wall and grip is open on both sides; the cavity is that of the vessel, to a cell."""
+    from simfoundry.cousins.library import lowered
+    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.voxels import cavity
+    from simfoundry.scene.frames import frozen_array
+    from simfoundry.scene.model import Scene
+
+    mug = lowered(REPOSITORY / "specs" / "assets" / "mug.asset.yaml")
+    form = Bodies(Scene("mug", frozen_array([0.0, 0.0, -9.81]), (mug,)))[mug.name].forms[0]
+    assert form is not None
+    hole = cavity(form)
+    assert hole is not None
+    assert np.abs(hole.middle[:2]).max() < hole.cell  # the handle points to +x
+    assert hole.deep == pytest.approx(0.087, abs=2 * hole.cell)
+    in_loop, in_mug = hole.at(np.array([[0.0515, 0.0, 0.05], [0.0, 0.0, 0.05]]))
+    assert in_loop < 0 < in_mug

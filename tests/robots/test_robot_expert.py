@@ -1,4 +1,4 @@
-"""The scripted expert with a real arm: it takes a cube up and puts it down where a task wants it."""
+"""The scripted expert with the project's own arm: it takes a cube up and puts it down where a task wants it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from simfoundry.evaluate.judging import judge_of
 from simfoundry.evaluate.rollout import End, rollout
 from simfoundry.evaluate.starts import starts
 from simfoundry.evaluate.task import load_task
-from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.worlds import open_world
 
 pytest.importorskip("mink", reason="the expert solves its arms with mink")
@@ -27,7 +26,7 @@ objects:
   cube: {shape: {box: [0.04, 0.04, 0.04]}, material: wood, place: {on: desk, xy: [0.45, 0.1]}}
   tray: {shape: {box: [0.12, 0.12, 0.02]}, material: wood, place: {on: desk, xy: [0.45, -0.15]}}
 robots:
-  arm: {model: franka_robotiq, joints: home}
+  arm: {model: demo_arm, joints: home}
 """
 
 TASK = """\
@@ -44,15 +43,16 @@ horizon: 300
 """
 
 
-def test_the_expert_puts_a_cube_on_a_tray(own_models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(OWN_MODELS, str(own_models))
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_the_expert_puts_a_cube_on_a_tray(tmp_path: Path, engine: str) -> None:
+    pytest.importorskip(engine, reason=f"{engine} is not installed")
     (tmp_path / "tray.scene.yaml").write_text(SCENE)
     file = tmp_path / "cube_on_tray.task.yaml"
     file.write_text(TASK)
     task = load_task(file)
     (start,) = starts(task, 1, seed=3)
     expert, judge = Expert(task), judge_of(task.scene)
-    with open_world(task.scene, "mujoco") as world:
+    with open_world(task.scene, engine) as world:
         one = rollout(task, start, expert, world, judge)
         assert (one.end, expert.log) == (End.SUCCESS, [])
         picked = one.subtasks["pick_up_cube"]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -13,9 +15,11 @@ from simfoundry.backends import compile_scene
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.robot import ModelFormat
-from simfoundry.scene.robot_files import NoModelError, find_model, model_files
-from simfoundry.scene.robots import OWN_MODELS, read_models
+from simfoundry.scene.robot_files import find_model, model_files
+from simfoundry.scene.robot_packages import NoModelError
+from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.spec.robot import ROBOTS
+from simfoundry.spec.robot_model import read_models
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 
@@ -82,7 +86,7 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
     toy = "robot_descriptions:toy_mj_description"
     assert find_model(toy, document, ".xml") == (tmp_path / "robot" / "robot.xml").resolve()
     assert find_model(f"{toy}/hand.xml", document, ".xml") == (tmp_path / "robot" / "hand.xml").resolve()
-    with pytest.raises(NoModelError, match="leaves the description"):
+    with pytest.raises(NoModelError, match="leaves `robot_descriptions:toy_mj_description`"):
         find_model(f"{toy}/../secret.xml", document, ".xml")
     with pytest.raises(NoModelError, match="has no urdf file"):
         find_model(toy, document, ".urdf")
@@ -90,9 +94,99 @@ def test_models_of_packages_are_found(tmp_path: Path, monkeypatch: pytest.Monkey
         find_model("robot_descriptions:tin_description", document, ".xml")
 
 
+YAM = "menagerie:i2rt_yam/yam.xml"
+
+
+def test_models_of_menagerie_are_found_and_never_fetched_unasked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco_menagerie", reason="the extra `robots` is not installed")
+    document = tmp_path / "a.scene.yaml"
+    monkeypatch.setenv("MENAGERIE_ROOT", "")
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("MENAGERIE_BASE_URL", (tmp_path / "site").as_uri())
+    with pytest.raises(NoModelError, match=r"not fetched yet; `python -m mujoco_menagerie prefetch i2rt_yam` does so"):
+        find_model(YAM, document, ".xml", fetch=False)
+    assert not (tmp_path / "cache").exists()
+    with pytest.raises(NoModelError, match=r"could not fetch `i2rt_yam`: file://.*not found"):
+        find_model(YAM, document, ".xml")
+    with pytest.raises(NoModelError, match=r"does not know it: Unknown robot 'i2rt_yan'\. Did you mean 'i2rt_yam'\?"):
+        find_model("menagerie:i2rt_yan", document, ".xml")
+    (tmp_path / "models" / "i2rt_yam").mkdir(parents=True)
+    model = tmp_path / "models" / "i2rt_yam" / "yam.xml"
+    model.write_text("<mujoco/>")
+    (tmp_path / "models" / "secret.xml").write_text("<mujoco/>")
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "models"))
+    assert find_model(YAM, document, ".xml", fetch=False) == model.resolve()
+    assert find_model("menagerie:i2rt_yam", document, ".xml") == model.resolve()
+    with pytest.raises(NoModelError, match="leaves `menagerie:i2rt_yam`"):
+        find_model("menagerie:i2rt_yam/../secret.xml", document, ".xml")
+    with pytest.raises(NoModelError, match=r"`menagerie:i2rt_yam` has no file hand\.xml"):
+        find_model("menagerie:i2rt_yam/hand.xml", document, ".xml")
+
+
+def test_what_failed_to_be_fetched_is_not_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    menagerie = pytest.importorskip("mujoco_menagerie", reason="the extra `robots` is not installed")
+    monkeypatch.setenv("MENAGERIE_ROOT", "")
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
+    tried: list[str] = []
+
+    def offline(_cache: object, robot: Any, _progress: object = None) -> Path:
+        tried.append(robot.name)
+        raise menagerie.DownloadError("no network")
+
+    monkeypatch.setattr(menagerie.Cache, "resolve", offline)
+    for _ in range(3):
+        with pytest.raises(NoModelError, match="could not fetch `i2rt_yam`: no network"):
+            find_model(YAM, tmp_path / "a.scene.yaml", ".xml")
+    assert tried == ["i2rt_yam"]
+
+
+def test_the_reason_of_a_package_that_is_here_says_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("mujoco_menagerie", reason="the extra `robots` is not installed")
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    monkeypatch.delenv(OWN_MODELS, raising=False)
+    scene = lower_file(WITH_ROBOTS[0])
+    (reason,) = [left.reason for left in scene.left_out if left.path.startswith("robots.")]
+    assert reason.startswith("no model found: mujoco-menagerie could not fetch `franka_emika_panda`")
+
+
+def test_descriptions_are_not_cloned_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "site" / "robot_descriptions"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "_repositories.py").write_text(
+        "from types import SimpleNamespace\nREPOSITORIES = {'toys': SimpleNamespace(cache_path='toys')}\n"
+    )
+    (package / "toy_mj_description.py").write_text(
+        "import os\ndef _clone_to_cache(name, commit=None):\n"
+        "    assert os.environ['GIT_ALLOW_PROTOCOL'] == 'none'\n    print('Cloning')\n"
+        f"    return {str(tmp_path / 'clones' / 'toys')!r}\n"
+        "REPOSITORY_PATH = _clone_to_cache(\n    'toys')\nPACKAGE_PATH = REPOSITORY_PATH\n"
+        "MJCF_PATH = os.path.join(REPOSITORY_PATH, 'toy.xml')\n"
+    )
+    for name in [name for name in sys.modules if name.partition(".")[0] == "robot_descriptions"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "clones"))
+    monkeypatch.delenv("GIT_ALLOW_PROTOCOL", raising=False)
+    toy = "robot_descriptions:toy_mj_description"
+    with pytest.raises(NoModelError, match="not fetched yet; `robot_descriptions pull toy_mj_description` does so"):
+        find_model(toy, tmp_path / "a.scene.yaml", ".xml", fetch=False)
+    (tmp_path / "clones" / "toys" / ".git").mkdir(parents=True)
+    (tmp_path / "clones" / "toys" / "toy.xml").write_text("<mujoco/>")
+    try:
+        assert find_model(toy, tmp_path / "a.scene.yaml", ".xml", fetch=False).name == "toy.xml"
+    finally:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "robot_descriptions"]:
+            del sys.modules[name]
+    assert "GIT_ALLOW_PROTOCOL" not in os.environ
+
+
 @pytest.fixture
 def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "robot_descriptions", None)  # as if it were not installed
+    for package in ("mujoco_menagerie", "robot_descriptions"):  # as if they were not installed
+        monkeypatch.setitem(sys.modules, package, None)
     monkeypatch.delenv(OWN_MODELS, raising=False)
 
 
@@ -105,7 +199,8 @@ def test_a_scene_compiles_without_the_models_of_its_robots(path: Path) -> None:
         losses = {loss.path: loss.reason for loss in compile_scene(scene, target).losses}
         robots = {"droid": ["arm"], "yam": ["left", "right"]}[scene.name]
         for robot in robots:
-            assert losses[f"robots.{robot}"].startswith("no model found: install its models with `pip install robot_")
+            reason = "no model found: install its models with `pip install 'simfoundry[robots]'`"
+            assert losses[f"robots.{robot}"].startswith(reason)
         carried = [path for path in losses if path.startswith("cameras.")]
         assert len(carried) == len(robots)
 
@@ -120,9 +215,10 @@ def test_show_tells_robots_what_they_carry_and_what_is_left_out(
     assert "camera wrist  1280 x 720  on arm.hand" in shown
     assert not any(line.startswith("without") for line in shown)
     monkeypatch.delenv(OWN_MODELS)
-    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    for package in ("mujoco_menagerie", "robot_descriptions"):
+        monkeypatch.setitem(sys.modules, package, None)
     shown = run("show", droid).out.splitlines()
-    assert "without robots.arm: no model found: install its models with `pip install robot_descriptions`" in shown
+    assert "without robots.arm: no model found: install its models with `pip install 'simfoundry[robots]'`" in shown
 
 
 @pytest.mark.usefixtures("without_models")

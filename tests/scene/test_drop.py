@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from simfoundry.assets.convex import hull
@@ -110,7 +110,6 @@ def test_every_pair_of_primitives_is_there() -> None:
     assert missing == []
 
 
-@settings(max_examples=150, derandomize=True, deadline=None)
 @given(SHAPES, SHAPES, TILT, TILT, st.tuples(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1)))
 def test_nothing_interpenetrates_and_nothing_floats(
     thing: Primitive,
@@ -135,7 +134,6 @@ def test_nothing_interpenetrates_and_nothing_floats(
     assert distance(lower, under) <= PROUD * cylinders + ROUNDING
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
 @given(st.integers(0, 10**6), st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)))
 def test_meshes_of_many_corners_touch_and_do_not_interpenetrate(seed: int, xy: tuple[float, float]) -> None:
     rng = np.random.default_rng(seed)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.scene.frames import Array, Pose, look_at, quat_from_rpy
@@ -111,7 +111,6 @@ def test_a_thing_whose_frame_is_not_in_its_middle_is_put_by_its_middle() -> None
     assert framed.X_WO.p[:2] == pytest.approx([0.1, 0.2])
 
 
-@settings(max_examples=60, derandomize=True, deadline=None)
 @given(SHAPES, SHAPES, st.floats(-180, 180), st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-1, 1)), TILT)
 def test_a_whole_scene_may_be_moved_and_turned(
     carrier: Primitive,

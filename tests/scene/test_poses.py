@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.scene.frames import Pose, quat_from_rpy
@@ -20,7 +20,6 @@ ANGLE = st.floats(-math.pi, math.pi)
 LENGTH = st.floats(-2, 2)
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.tuples(LENGTH, LENGTH, LENGTH), st.tuples(ANGLE, ANGLE, ANGLE))
 def test_any_pose_comes_back(p: tuple[float, float, float], rpy: tuple[float, float, float]) -> None:
     X_WO = Pose.of(p, quat_from_rpy(*rpy))

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.asset import AssetSpec
@@ -300,7 +300,6 @@ def test_what_is_only_written_otherwise_is_said_when_asked() -> None:
 ANGLES = st.floats(-720, 720)
 
 
-@settings(max_examples=300, derandomize=True, deadline=None)
 @given(ANGLES, ANGLES, ANGLES)
 def test_a_rotation_is_the_same_in_every_form(roll: float, pitch: float, yaw: float) -> None:
     (cr, sr), (cp, sp), (cy, sy) = (
@@ -318,7 +317,6 @@ def test_a_rotation_is_the_same_in_every_form(roll: float, pitch: float, yaw: fl
     assert words(motion({"yaw_deg": yaw}, {"rpy_deg": (0.0, 0.0, yaw)})) == []
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
 @given(st.floats(0.1, 179.9), st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: math.hypot(*v) > 0.1), ANGLES)
 def test_a_turn_is_found_again(angle: float, axis: tuple[float, float, float], yaw: float) -> None:
     """A turn about an axis of the parent, after a rotation that is there already."""
@@ -340,7 +338,6 @@ def test_half_a_turn_has_an_axis(axis: tuple[float, float, float]) -> None:
     assert "-180" not in words(found)[0]
 
 
-@settings(max_examples=80, derandomize=True, deadline=None)
 @given(st.tuples(SCENES, SCENES) | st.tuples(ASSETS, ASSETS))
 def test_every_change_is_said(pair: tuple[Model, Model]) -> None:
     """No change goes unsaid, and what is the same has no words."""

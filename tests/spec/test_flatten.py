@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 
 from simfoundry.spec.base import DocumentSpec, Model
 from simfoundry.spec.flatten import digest, flatten, full
@@ -16,10 +16,7 @@ from tests.cli.command import run
 from tests.spec.strategies import ASSETS, SCENES
 from tests.spec.test_compose import TWIN
 
-many = settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 
-
-@many
 @given(SCENES | ASSETS)
 def test_flattening_keeps_the_meaning_and_flattening_again_changes_nothing(spec: DocumentSpec) -> None:
     text = flatten(spec)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from simfoundry.spec.base import Model
@@ -22,7 +22,6 @@ from tests.spec.layouts import DOCUMENTS, untidy
 from tests.spec.strategies import ASSETS, SCENES
 from tests.spec.test_tree import comments
 
-many = settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32)
 YAML_FILES = sorted(p for folder in ("specs", "tests") for p in (REPOSITORY / folder).rglob("*.yaml"))
 
@@ -56,20 +55,17 @@ def check(text: str) -> str:
     return out
 
 
-@many
 @given(DOCUMENTS, SEEDS, st.sampled_from(KINDS))
 def test_any_document_in_any_layout(data: dict[str, Any], seed: int, kind: str) -> None:
     check(untidy(data, seed, kind)[0])
 
 
-@many
 @given(SCENES | ASSETS)
 def test_computed_documents_are_written_in_the_same_form(spec: Model) -> None:
     text = to_yaml(spec, comment="why\n\nhow")
     assert format_text(text) == text
 
 
-@many
 @given(SCENES | ASSETS, SEEDS)
 def test_one_meaning_has_one_form(spec: Model, seed: int) -> None:
     canonical = to_yaml(spec)
@@ -266,7 +262,6 @@ def test_what_cannot_be_formatted_is_a_finding(text: str, code: str) -> None:
     assert [(d.code, d.file) for d in error.value.diagnostics] == [(code, "x.yaml")]
 
 
-@many
 @given(st.floats(allow_nan=False) | st.integers(-(10**30), 10**30))
 @example(5e-324)
 @example(9007199254740993.0)

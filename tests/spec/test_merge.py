@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.kinds import model_of
@@ -173,7 +173,6 @@ def test_a_document_with_conflicts_loads_with_exactly_these(tmp_path: Path) -> N
     assert seen > 10
 
 
-@settings(derandomize=True, deadline=None, max_examples=80)
 @given(st.one_of(st.tuples(SCENES, SCENES), st.tuples(ASSETS, ASSETS)))
 def test_merging_with_what_is_unchanged_changes_nothing(specs: tuple[Any, Any]) -> None:
     base, other = (to_data(spec) for spec in specs)
@@ -182,7 +181,6 @@ def test_merging_with_what_is_unchanged_changes_nothing(specs: tuple[Any, Any]) 
         assert json.dumps(merged.data) == json.dumps(other)
 
 
-@settings(derandomize=True, deadline=None, max_examples=50)
 @given(SCENES, SCENES, SCENES)
 def test_any_three_documents_merge_into_one_that_can_be_read_and_decided(
     a: SceneSpec, b: SceneSpec, c: SceneSpec
@@ -429,6 +427,38 @@ def test_an_object_renamed_here_and_edited_there_is_one() -> None:
     assert merged.conflicts == ()
 
 
+def with_pairs(data: Any, *pairs: tuple[str, str]) -> Any:
+    return {**data, "no_contact": pairs}
+
+
+def test_pairs_without_contact_are_a_set_and_follow_a_new_name() -> None:
+    base = with_pairs(BASES["scene"], ("cup", "plate"))
+    theirs = with_pairs(BASES["scene"], ("cup", "plate"), ("cup.base", "desk"))
+    merged = both(with_pairs(renamed_cup("mug"), ("mug", "plate")), theirs, base)
+    assert merged.data["no_contact"] == (("mug", "plate"), ("mug.base", "desk"))
+    ours = with_pairs(BASES["scene"], ("plate", "block"), ("plate", "cup"))
+    merged = merge(base, ours, theirs)
+    assert merged.conflicts == ()
+    assert merged.data["no_contact"] == (("plate", "block"), ("cup", "plate"), ("cup.base", "desk"))
+    gone = both(with_pairs(BASES["scene"]), theirs, base)
+    assert (gone.data["no_contact"], gone.conflicts) == ((("cup.base", "desk"),), ())
+    from_nothing = both(with_pairs(BASES["scene"], ("cup", "desk")), with_pairs(BASES["scene"], ("desk", "cup")))
+    assert len(from_nothing.data["no_contact"]) == 1 and from_nothing.conflicts == ()
+
+
+def test_what_is_allowed_and_what_is_open_follow_a_new_name() -> None:
+    mass = {"base": 0.2, "ours": 0.25, "theirs": 0.3}
+
+    def noted(data: Any, name: str, **more: str) -> Any:
+        allow = {"SF402": {name: "a model", f"objects.{name}.mass": "weighed", **more}}
+        return {**data, "allow": allow, "conflicts": {f"objects.{name}.mass": mass, f"objects.{name}.mass #2": mass}}
+
+    base, ours = noted(BASES["scene"], "cup"), noted(renamed_cup("mug"), "mug")
+    merged = both(ours, noted(BASES["scene"], "cup", block="foam"), base).data
+    assert merged["allow"] == {"SF402": {"mug": "a model", "objects.mug.mass": "weighed", "block": "foam"}}
+    assert list(merged["conflicts"]) == ["objects.mug.mass", "objects.mug.mass #2"]
+
+
 def test_two_new_names_are_a_conflict_that_can_be_decided() -> None:
     base, ours, theirs = BASES["scene"], renamed_cup("mug"), renamed_cup("beaker")
     theirs["objects"]["beaker"]["mass"] = 0.31
@@ -580,7 +610,6 @@ def test_errors_that_only_the_merge_makes_are_found(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.text(min_size=1, max_size=6), min_size=1, max_size=4).map(tuple))
-@settings(derandomize=True, deadline=None)
 def test_paths_are_read_back(path: tuple[str, ...]) -> None:
     if not path[-1].startswith("#") and " #" not in path[-1]:
         assert parts(dotted(path)) == path

@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.diagnostics import SpecError
@@ -16,7 +16,6 @@ from simfoundry.spec.tree import Tree, plain_tree, read_tree, with_data
 from simfoundry.spec.write import write_tree
 from tests.spec.layouts import DOCUMENTS, VALUES, untidy
 
-many = settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 SEEDS = st.integers(0, 2**32)
 
 
@@ -30,7 +29,6 @@ def name_of(comment: str) -> str:
     return str(re.search(r"c\d+\.", comment)[0])  # type: ignore[index]
 
 
-@many
 @given(DOCUMENTS, SEEDS)
 def test_no_comment_is_lost_whatever_the_layout(data: dict[str, Any], seed: int) -> None:
     text, _, count = untidy(data, seed)
@@ -40,7 +38,6 @@ def test_no_comment_is_lost_whatever_the_layout(data: dict[str, Any], seed: int)
     assert repr(tree.data) == repr(document.data)
 
 
-@many
 @given(DOCUMENTS, SEEDS)
 def test_a_comment_belongs_to_what_it_is_about(data: dict[str, Any], seed: int) -> None:
     text, expected, _ = untidy(data, seed)
@@ -145,7 +142,6 @@ def test_items_of_lists_keep_their_comments(items: tuple[str, ...], expected: st
     assert with_({"e": items}) == f"# top\n\ne:\n{expected}  # seven\n"
 
 
-@many
 @given(DOCUMENTS, VALUES, SEEDS)
 def test_a_tree_takes_any_data(data: dict[str, Any], other: Any, seed: int) -> None:
     tree = read_tree(parse(untidy(data, seed)[0]))

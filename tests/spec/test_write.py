@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.asset import AssetSpec
@@ -17,8 +17,6 @@ from simfoundry.spec.text import parse
 from simfoundry.spec.validate import validate
 from simfoundry.spec.write import number, to_data, to_yaml
 from tests.spec.strategies import ASSETS, SCENES, TEXTS
-
-many = settings(max_examples=120, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 
 
 def same(a: Any, b: Any) -> bool:
@@ -44,7 +42,6 @@ def reread(spec: Model) -> Model:
     return again
 
 
-@many
 @given(SCENES)
 def test_a_scene_survives_its_text(spec: SceneSpec) -> None:
     again = reread(spec)
@@ -52,7 +49,6 @@ def test_a_scene_survives_its_text(spec: SceneSpec) -> None:
     assert to_yaml(again) == to_yaml(spec)
 
 
-@many
 @given(ASSETS)
 def test_an_asset_survives_its_text(spec: AssetSpec) -> None:
     again = reread(spec)
@@ -60,7 +56,6 @@ def test_an_asset_survives_its_text(spec: AssetSpec) -> None:
     assert to_yaml(again) == to_yaml(spec)
 
 
-@many
 @given(st.lists(TEXTS, max_size=5))
 def test_every_text_survives(texts: list[str]) -> None:
     spec = SceneSpec(simfoundry="scene/1", name="a", description="".join(texts), relations=tuple(texts), objects={})
@@ -68,7 +63,6 @@ def test_every_text_survives(texts: list[str]) -> None:
     assert again == spec
 
 
-@many
 @given(st.floats(-1e18, 1e18))
 def test_numbers_are_short_and_exact_to_six_decimals(value: float) -> None:
     text = number(value)
@@ -114,7 +108,6 @@ def plain_objects(count: int) -> dict[str, ObjectSpec]:
     }
 
 
-@many
 @given(SCENES | ASSETS)
 def test_lines_are_short_where_they_can_be(spec: Model) -> None:
     for line in to_yaml(spec).splitlines():

@@ -71,6 +71,25 @@ def test_a_mounted_camera_rides_along(world: World) -> None:
     assert np.abs(world.render("tip", 64, 48).astype(int) - first.astype(int)).mean() > 3
 
 
+def test_sizes_do_not_evict_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_gl()
+    made = []
+
+    def counting(*args: object, **options: object) -> MujocoRenderer:
+        made.append(args[1:])
+        return MujocoRenderer(*args, **options)  # type: ignore[arg-type]
+
+    with MujocoWorld(tabletop()) as world, MujocoWorld(tabletop()) as other:
+        fresh = other.render("front", 48, 96)
+        monkeypatch.setattr("simfoundry.worlds.mujoco_world.MujocoRenderer", counting)
+        sizes = [(96, 48), (48, 96), (SMALL + 2, 40), (40, 30)]
+        for _ in range(3):
+            pictures = [world.render("front", *size) for size in sizes]
+        # one for small pictures, which grew once, and one for large ones
+        assert made == [(96, 48), (96, 96), (SMALL + 2, 40)]
+        np.testing.assert_array_equal(pictures[1], fresh)
+
+
 def test_pictures_are_cut_not_squeezed(world: World) -> None:
     world.reset()
     wide, square = world.render("front", 320, 160), world.render("front", 160, 160)

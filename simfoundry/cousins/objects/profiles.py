@@ -19,6 +19,12 @@ LEVELS = 5
 THINNEST = 0.0015
 """No wall gets thinner than this [m]."""
 
+KEPT_WALL = 0.6
+"""A curve leaves a wall at least this share of its least thickness: a third less still looks like the same ware."""
+
+FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Shares of a curve's departure from a straight line that are tried, the whole first."""
+
 
 @dataclass(frozen=True, eq=False)
 class Profile:
@@ -111,12 +117,32 @@ def _finer(chain: Array, gap: float) -> Array:
 
 
 def swelled(profile: Profile, grow: Array, levels: int = LEVELS) -> Profile:
-    """The body with its outer radius multiplied by a smooth curve; the wall keeps its thickness.
+    """The body with its outer radius multiplied by a smooth curve; the wall moves as one.
 
-    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), joined by straight lines.
+    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), joined by straight lines. Across a wall
+    that leans far out, as a plate's, a curve is a steep step that would thin it: there the curve is flattened, between
+    its ends, until the wall keeps :data:`KEPT_WALL` of its thickness.
     """
+    straight = np.linspace(grow[0], grow[-1], len(grow))
+    made = profile
+    for share in FLATTER if len(grow) > 2 else (1.0,):
+        made = _swelled(profile, straight + share * (grow - straight), levels)
+        if not profile.is_hollow or made.thinnest >= KEPT_WALL * profile.thinnest:
+            break
+    return made
+
+
+def _swelled(profile: Profile, grow: Array, levels: int) -> Profile:
     fine = finer(profile, levels) if len(grow) > 2 else profile
     steps = np.linspace(0.0, 1.0, len(grow))
+    # The whole section, with the edge that joins its chains, gets a ring wherever a chain or the curve bends. Then
+    # every height moves by one distance, inside and outside, and what did not cross before cannot cross after.
+    bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
+    inner = np.concatenate([fine.outer[-1:], fine.inner])
+    outer = fine.outer
+    for height in sorted(bends):
+        outer, inner = _ring_at(outer, height), _ring_at(inner, height)
+    fine = Profile(outer, inner[1:])
 
     def delta(heights: Array) -> Array:
         return fine.radius(heights) * (np.interp(fine.share(heights), steps, grow) - 1.0)

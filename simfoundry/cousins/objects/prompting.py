@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from simfoundry.errors import SimfoundryError
+from simfoundry.extras import install_line
 
 PROMPTS = {
     "A": "a_components.j2",
@@ -66,7 +67,7 @@ def _environment() -> Any:
     try:
         from jinja2 import DictLoader, Environment, StrictUndefined
     except ImportError:
-        raise SimfoundryError("prompts need jinja2: `pip install simfoundry[vlm]`") from None
+        raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
     folder = files("simfoundry.cousins.objects") / "prompts"
     texts = {name: (folder / name).read_text(encoding="utf-8") for name in PROMPTS.values()}
     return Environment(loader=DictLoader(texts), undefined=StrictUndefined, autoescape=False)  # plain text, no HTML

@@ -14,7 +14,7 @@ from simfoundry.cousins.objects.item import Item, item_of_asset, item_of_mesh, l
 from simfoundry.cousins.objects.likeness import Likeness, likeness
 from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.objects.stretch import stretched
-from simfoundry.cousins.objects.stuff import WORDS, sort_of
+from simfoundry.cousins.objects.stuff import same_kind
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.asset import AssetSpec
@@ -115,14 +115,6 @@ def contents(folder: Path) -> dict[str, str]:
     """What a library holds: the SHA-256 of each file by its path in the folder, sorted."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())
     return {p.relative_to(folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
-
-
-def same_kind(a: str, b: str) -> bool:
-    """Whether two categories are of one kind: a `blue_cup` is a `cup`, and a `tumbler` too."""
-    one, other = sort_of(a), sort_of(b)
-    if one is not None or other is not None:
-        return one is other
-    return WORDS.get(a, a).split("_")[-1] == WORDS.get(b, b).split("_")[-1]
 
 
 def _read(path: Path, folder: Path, scale: float) -> Item:

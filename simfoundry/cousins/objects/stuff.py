@@ -175,3 +175,12 @@ def sort_of(category: str) -> Sort | None:
         if word in SORTS or word in WORDS:
             return SORTS[WORDS.get(word, word)]
     return None
+
+
+def same_kind(a: str, b: str) -> bool:
+    """Whether two categories or names are of one kind: a `blue_cup` is a `cup`, and a `tumbler_2` too."""
+    one, other = sort_of(a), sort_of(b)
+    if one is not None or other is not None:
+        return one is other
+    a, b = (re.sub(r"[_\d]+$", "", text).split("_")[-1] for text in (a, b))
+    return a == b != ""

@@ -16,6 +16,7 @@ from simfoundry.cousins.tasks.meaning import Meaning, conjuncts, meaning
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.witness import ALLOWED, ON
 from simfoundry.errors import SimfoundryError
+from simfoundry.extras import install_line
 from simfoundry.spec.expressions import texts
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def prompt(
     try:
         from jinja2 import Environment, StrictUndefined
     except ImportError:
-        raise SimfoundryError("prompts need jinja2; `pip install 'simfoundry[vlm]'`") from None
+        raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
     text = files(__package__).joinpath("templates", f"{form}.txt.j2").read_text(encoding="utf-8")
     template = Environment(undefined=StrictUndefined, autoescape=False).from_string(text)
     objects = [o for o in setting.twin.scene.objects if o.name not in exclude and o.name not in setting.twin.absent]

@@ -25,8 +25,9 @@ from simfoundry.spec.scene import SceneSpec
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
 
-PAYLOADS = MappingProxyType({"franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
-"""The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; of the YAM our guess."""
+PAYLOADS = MappingProxyType({"demo_arm": 2.0, "franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
+"""The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; our own is as strong;
+of the YAM our guess."""
 
 PAYLOAD = 1.0
 """That of a robot of which nothing is known [kg]."""

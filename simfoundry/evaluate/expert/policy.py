@@ -15,6 +15,7 @@ from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.task import Task
+from simfoundry.extras import need_extra
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.frames import Array
 
@@ -32,6 +33,7 @@ class Expert:
     """A :class:`~simfoundry.evaluate.policies.base.Policy` that is scripted. It needs MuJoCo and mink to plan."""
 
     def __init__(self, task: Task, judge: Judge | None = None) -> None:
+        need_extra("expert", "the scripted expert")
         self._task = task
         self._judge = judge or Judge(task.scene)
         self._worker = Worker(task.scene, task.robots, task.control_hz)

@@ -97,4 +97,8 @@ class Policy(Protocol):
 
 
 class PolicyError(SimfoundryError):
-    """A policy did not answer, or with something that is not actions; the message says what and what to do."""
+    """A policy cannot be asked or does not answer: nothing is known of how well it acts. It says what to do."""
+
+
+class InvalidAnswerError(PolicyError):
+    """A policy answered with an error or with something that is not actions: what it was asked in has failed."""

@@ -1,13 +1,15 @@
-"""Which policy a person means: a word, a server, a document, a recording."""
+"""Which policy a person means: a word, a server, a document, a recording, a Python class."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
 from simfoundry.evaluate.policies.base import Policy, PolicyError
+from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
 from simfoundry.spec.policy import PORTS, PolicySpec
 
 DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
@@ -31,14 +33,15 @@ class Replay:
     path: Path
 
 
-Choice = PolicySpec | Expert | Random | Replay
+Choice = PolicySpec | Expert | Random | Replay | PythonClass
 """A policy that was chosen and is not yet made."""
 
 
 def parse_policy(text: str) -> Choice:
     """The policy that a text means; raises :class:`PolicyError` with a sentence, ``SpecError`` for a bad document.
 
-    ``random``, ``expert``, ``replay:FILE``, a path to a ``*.policy.yaml``, or a server in short,
+    ``random``, ``expert``, ``replay:FILE``, ``python:MODULE:CLASS`` (or ``python:FILE.py:CLASS``; arguments follow as
+    ``?name=value&…``), a path to a ``*.policy.yaml``, or a server in short,
     ``openpi:localhost:8000?action_space=joint_position&horizon=8``: the keys are those of a policy document, as far as
     they hold one word or number; the cameras are those of DROID.
     """
@@ -49,16 +52,18 @@ def parse_policy(text: str) -> Choice:
         if not rest:
             raise PolicyError("say which recording is replayed, as `replay:rollout.npz`")
         return Replay(Path(rest))
+    if kind == "python":
+        return _python(rest)
     if text.endswith((".yaml", ".yml")):
         return _document(Path(text))
     if kind in PORTS:
         return _short(kind, rest)
-    words = "`random`, `expert`, `replay:FILE`, a path to a .policy.yaml"
+    words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
     servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PORTS)
     raise PolicyError(f"`{text}` is no policy: give {words}, or a server, {servers}")
 
 
-def open_policy(choice: PolicySpec | Random | Replay) -> Policy:
+def open_policy(choice: PolicySpec | Random | Replay | PythonClass) -> Policy:
     """The policy that was chosen, connected to nothing before its first rollout; the expert is made with its task."""
     if isinstance(choice, Random):
         from simfoundry.evaluate.policies.random_actions import RandomPolicy
@@ -68,6 +73,8 @@ def open_policy(choice: PolicySpec | Random | Replay) -> Policy:
         from simfoundry.evaluate.policies.replay import load_replay
 
         return load_replay(choice.path)
+    if isinstance(choice, PythonClass):
+        return PythonPolicy(choice)
     if choice.protocol == "openpi":
         from simfoundry.evaluate.policies.openpi import OpenpiPolicy
 
@@ -79,6 +86,20 @@ def open_policy(choice: PolicySpec | Random | Replay) -> Policy:
     from simfoundry.evaluate.policies.groot import GrootPolicy
 
     return GrootPolicy(choice)
+
+
+def _python(rest: str) -> PythonClass:
+    path, _, query = rest.partition("?")
+    module, _, name = path.rpartition(":")
+    if not module or not name.isidentifier():
+        raise PolicyError(f"`python:{rest}` names no class; write `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
+    said = parse_qsl(query, keep_blank_values=True)
+    wrong = next((key for key, _ in said if not key.isidentifier()), None)
+    if wrong is not None or len({key for key, _ in said}) < len(said):
+        raise PolicyError(
+            f"`{query}` are no arguments of `{name}`; write each once, as `?checkpoint=last.pt&horizon=8`"
+        )
+    return PythonClass(module, name, tuple((key, _value(value)) for key, value in said))
 
 
 def _document(path: Path) -> PolicySpec:
@@ -116,13 +137,12 @@ def _short(protocol: str, rest: str) -> PolicySpec:
 
 
 def _value(text: str) -> str | int | float:
-    """A number where it is one."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    """A number where it is written as one, in digits; `true` and `false`; else the text: `nan` may be a name."""
+    if text in ("true", "false"):
+        return text == "true"
+    if re.fullmatch(r"[+-]?[0-9]+", text):
+        return int(text)
+    return float(text) if re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text) else text
 
 
 def _cameras(protocol: str) -> dict[str, dict[str, Any]]:

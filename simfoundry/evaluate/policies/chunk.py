@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import PolicyError, RobotReading
+from simfoundry.evaluate.policies.base import InvalidAnswerError, RobotReading
 from simfoundry.scene.frames import Array
 from simfoundry.spec.policy import PolicySpec
 
@@ -15,7 +15,8 @@ from simfoundry.spec.policy import PolicySpec
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:
     """The first ``horizon`` actions of an answer, shape (horizon, numbers of an action).
 
-    Joints in rad, m, rad/s or m/s; grippers 0 open to 1 closed. Raises :class:`PolicyError` for what is no such array.
+    Joints in rad, m, rad/s or m/s; grippers 0 open to 1 closed. Raises :class:`InvalidAnswerError` for
+    what is no such array.
     """
     width = sum(len(robot.joints) + 1 for robot in robots.values())
     chunk = _checked(spec, answer, width, _words(robots))
@@ -39,21 +40,23 @@ def gripper_of(spec: PolicySpec, numbers: Array) -> Array:
 
 def _checked(spec: PolicySpec, answer: Any, width: int, words: str) -> Array:
     if not isinstance(answer, np.ndarray):
-        raise PolicyError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
+        raise InvalidAnswerError(f"{spec.name} answered with a `{type(answer).__name__}`, not with an array of actions")
     if answer.dtype.kind not in "fiu":
-        raise PolicyError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
+        raise InvalidAnswerError(f"{spec.name} answered with an array of `{answer.dtype}`, not of numbers")
     if answer.ndim != 2:
-        raise PolicyError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
+        raise InvalidAnswerError(f"{spec.name} answered with an array of {_shape(answer)}, not of (steps, {width})")
     if answer.shape[1] != width:
         message = f"{spec.name} answered with {answer.shape[1]} numbers for each action, and the robots take {width}"
-        raise PolicyError(f"{message}: {words}")
+        raise InvalidAnswerError(f"{message}: {words}")
     if len(answer) < spec.horizon:
         message = f"{spec.name} answered with {len(answer)} actions, and its `horizon` is {spec.horizon}"
-        raise PolicyError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
+        raise InvalidAnswerError(f"{message}; lower it to {len(answer)}" if len(answer) else message)
     wrong = np.argwhere(~np.isfinite(answer))
     if len(wrong):
         step, column = (int(v) for v in wrong[0])
-        raise PolicyError(f"{spec.name} answered with `{answer[step, column]}` in action {step}, number {column}")
+        raise InvalidAnswerError(
+            f"{spec.name} answered with `{answer[step, column]}` in action {step}, number {column}"
+        )
     return answer
 
 

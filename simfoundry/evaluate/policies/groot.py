@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import Observation, PolicyError
+from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation, PolicyError
 from simfoundry.evaluate.policies.groot_modality import Modality, eef_9d, modality
 from simfoundry.evaluate.policies.reading import pictures, reading
 from simfoundry.evaluate.policies.remote import RemotePolicy
@@ -61,7 +61,8 @@ class GrootPolicy(RemotePolicy):
         try:
             return _joined(answer)
         except PolicyError as error:
-            raise self._requests.fail(f"the answer of {self._requests.uri} cannot be read: {error}") from None
+            message = f"the answer of {self._requests.uri} cannot be read: {error}"
+            raise self._requests.fail(message, InvalidAnswerError) from None
 
     def close(self) -> None:
         """Let go of the socket."""

@@ -18,8 +18,9 @@ import numpy as np
 from simfoundry.evaluate.policies.base import PolicyError
 from simfoundry.evaluate.policies.missing import needed
 from simfoundry.evaluate.policies.serve import Infer, serve
+from simfoundry.extras import install_line
 
-INSTALL = "install it where the checkpoint runs (`pip install lerobot 'simfoundry[policies]'`)"
+INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} lerobot`)"
 
 
 def load_checkpoint(checkpoint: str, device: str | None = None) -> tuple[Infer, dict[str, Any]]:

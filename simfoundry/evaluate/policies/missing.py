@@ -6,9 +6,10 @@ import importlib
 from types import ModuleType
 
 from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.extras import install_line
 
 
-def needed(module: str, what: str, install: str = "pip install 'simfoundry[policies]'") -> ModuleType:
+def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:
     """A module that may be absent; raises :class:`PolicyError` with what to do."""
     try:
         return importlib.import_module(module)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
-from simfoundry.evaluate.policies.base import Observation
+from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation
 from simfoundry.evaluate.policies.reading import pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
@@ -35,7 +35,8 @@ class OpenpiPolicy(RemotePolicy):
         answer = self._connection.ask({**seen, **told, "prompt": self._instruction})
         if not isinstance(answer, dict) or "actions" not in answer:
             keys = ", ".join(map(str, answer)) if isinstance(answer, dict) else f"a `{type(answer).__name__}`"
-            raise self._connection.fail(f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}")
+            message = f"the answer of {self._connection.uri} has no `actions`: {keys[:200]}"
+            raise self._connection.fail(message, InvalidAnswerError)
         return answer["actions"]
 
     def close(self) -> None:

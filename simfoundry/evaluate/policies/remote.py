@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
 from simfoundry.evaluate.policies.chunk import actions_of
 from simfoundry.evaluate.policies.reading import cameras_of
 from simfoundry.evaluate.policies.record import PolicyRecord
@@ -41,7 +41,10 @@ class RemotePolicy:
     def reset(self, instruction: str, seed: int) -> None:
         """Begin a rollout: connect where nothing is connected. What is random in the policy is the server's own."""
         self._instruction = instruction
-        self.begin()
+        try:
+            self.begin()
+        except InvalidAnswerError as error:  # it was asked for no action yet, so no rollout has failed by its answer
+            raise PolicyError(str(error)) from None
 
     def infer(self, observation: Observation) -> Array:
         """The actions that its document says are carried out, shape (horizon, numbers of an action)."""

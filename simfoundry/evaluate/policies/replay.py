@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
 from simfoundry.scene.frames import Array
 
 LARGEST = 256 * 2**20
@@ -37,7 +37,7 @@ class ReplayPolicy:
         width = sum(len(robot.joints) + 1 for robot in observation.robots.values())
         if self._actions.shape[1] != width:
             recorded = self._actions.shape[1]
-            raise PolicyError(f"{self.name} has {recorded} numbers for each action, and the robots take {width}")
+            raise InvalidAnswerError(f"{self.name} has {recorded} numbers for each action, and the robots take {width}")
         chunk = self._actions[-1:].copy() if self._played else self._actions.copy()
         if self._played and self.action_space is ActionSpace.JOINT_VELOCITY:
             at = 0

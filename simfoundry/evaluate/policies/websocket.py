@@ -12,7 +12,7 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
 from simfoundry.evaluate.policies.codec import CodecError, pack, unpack
 from simfoundry.evaluate.policies.missing import needed
 from simfoundry.evaluate.policies.record import PolicyRecord
@@ -76,10 +76,10 @@ class Connection:
         with suppress(Exception):  # the other end may be gone in any way
             self._open.close()
 
-    def fail(self, message: str) -> PolicyError:
+    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
         """An error to raise, noted in the record."""
         self.record.failed(message)
-        return PolicyError(message)
+        return kind(message)
 
     def _packed(self, message: Mapping[str, Any]) -> bytes:
         needed("msgpack", f"the protocol of {self.spec.protocol}")
@@ -186,17 +186,17 @@ class Connection:
             if expect_text is not None and data == expect_text:
                 return data
             self.close()
-            raise self.fail(f"the server at {self.uri} failed: {last_line(data)}")
+            raise self.fail(f"the server at {self.uri} failed: {last_line(data)}", InvalidAnswerError)
         try:
             return unpack(data)
         except CodecError as error:
             self.close()
-            raise self.fail(f"the answer of {self.uri} cannot be read: {error}") from None
+            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
 
     def _closed(self, closed: Any) -> Exception:
         if closed.sent is not None and closed.sent.code == 1009:  # ours: it was larger than we take
             self.close()
-            return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB")
+            return self.fail(f"the answer of {self.uri} is larger than {LARGEST // 2**20} MiB", InvalidAnswerError)
         code = closed.rcvd.code if closed.rcvd is not None else None
         return LostError(f"the server at {self.uri} hung up" + (f" ({code})" if code else ""))
 

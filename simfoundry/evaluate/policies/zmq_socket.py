@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
 from simfoundry.evaluate.policies.codec import CodecError
 from simfoundry.evaluate.policies.groot_codec import pack, unpack
 from simfoundry.evaluate.policies.missing import needed
@@ -68,10 +68,10 @@ class Requests:
             self._monitor.close(linger=0)
             socket.close(linger=0)
 
-    def fail(self, message: str) -> PolicyError:
+    def fail(self, message: str, kind: type[PolicyError] = PolicyError) -> PolicyError:
         """An error to raise, noted in the record."""
         self.record.failed(message)
-        return PolicyError(message)
+        return kind(message)
 
     def _patience(self) -> float:
         return self.spec.timeout if self._answered else self.spec.warm_up
@@ -85,13 +85,14 @@ class Requests:
 
     def _sound(self, data: bytes) -> Any:
         if data == b"ERROR":
-            raise self.fail(f"the server at {self.uri} failed and does not say why")
+            raise self.fail(f"the server at {self.uri} failed and does not say why", InvalidAnswerError)
         try:
             answer = unpack(data)
         except CodecError as error:
-            raise self.fail(f"the answer of {self.uri} cannot be read: {error}") from None
+            raise self.fail(f"the answer of {self.uri} cannot be read: {error}", InvalidAnswerError) from None
         if isinstance(answer, dict) and "error" in answer:
-            raise self.fail(f"the server at {self.uri} failed: {last_line(str(answer['error']))}")
+            reason = last_line(str(answer["error"]))
+            raise self.fail(f"the server at {self.uri} failed: {reason}", InvalidAnswerError)
         return answer
 
     def _exchange(self, endpoint: str, data: Mapping[str, Any] | None, patience: float) -> bytes:

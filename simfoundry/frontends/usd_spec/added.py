@@ -17,7 +17,9 @@ from simfoundry.frontends.usd_spec.words import Note, as_name, short, srgb
 from simfoundry.scene.frames import Array, Pose, quat_from_matrix
 
 if TYPE_CHECKING:
-    from pxr import Usd, UsdGeom
+    from pxr import Usd
+
+    from simfoundry.frontends.usd_spec.world import World
 
 WATER = 1000.0
 """The density [kg/m^3] that UsdPhysics gives to what has neither mass nor density."""
@@ -38,15 +40,12 @@ class Added:
     notes: list[Note] = field(default_factory=list)
 
 
-def added(stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any]) -> Added:
+def added(stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any], world: World) -> Added:
     """What stands on the stage beside the parts at the paths ``known``, as members for the document ``data``."""
-    from pxr import Usd, UsdGeom
-
-    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     out = Added()
     taken = {name for section in data.values() if isinstance(section, dict) for name in section}
     for prim in _others(stage, carrier, known):
-        found = _member(prim, cache)
+        found = _member(prim, world)
         if isinstance(found, Note):
             out.notes.append(found)
         elif found is not None:
@@ -79,18 +78,18 @@ def _is_member(prim: Usd.Prim) -> bool:
     return bool(typed or prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.ArticulationRootAPI))
 
 
-def _member(prim: Usd.Prim, cache: UsdGeom.XformCache) -> tuple[str, dict[str, Any]] | Note:
+def _member(prim: Usd.Prim, world: World) -> tuple[str, dict[str, Any]] | Note:
     from pxr import UsdGeom, UsdLux
 
-    pose, scale = factored(cache.GetLocalToWorldTransform(prim))
+    pose, scale = factored(world.matrix(prim))
     if prim.IsA(UsdGeom.Camera):
         return "cameras", _camera(prim, pose)
     if prim.HasAPI(UsdLux.LightAPI):
         return _light(prim, pose)
-    return _object(prim, cache, pose, scale)
+    return _object(prim, world, pose, scale)
 
 
-def _object(prim: Usd.Prim, cache: UsdGeom.XformCache, pose: Pose, scale: Array) -> tuple[str, dict[str, Any]] | Note:
+def _object(prim: Usd.Prim, world: World, pose: Pose, scale: Array) -> tuple[str, dict[str, Any]] | Note:
     """A primitive; it is free where it is a rigid body, and touched where it, or what it holds, collides."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
@@ -99,7 +98,7 @@ def _object(prim: Usd.Prim, cache: UsdGeom.XformCache, pose: Pose, scale: Array)
     if len(shapes) != 1:
         return Note(path, f"it has {len(shapes)} shapes, and one is taken over", "import it alone, as an asset")
     shape = shapes[0]
-    X_WS, scale = factored(cache.GetLocalToWorldTransform(shape)) if shape != prim else (pose, scale)
+    X_WS, scale = factored(world.matrix(shape)) if shape != prim else (pose, scale)
     found = _shape(shape, scale)
     if found is None:
         message = f"a {shape.GetTypeName()} is not taken over"
@@ -111,7 +110,7 @@ def _object(prim: Usd.Prim, cache: UsdGeom.XformCache, pose: Pose, scale: Array)
         data["fixed"] = True
     data |= _color(shape)
     if free:
-        data |= _mass(prim)
+        data |= _mass(prim, world.to_m)
     data |= _touch(shape)
     written = pose_data(X_WS @ turned, None, Pose.of())
     if written:
@@ -142,11 +141,11 @@ def _shape(prim: Usd.Prim, scale: Array) -> tuple[dict[str, Any], Pose] | None:
     return {kind.lower(): value}, Pose.of(q=quat_from_matrix(frame))
 
 
-def _mass(prim: Usd.Prim) -> dict[str, float]:
-    for name, key in (("physics:mass", "mass"), ("physics:density", "density")):
+def _mass(prim: Usd.Prim, to_m: float) -> dict[str, float]:
+    for name, key, unit in (("physics:mass", "mass", 1.0), ("physics:density", "density", to_m**-3)):
         value = prim.GetAttribute(name).Get() if prim.HasAttribute(name) else None
         if value:
-            return {key: short(value)}
+            return {key: short(value * unit)}
     return {"density": WATER}
 
 

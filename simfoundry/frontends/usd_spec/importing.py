@@ -7,6 +7,7 @@ from pathlib import Path
 
 from simfoundry.errors import OutputError
 from simfoundry.files import write_atomically
+from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.frontends.usd_spec.loading import home, stage_document
 from simfoundry.frontends.usd_spec.onto import written_into
 from simfoundry.frontends.usd_spec.reading import read_stage
@@ -62,7 +63,8 @@ def import_stage(path: Path, out: Path, onto: Path | None = None, force: bool = 
     original = onto or (out if out.exists() and not force else None)
     if original is not None and original.absolute().parent != out.absolute().parent:
         raise OutputError(f"write {out.name} beside {original}: what that refers to is relative to its folder")
-    imported = import_usd(path, original, out.parent)
+    with refusing_faults(path):
+        imported = import_usd(path, original, out.parent)
     if original is None or not out.exists() or out.read_text(encoding="utf-8") != imported.text:
         write_atomically(out, imported.text.encode())
     return imported

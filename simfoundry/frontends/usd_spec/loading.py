@@ -11,7 +11,8 @@ from simfoundry.frontends.usd_spec.reading import Reading, read_stage
 from simfoundry.frontends.usd_spec.stage import StageError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
-from simfoundry.spec.loaded import Loaded, project_root
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.project import project_root
 from simfoundry.spec.text import Document, Node
 
 KIND = "scene/1"

@@ -11,7 +11,7 @@ from simfoundry.frontends.usd_spec.edits import differs
 from simfoundry.frontends.usd_spec.names import renamed
 from simfoundry.spec.compose import EXCLUSIVE, compose
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.loaded import project_root
+from simfoundry.spec.project import project_root
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import YamlError, read
 from simfoundry.spec.tree import Tree, read_tree, with_data

@@ -1,7 +1,7 @@
 """A stage that was compiled from a document, and perhaps edited, as that document.
 
 What nobody touched comes back as it was written. Where the stage says otherwise than when it was written, the stage
-counts. Numbers are metres, kilograms and z up, whatever a layer that somebody put on top declares.
+counts. Which units a stage has that takes ours in is for :class:`~simfoundry.frontends.usd_spec.world.World` to say.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from simfoundry.frontends.usd_spec.stage import Part, StageError, carrier, docum
 from simfoundry.frontends.usd_spec.variants import variant_data
 from simfoundry.frontends.usd_spec.views import edited_camera, edited_light
 from simfoundry.frontends.usd_spec.words import Note, as_name, short
+from simfoundry.frontends.usd_spec.world import World
 
 if TYPE_CHECKING:
     from pxr import Usd
@@ -66,7 +67,8 @@ def read_spec(stage: Usd.Stage) -> Reading | None:
     file, written = document(prim)
     if written.get("simfoundry") != "scene/1":
         raise StageError(f"the stage holds a `{written.get('simfoundry')}` document; this version reads scene/1")
-    found = parts(stage)
+    world = World(stage, prim)
+    found = parts(stage, world)
     members, names, copies = _identified(found, written)
     edited = {key: _edited(part) for key, part in members.items()}
     before = _compiled(written, members)
@@ -75,8 +77,8 @@ def read_spec(stage: Usd.Stage) -> Reading | None:
     gone = {n for s, n in owners if (s, n) not in members and _had(written, s, n)}
     data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
     notes = [note for each in edited.values() for note in each.notes]
-    _gravity(prim, data)
-    new = added(stage, prim, {part.path for part in found}, data)
+    _gravity(prim, data, world)
+    new = added(stage, prim, {part.path for part in found}, data, world)
     _add(data, new)
     prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
     prims |= {(part.section, name): part.path for name, part in copies.items()}
@@ -208,7 +210,7 @@ def _only_along(part: Part, data: Data) -> bool:
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
 
 
-def _gravity(prim: Usd.Prim, data: Data) -> None:
+def _gravity(prim: Usd.Prim, data: Data, world: World) -> None:
     """Gravity into ``data`` where somebody changed it."""
     physics = prim.GetChild("Physics")
     direction, magnitude = (
@@ -218,7 +220,9 @@ def _gravity(prim: Usd.Prim, data: Data) -> None:
         return
     gravity = np.array(direction, dtype=np.float64) * float(magnitude)
     old = data.get("gravity", (0.0, 0.0, -9.81))
-    if np.abs(gravity - np.array(old)).max() > 1e-5 * max(1.0, float(np.abs(old).max())):
+    kept = [v for v in (gravity, world.gravity(gravity)) if np.abs(v - old).max() <= 1e-5 * max(1.0, np.abs(old).max())]
+    if not kept:  # neither as it was written nor the same in the units of the stage
+        gravity = world.gravity(gravity)
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
 
 

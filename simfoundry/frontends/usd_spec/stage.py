@@ -17,6 +17,8 @@ from simfoundry.scene.frames import Array, Pose
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
 
+    from simfoundry.frontends.usd_spec.world import World
+
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
 VARIANTS = "variant"
@@ -103,19 +105,16 @@ def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
     return str(entries.get("file", "")), _json(prim, "document", _checked_sections)
 
 
-def parts(stage: Usd.Stage) -> list[Part]:
+def parts(stage: Usd.Stage, world: World) -> list[Part]:
     """Every part that is there and active, wherever it is by now, in the order of the stage."""
-    from pxr import Usd, UsdGeom
-
-    cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
-    found = [_part(prim, cache) for prim in stage.Traverse() if "part" in _entries(prim)]
-    others = _other_variants(stage, [part for part in found if part.variant])
+    found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
+    others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
 
 
-def _other_variants(stage: Usd.Stage, varied: list[Part]) -> dict[str, tuple[Part, ...]]:
+def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[str, tuple[Part, ...]]:
     """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
-    from pxr import Sdf, Usd, UsdGeom
+    from pxr import Sdf, Usd
 
     rest: dict[str, list[str]] = {}
     for part in varied:
@@ -128,9 +127,9 @@ def _other_variants(stage: Usd.Stage, varied: list[Part]) -> dict[str, tuple[Par
         with Usd.EditContext(other, other.GetSessionLayer()):
             for path, name in chosen.items():
                 other.GetPrimAtPath(path).GetVariantSet(VARIANTS).SetVariantSelection(name)
-        cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        elsewhere = world.anew()
         for path in chosen:
-            part = _part(other.GetPrimAtPath(path), cache)
+            part = _part(other.GetPrimAtPath(path), elsewhere)
             if part.variant != UNKNOWN:
                 now = _own_opinions(part)
                 found[path].append(replace(part, now=now, X_WP=part.X_WP_built, scale=np.ones(3), stage=other))
@@ -199,7 +198,7 @@ def links_of(built: Values) -> list[str]:
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
-def _part(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Part:
+def _part(prim: Usd.Prim, world: World) -> Part:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
@@ -209,9 +208,9 @@ def _part(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Part:
     built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
-    X_WP, scale = factored(cache.GetLocalToWorldTransform(root or prim))
+    X_WP, scale = factored(world.matrix(root or prim))
     variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
-    return Part(section, name, prim, spec, built, _now(prim, built, cache), X_WP, scale, variant)
+    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:

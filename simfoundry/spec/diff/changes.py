@@ -2,8 +2,8 @@
 
 Documents are plain data: mappings with text keys, tuples, scalars. Members of named mappings are matched by name, and
 where one vanishes while a nearly equal one appears, by a rename (:mod:`simfoundry.spec.diff.renames`). Lists are
-replaced as a whole, except lists of expressions (``relations``, ``all``, ``any``), which are sets: an expression is a
-member that is called like its text. ``1`` and ``1.0`` are the same number.
+replaced as a whole, except lists of expressions (``relations``, ``all``, ``any``) and of pairs (``no_contact``), which
+are sets: an expression or a pair is a member that is called like its text. ``1`` and ``1.0`` are the same number.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diff.renames import Path_, Rename, copied, find_renames, renamed, same
 
 EXPRESSION_LISTS = ("relations", "all", "any")
-"""Keys of lists whose order means nothing."""
+"""Keys of lists of expressions; their order means nothing."""
+
+PAIR_LISTS = ("no_contact",)
+"""Keys of lists of pairs; their order, and that of each pair, mean nothing."""
 
 
 @dataclass(frozen=True)
@@ -109,17 +112,19 @@ def members(value: Any, path: Path_) -> dict[str, Any] | None:
     """The members of a mapping by name, of a list of expressions by text; None for what is replaced as a whole."""
     if isinstance(value, dict):
         return value
-    if path and path[-1] in EXPRESSION_LISTS and isinstance(value, tuple | list):
+    if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
         keyed = {expression(item): item for item in value}
         return keyed if len(keyed) == len(value) else None
     return None
 
 
 def expression(item: Any) -> str:
-    """An expression of a goal as one text: ``any(OnTop(cup, plate), not Open(box))``."""
+    """An expression of a goal, or a pair, as one text: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
     match item:
         case str():
             return item
+        case (str(), str()):
+            return " and ".join(sorted(item))
         case {"not": inner}:
             return f"not {expression(inner)}"
         case dict() if len(item) == 1:

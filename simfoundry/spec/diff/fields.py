@@ -7,7 +7,7 @@ from typing import Any
 
 from simfoundry.spec.base import Model
 from simfoundry.spec.diff import poses, values
-from simfoundry.spec.diff.changes import EXPRESSION_LISTS, expression
+from simfoundry.spec.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
 from simfoundry.spec.diff.renames import SECTIONS, same
 
 Path_ = tuple[str, ...]
@@ -57,7 +57,7 @@ class Describing:
     def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
         """Facts of one field, which ``was`` in the old document or not and ``is_`` in the new."""
         key = path[-1]
-        if key == "goal" or key in EXPRESSION_LISTS:
+        if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
         if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
             return [_shape(old, new)]

@@ -37,7 +37,7 @@ IDENTITY = ("shape", "asset", "mesh", "model")
 MAX_PAIRS = 40_000
 """Where more pairs than this could be renames, only members that are entirely equal are taken for one."""
 
-_REFERENCES = {
+REFERENCES = {
     "material": ("materials",),
     "on": ("objects",),
     "inside": ("objects",),
@@ -52,8 +52,16 @@ _REFERENCES = {
     "objects": ("objects",),
     "parent": ("links",),
     "child": ("links",),
+    "joint": ("joints",),
+    "no_contact": ("objects", "links"),
 }
 """Keys whose text is a name, or a list of some, and the sections in which it is looked up."""
+
+BESIDE = {"variant": "variants"}
+"""Keys whose text names a member of the mapping beside them."""
+
+_ALLOWED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
+"""The sections of what an entry of ``allow`` may be about, by its name alone."""
 
 _EXPRESSIONS = ("relations", "goal", "all", "any", "not")
 """Keys of expressions, whose arguments are names of objects or robots."""
@@ -189,24 +197,40 @@ def _space(section: Path_) -> str:
     """The section in which the names of a mapping are defined; empty where nothing refers to them."""
     if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
         return "objects"
-    if len(section) == 2 and section[0] == "allow":
-        return "objects"
     return section[0] if len(section) == 1 else ""
 
 
 def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> Any:
+    """A value at ``path``, whose parts have their new names already."""
     if isinstance(value, dict):
         mapping: dict[str, Any] = value
-        names = _new_names(mapping, {**spaces.get(_space(path), {}), **local.get(path, {})})
+        if path == ("conflicts",) or (len(path) == 2 and path[0] == "allow"):
+            given = {key: _path_renamed(key, local, spaces if path[0] == "allow" else {}) for key in mapping}
+        else:
+            given = {**spaces.get(_space(path), {}), **local.get(path, {})}
+        names = _new_names(mapping, given)
         items = ((names.get(key, key), item) for key, item in mapping.items())
         return {key: _renamed(item, (*path, key), local, spaces) for key, item in items}
-    if not spaces or not path:
+    if not local or not path:
         return copied(value)
-    if path[-1] in _REFERENCES:
-        return _reference(value, _REFERENCES[path[-1]], spaces)
+    if path[-1] in BESIDE:
+        return local.get((*path[:-1], BESIDE[path[-1]]), {}).get(value, value) if isinstance(value, str) else value
+    if path[-1] in REFERENCES:
+        return _reference(value, REFERENCES[path[-1]], spaces)
     if path[-1] in _EXPRESSIONS:
         return _expression(value, spaces)
     return copied(value)
+
+
+def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
+    """A dotted path, or a name alone that is looked up in ``spaces``, with the new names of its members."""
+    parts = text.split(".")
+    if len(parts) == 1:
+        return _name(text, _ALLOWED, spaces)
+    for k in range(1, len(parts)):
+        name, again, number = parts[k].partition(" #")  # a second conflict at one path has a number
+        parts[k] = local.get(tuple(parts[:k]), {}).get(name, name) + again + number
+    return ".".join(parts)
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:

@@ -1,11 +1,11 @@
-"""Lists of conditions, which are sets: the items of three lists that are the same item."""
+"""Lists of conditions or of pairs, which are sets: the items of three lists that are the same item."""
 
 from __future__ import annotations
 
 from collections import Counter
 from typing import Any
 
-from simfoundry.spec.diff.changes import EXPRESSION_LISTS, expression
+from simfoundry.spec.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
 from simfoundry.spec.merge.conflict import Path_
 from simfoundry.spec.spelling import call
 from simfoundry.spec.tree import Tree
@@ -16,10 +16,11 @@ _JOINED = ("all", "any")
 
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
-    """Whether lists at ``path`` are sets of conditions."""
-    if not path or path[-1] not in EXPRESSION_LISTS:
+    """Whether lists at ``path`` are sets of conditions, or of pairs."""
+    if not path or path[-1] not in (*EXPRESSION_LISTS, *PAIR_LISTS):
         return False
-    return all(isinstance(value, tuple) and all(map(_is_condition, value)) for value in values)
+    is_item = _is_pair if path[-1] in PAIR_LISTS else _is_condition
+    return all(isinstance(value, tuple) and all(map(is_item, value)) for value in values)
 
 
 def matched(items: tuple[Tree, ...], base: dict[str, Tree] | None = None) -> dict[str, Tree]:
@@ -41,7 +42,7 @@ def matched(items: tuple[Tree, ...], base: dict[str, Tree] | None = None) -> dic
 
 
 def spelled(condition: Any) -> str:
-    """A condition as one text, however it is spaced."""
+    """A condition, or a pair, as one text, however it is spaced or ordered."""
     return expression(_spelled(condition))
 
 
@@ -53,6 +54,11 @@ def _is_condition(tree: Tree) -> bool:
             return isinstance(below.value, tuple) and all(map(_is_condition, below.value))
         return key == "not" and _is_condition(below)
     return isinstance(value, str)
+
+
+def _is_pair(tree: Tree) -> bool:
+    items = tree.value
+    return isinstance(items, tuple) and len(items) == 2 and all(isinstance(item.value, str) for item in items)
 
 
 def _spelled(condition: Any) -> Any:

@@ -1,8 +1,9 @@
 """Three documents into one, by meaning.
 
-Mappings are merged key by key, ``relations`` and the lists of goals as sets, all else as a whole. Edits of different
-things never meet; equal edits are one. What cannot be united is a :class:`Conflict`: the document keeps ours (or, where
-one side removed what the other changed, what was changed), and says under ``conflicts`` what all three had.
+Mappings are merged key by key, ``relations``, ``no_contact`` and the lists of goals as sets, all else as a whole. Edits
+of different things never meet; equal edits are one. What cannot be united is a :class:`Conflict`: the document keeps
+ours (or, where one side removed what the other changed, what was changed), and says under ``conflicts`` what all three
+had.
 """
 
 from __future__ import annotations
@@ -121,10 +122,11 @@ class _Merging:
         return there
 
     def is_empty_where_absent(self, base: Tree, there: Tree, path: Path_) -> bool:
-        """Whether a mapping by name, or a list of relations, is not written where it is empty."""
+        """Whether a mapping by name, or a list of relations or pairs, is not written where it is empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
-        return path == ("relations",) and not self.overlay and is_list_of_conditions(path, base.value, there.value)
+        is_set = path in (("relations",), ("no_contact",))
+        return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
     def whole(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
         """A value that is taken as it is, from one side."""
@@ -186,7 +188,8 @@ class _Merging:
             return self.value(base, ours, theirs, path)
         if ours is None or theirs is None:
             return None if base is not None else ours or theirs
-        return commented(ours, base, ours, theirs)
+        taken = min((ours, theirs), key=lambda tree: repr(tree.data))  # whichever side is which
+        return commented(taken, base, ours, theirs)
 
     # -- conflicts --------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,319 @@
+"""The end of the demo: an arm is set beside a table that was captured, and does a small task there."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.backends.robot_object import as_object
+from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.errors import OutputError
+from simfoundry.evaluate.control import Controller, physics_steps
+from simfoundry.evaluate.expert.grasps import down, grasps
+from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.places import places
+from simfoundry.evaluate.expert.policy import Expert
+from simfoundry.evaluate.policies.base import ActionSpace, Image
+from simfoundry.evaluate.rollout import Rollout, rollout
+from simfoundry.evaluate.starts import Start
+from simfoundry.evaluate.task import Task, load_task
+from simfoundry.extras import MissingExtraError, need_extra
+from simfoundry.files import staged, write_atomically, write_files
+from simfoundry.outputs import ensure_folder_replaceable
+from simfoundry.scene.crossings import solid
+from simfoundry.scene.frames import Array
+from simfoundry.scene.lower import lower_file
+from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.raycast import raycast
+from simfoundry.scene.robot import Robot
+from simfoundry.scene.robots import lower_robot
+from simfoundry.scene.state import SceneState
+from simfoundry.scene.summary import world_bounds
+from simfoundry.spec.project import Project, find_project, markers
+from simfoundry.spec.robot import ROBOTS, RobotSpec
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+from simfoundry.worlds.compare import png_bytes, side_by_side
+from simfoundry.worlds.footing import center_of_mass
+from simfoundry.worlds.gl import Engine, choose_engine
+from simfoundry.worlds.mounted import camera_of
+
+ARM = "demo_arm"
+"""The arm that is set beside the table: the one that needs no download."""
+
+NEAR, APART = (0.50, 0.45, 0.55, 0.40, 0.60), 0.16
+"""How far the base may stand from the middle between thing and target, best first, and how far it keeps from all
+things [m]: its foot is 0.09 m wide, and the elbow needs room beside it."""
+
+NEAREST, MARGIN = 0.30, 0.04
+"""What is closer to the base [m] cannot be grasped from above (0.28 m is measured); of its reach so much is spared."""
+
+SIDES = (180, 135, -135, 90, -90)
+"""Where the base stands, seen from the things: angles to the camera's side [deg]. Opposite, it hides nothing."""
+
+EDGE = 0.08
+"""The base stands on the table where that leaves this much [m] to its edge."""
+
+ATTEMPTS = 3
+"""How many tasks are tried until one is done."""
+
+PICTURES, SIZE = 5, (400, 300)
+"""How many pictures are in the strip, and their width and height [px]."""
+
+SCENE, TASK, STRIP, REPORT = "arm.scene.yaml", "arm.task.yaml", "strip.png", "report.json"
+"""The files that are written."""
+
+CAMERA = "side"
+"""The camera that sees the arm and what it does."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmDemo:
+    """What the arm did: its ``task`` document and the ``strip`` of pictures, None where there was nothing to do.
+
+    ``success`` says whether the goal held at the end, ``seconds`` how long the arm took; ``reason`` why it failed.
+    """
+
+    instruction: str
+    success: bool
+    seconds: float
+    reason: str
+    task: Path | None = None
+    strip: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        return {
+            "instruction": self.instruction,
+            "success": self.success,
+            "seconds": self.seconds,
+            "reason": self.reason,
+            "task": None if self.task is None else str(self.task),
+            "strip": None if self.strip is None else str(self.strip),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Idea:
+    """A task and where the arm stands for it: ``base`` on the ground [m], facing ``yaw`` [rad]."""
+
+    thing: str
+    target: str
+    inside: bool
+    base: Array
+    yaw: float
+
+    @property
+    def instruction(self) -> str:
+        names = [name.replace("_", " ") for name in (self.thing, self.target)]
+        return f"Put the {names[0]} {'in' if self.inside else 'on'} the {names[1]}."
+
+    @property
+    def goal(self) -> str:
+        return f"{'Inside' if self.inside else 'OnTop'}({self.thing}, {self.target})"
+
+
+def demonstrate(scene_file: Path, out: Path, force: bool = False) -> ArmDemo:
+    """Let the arm do a small task in the scene of a document: its scene, task and pictures are written into ``out``.
+
+    Raises :class:`OutputError` where ``out`` holds what no demo wrote, unless ``force``.
+    """
+    if not force:
+        _ensure_replaceable(out)
+    try:
+        need_extra("expert", "its inverse kinematics")
+    except MissingExtraError as error:
+        return ArmDemo("", False, 0.0, str(error))
+    _mark(out)
+    scene = lower_file(scene_file, Cache.default())
+    done = ArmDemo("", False, 0.0, "nothing here is small enough to be grasped and put somewhere")
+    for idea in islice(_ideas(scene), ATTEMPTS):
+        done = _try(idea, scene, scene_file, out)
+        if done.success:
+            break
+    return done
+
+
+def _ensure_replaceable(out: Path) -> None:
+    """Raise :class:`OutputError` where replacing ``out`` would destroy what a person made there."""
+    if not out.is_dir():
+        return
+    try:
+        written: dict[str, str] = dict(json.loads((out / REPORT).read_bytes())["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        written = {}
+    ensure_folder_replaceable(out, written, REPORT)
+
+
+def _mark(out: Path) -> None:
+    """Mark the folder of the demo as a project, where it lies in none: its documents name one another."""
+    if find_project(out) is not None:
+        return
+    marker = markers(Project(out.parent))
+    if not marker:
+        raise OutputError(
+            f"{out.parent} holds other things, too; give the demo a folder of its own, as -o {out.parent}/demo"
+        )
+    for file, text in marker.items():
+        write_atomically(file, text.encode())
+
+
+def _ideas(scene: Scene) -> Iterator[_Idea]:
+    """What could be done, best first: into something rather than onto it, and small things rather than large ones."""
+    robot = lower_robot("arm", RobotSpec(model=ARM), Path())
+    fingers = jaws(robot)
+    assert fingers is not None
+    state = SceneState.initial(scene)
+    free = [item for item in scene.objects if not item.fixed]
+    carriers = {relation.args[1] for relation in scene.relations if len(relation.args) == 2}
+    size = {item.name: float(np.ptp(world_bounds(item, item.X_WO), axis=0).max()) for item in free}
+    things = [item for item in sorted(free, key=lambda item: size[item.name]) if item.name not in carriers]
+
+    @cache
+    def is_graspable(name: str) -> bool:
+        item = scene.object(name)
+        return bool(grasps(solid(item, state), center_of_mass(item, state.poses[name]), fingers, down()))
+
+    for inside in (True, False):
+        for thing in things:
+            for target in free:
+                if target.name == thing.name or not (inside or size[target.name] > size[thing.name]):
+                    continue
+                if is_graspable(thing.name) and places(scene, state, thing.name, target.name, inside):
+                    for base, yaw in islice(_bases(scene, thing, target), 1):
+                        yield _Idea(thing.name, target.name, inside, base, yaw)
+
+
+def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:
+    """Where the arm can stand to reach both, best first: position of its base [m] and the way it faces [rad]."""
+    ends = [np.mean(world_bounds(item, item.X_WO), axis=0) for item in (thing, target)]
+    middle = (ends[0] + ends[1]) / 2
+    boxes = {item.name: world_bounds(item, item.X_WO) for item in scene.objects}
+    tables = [boxes[item.name] for item in scene.objects if item.fixed]
+    ground = min(float(boxes[item.name][0][2]) for item in scene.objects if not item.fixed)
+    seen_from = scene.cameras[0].X_WC.p - middle if scene.cameras else np.array([-1.0, 0.0, 0.0])
+    towards = math.atan2(seen_from[1], seen_from[0])
+    found: list[tuple[bool, int, Array, float]] = []
+    for side in SIDES:
+        for near in NEAR:
+            angle = towards + math.radians(side)
+            base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
+            away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
+            if min(away) < NEAREST or max(away) > ROBOTS[ARM].reach - MARGIN:
+                continue
+            if any(not item.fixed and _distance(base, boxes[item.name]) < APART for item in scene.objects):
+                continue
+            stands = any(_distance(base, box) == 0 and _inset(base, box) >= EDGE for box in tables)
+            found.append((not stands, len(found), base, angle + math.pi))
+    for _, _, base, yaw in sorted(found, key=lambda each: each[:2]):
+        yield base, math.remainder(yaw, 2 * math.pi)
+
+
+def _distance(point: Array, box: tuple[Array, Array]) -> float:
+    """From a point to a box, along the ground [m]."""
+    off = np.maximum(np.maximum(box[0][:2] - point[:2], point[:2] - box[1][:2]), 0.0)
+    return float(np.linalg.norm(off))
+
+
+def _inset(point: Array, box: tuple[Array, Array]) -> float:
+    """From a point in a box to its nearest side, along the ground [m]."""
+    return float(np.minimum(point[:2] - box[0][:2], box[1][:2] - point[:2]).min())
+
+
+def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
+    """Write the task of an idea, let the expert do it, and draw how it went."""
+    documents = {SCENE: _scene_text(idea, scene, scene_file, out), TASK: _task_text(idea)}
+    with staged(out) as folder:
+        write_files(folder, {name: text.encode() for name, text in documents.items()})
+        task = load_task(folder / TASK, Cache.default())
+        start = Start(0, 0, MappingProxyType({}), SceneState.initial(task.scene))
+        expert = Expert(task)
+        with open_world(task.scene, "mujoco") as world:
+            one = rollout(task, start, expert, world)
+            strip = _strip(task, start, one, world)
+        reason = "" if one.success else "; ".join(dict.fromkeys([*expert.log, one.reason]))
+        done = ArmDemo(
+            idea.instruction, one.success, round(one.steps / task.control_hz, 1), reason, out / TASK, out / STRIP
+        )
+        written = {name: text.encode() for name, text in documents.items()} | {STRIP: png_bytes(strip)}
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in written.items()}
+        report = json.dumps(done.to_json() | {"files": hashes}, indent=1, ensure_ascii=False) + "\n"
+        write_files(folder, written | {REPORT: report.encode()})
+    return done
+
+
+def _scene_text(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> str:
+    """The captured scene with the arm in it, and a camera that sees both."""
+    towards = np.array([math.cos(idea.yaw), math.sin(idea.yaw), 0.0])
+    aside = np.array([-towards[1], towards[0], 0.0])
+    # From the front and a little from the side, so far away [m] that the arm and what it reaches are in the picture.
+    eye = idea.base + 1.6 * towards + 0.8 * aside + np.array([0.0, 0.0, 0.8])
+    look = idea.base + 0.27 * towards + np.array([0.0, 0.0, 0.3])
+    base = Path(os.path.relpath(scene_file.resolve(), out.resolve())).as_posix()
+    return (
+        f"# {scene.name}, with an arm beside it\nsimfoundry: scene/1\nname: {scene.name}_arm\nextends: {base}\n"
+        "viewpoint: arm\n\nrobots:\n"
+        f"  arm: {{model: {ARM}, pose: {{xyz: {_numbers(idea.base)}, yaw_deg: {math.degrees(idea.yaw):.1f}}}}}\n\n"
+        f"cameras:\n  {CAMERA}:\n    size: [640, 480]\n    fx: 680\n    fy: 680\n"
+        f"    pose: {{xyz: {_numbers(eye)}, look_at: {_numbers(look)}}}\n"
+    )
+
+
+def _task_text(idea: _Idea) -> str:
+    return (
+        f"simfoundry: task/1\nname: {idea.thing}_{'in' if idea.inside else 'on'}_{idea.target}\nscene: {SCENE}\n"
+        f"instruction: {idea.instruction}\n\ngoal:\n  all:\n    - {idea.goal}\n    - Released({idea.thing})\n\n"
+        f"subtasks:\n  pick_up_{idea.thing}: {{goal: Grasped({idea.thing})}}\n"
+    )
+
+
+def _numbers(values: Array) -> str:
+    return f"[{', '.join(f'{float(v):.4g}' for v in values)}]"
+
+
+def _strip(task: Task, start: Start, one: Rollout, world: World) -> Image:
+    """Pictures of a rollout side by side, evenly in time, each with when it was: it is played once more for them."""
+    shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
+    world.reset(start.state)
+    panels = [("0.0 s", _picture(world))]
+    robots = {name: world.robot(name) for name in task.robots}
+    controller = Controller(robots, ActionSpace.JOINT_POSITION, task.control_hz)
+    for step, action in enumerate(one.actions):
+        controller.apply(action)
+        world.step(physics_steps(step, task.control_hz, world.timestep))
+        if step + 1 in shown:
+            panels.append((f"{(step + 1) / task.control_hz:.1f} s", _picture(world)))
+    return side_by_side(panels)
+
+
+def _picture(world: World) -> Image:
+    """What the camera of the demo sees now; without a GL driver rays draw it, and the arm as an object among others."""
+    if choose_engine() is not Engine.RAYCAST:
+        return np.asarray(world.render(CAMERA, *SIZE))
+    scene, state = world.scene, world.state()
+    objects = (*scene.objects, *(_robot_object(robot, state) for robot in scene.robots))
+    poses = {item.name: state.poses.get(item.name, item.X_WO) for item in objects}
+    joints = {f"{item.name}.{j.name}": j.position for item in objects for j in item.joints if j.has_axis}
+    whole = SceneState.of(poses, joints | dict(state.joints), state.motions)
+    return raycast(replace(scene, objects=objects, robots=(), mounted=()), camera_of(world, CAMERA, *SIZE), whole).color
+
+
+def _robot_object(robot: Robot, state: SceneState) -> SceneObject:
+    """A robot as an object whose joints stand as the state has them."""
+    native = mujoco_model(robot)
+    assert native is not None
+    item = as_object(robot, read_robot(robot, native, f"{robot.name}.")).item
+    now = state.robots.get(robot.name, {})
+    return replace(item, joints=tuple(replace(j, position=now.get(j.name, j.position)) for j in item.joints))

@@ -1,0 +1,175 @@
+"""A policy of one's own that runs in this process: a Python class, named by its module or its file."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any
+
+from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
+from simfoundry.scene.frames import Array
+
+
+@dataclass(frozen=True)
+class PythonClass:
+    """A class to make a policy of: ``module`` is a dotted name or a path to a ``.py`` file.
+
+    ``arguments`` are those of its constructor, by name.
+    """
+
+    module: str
+    name: str
+    arguments: tuple[tuple[str, str | int | float], ...] = ()
+
+    @property
+    def digest(self) -> str:
+        """Names the class by its source file and its arguments; what else it reads is not known."""
+        source = _source(self.module)
+        return hashlib.sha256(repr(self).encode() + (source.read_bytes() if source else b"")).hexdigest()[:16]
+
+    def find(self) -> Callable[..., Any]:
+        """The class, or what else makes a policy when it is called; raises :class:`PolicyError`."""
+        module = _module(self.module)
+        made = getattr(module, self.name, None)
+        if made is None:
+            here = [n for n, v in vars(module).items() if inspect.isclass(v) and v.__module__ == module.__name__]
+            raise PolicyError(f"{self.module} has no `{self.name}`; its classes are: {', '.join(here) or 'none'}")
+        if not callable(made):
+            raise PolicyError(f"`{self.name}` of {self.module} is a `{type(made).__name__}`, not a class")
+        return made  # type: ignore[no-any-return]  # whatever it is, it can be called
+
+
+class PythonPolicy:
+    """A :class:`~simfoundry.evaluate.policies.base.Policy` around an object of somebody else's class.
+
+    It needs ``infer(observation)`` and ``action_space``; ``cameras``, ``name``, ``reset(instruction, seed)`` and
+    ``close()`` may be left out. Whatever it raises while it acts is an invalid answer. What it prints goes to standard
+    error, since standard output is that of the command.
+    """
+
+    def __init__(self, choice: PythonClass) -> None:
+        made = choice.find()
+        self.name = choice.name
+        try:
+            with redirect_stdout(sys.stderr):
+                self._policy = made(**dict(choice.arguments))
+        except (Exception, SystemExit) as error:
+            raise PolicyError(f"`{choice.name}` of {choice.module} cannot be made: {_told(error)}") from None
+        self._reset: Callable[[str, int], None] | None = getattr(self._policy, "reset", None)
+        self._infer: Callable[[Observation], Array] | None = getattr(self._policy, "infer", None)
+        if not callable(self._infer):
+            raise PolicyError(f"`{choice.name}` of {choice.module} has no method `infer(observation)`")
+        self.action_space = self._space(getattr(self._policy, "action_space", None))
+        self.cameras = self._sizes(getattr(self._policy, "cameras", None))
+
+    def _space(self, space: object) -> ActionSpace:
+        if space not in tuple(ActionSpace):
+            known = " or ".join(f'"{one}"' for one in ActionSpace)
+            raise PolicyError(f"`{self.name}` has `action_space` {space!r}; what its numbers mean is {known}")
+        return ActionSpace(str(space))
+
+    def _sizes(self, cameras: object) -> Mapping[str, ImageSize]:
+        try:
+            sizes = {
+                str(name): size if isinstance(size, ImageSize) else ImageSize(*(int(side) for side in size))
+                for name, size in dict(cameras or {}).items()  # type: ignore[call-overload]
+            }
+        except (TypeError, ValueError):
+            message = f"`cameras` of `{self.name}` must map cameras onto (width, height), not be {cameras!r}"
+            raise PolicyError(message) from None
+        return MappingProxyType(sizes)
+
+    def reset(self, instruction: str, seed: int) -> None:
+        """Begin a rollout."""
+        if self._reset is not None:
+            with self._answering():
+                self._reset(instruction, seed)
+
+    def infer(self, observation: Observation) -> Array:
+        """What the class answers."""
+        assert self._infer is not None
+        with self._answering():
+            return self._infer(observation)
+
+    def close(self) -> None:
+        """Let it close; at the end nothing that it raises matters to anybody any more."""
+        close = getattr(self._policy, "close", None)
+        if callable(close):
+            try:
+                with redirect_stdout(sys.stderr):
+                    close()
+            except (Exception, SystemExit) as error:
+                print(f"{self.name} did not close: {_told(error)}", file=sys.stderr)
+
+    @contextmanager
+    def _answering(self) -> Iterator[None]:
+        try:
+            with redirect_stdout(sys.stderr):
+                yield
+        except PolicyError:  # it says itself what happened, as a client of a server does
+            raise
+        except (Exception, SystemExit) as error:
+            raise InvalidAnswerError(f"{self.name} failed: {_told(error)}") from None
+
+
+def _module(module: str) -> ModuleType:
+    source = _source(module)
+    if source is None:
+        where = (
+            f"there is no file {module}" if _is_file(module) else f"there is no module `{module}`, here or installed"
+        )
+        raise PolicyError(f"{where}; a policy of your own is `python:MODULE:CLASS` or `python:FILE.py:CLASS`")
+    try:
+        with redirect_stdout(sys.stderr):
+            if not _is_file(module):
+                return importlib.import_module(module)
+            spec = importlib.util.spec_from_file_location(source.stem, source)
+            assert spec is not None and spec.loader is not None
+            made = sys.modules[source.stem] = importlib.util.module_from_spec(spec)
+            spec.loader.exec_module(made)
+            return made
+    except (Exception, SystemExit) as error:
+        raise PolicyError(f"{source} cannot be imported: {_told(error)}") from None
+
+
+def _source(module: str) -> Path | None:
+    """The file of a module, None where there is none; from then on it can import what lies beside it.
+
+    Folders are searched after what is installed, so that a file here never stands in the place of a package.
+    """
+    if _is_file(module):
+        file = Path(module).resolve()
+        _searched(file.parent)
+        return file if file.is_file() else None
+    _searched(Path.cwd())
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError, AttributeError):
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin and Path(spec.origin).is_file() else None
+
+
+def _is_file(module: str) -> bool:
+    return module.endswith(".py")
+
+
+def _searched(folder: Path) -> None:
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+
+
+def _told(error: BaseException) -> str:
+    """An exception of somebody else's code as one line, with the place that raised it."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename != __file__]
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    words = " ".join(str(error).split())[:300]
+    return f"{type(error).__name__}: {words}{where}" if words else f"{type(error).__name__}{where}"

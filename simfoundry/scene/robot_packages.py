@@ -1,0 +1,145 @@
+"""Robots' models that packages fetch when they are first used: those of mujoco-menagerie and of robot_descriptions."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from functools import lru_cache
+from importlib.util import find_spec
+from io import StringIO
+from pathlib import Path
+
+from simfoundry.extras import install_line, is_installed
+
+_SOURCE = re.compile(r"_?clone_to_cache\(\s*[\"']([^\"']+)[\"']")
+_ATTRIBUTE = {".urdf": "URDF_PATH", ".xml": "MJCF_PATH"}
+
+_DESCRIPTIONS = "robot_descriptions"
+
+
+class NoModelError(Exception):
+    """A model that is not there; the message is a clause that says what is missing and what to do about it.
+
+    ``is_known`` is False where the package that may have it is not installed, so that another's answer says more.
+    """
+
+    def __init__(self, message: str, is_known: bool = True) -> None:
+        super().__init__(message)
+        self.is_known = is_known
+
+
+def menagerie_model(name: str, path: str | None, fetch: bool) -> Path:
+    """The file ``path`` of the robot ``name`` in MuJoCo Menagerie, by default its model; raises :class:`NoModelError`.
+
+    With ``fetch`` the official package downloads a robot that is not in its cache (megabytes); without, it is missing.
+    """
+    if not is_installed("mujoco_menagerie"):
+        raise NoModelError(f"install its models with `{install_line('robots')}`", is_known=False)
+    import mujoco_menagerie
+
+    try:
+        robot = mujoco_menagerie.get(name)
+        cache = mujoco_menagerie.Cache()
+        if cache.root is None and not cache.is_cached(robot) and not fetch:
+            raise NoModelError(
+                f"it is not fetched yet; `python -m mujoco_menagerie prefetch {name}` does so, as does its first use"
+            )
+        folder = _fetch(name, str(cache.dir), str(cache.root or ""))
+        if isinstance(folder, Exception):
+            raise folder
+    except mujoco_menagerie.UnknownRobotError as error:
+        raise NoModelError(f"mujoco-menagerie does not know it: {_line(error)}; update that package") from None
+    except (mujoco_menagerie.MenagerieError, OSError) as error:
+        raise NoModelError(f"mujoco-menagerie could not fetch `{name}`: {_line(error)}") from None
+    return _inside(folder, path or robot.entry(robot.default_model).file, f"menagerie:{name}")
+
+
+@lru_cache(maxsize=64)
+def _fetch(name: str, cache: str, root: str) -> Path | Exception:
+    """The folder of a robot; what failed once is not tried again by this process, as each try takes seconds."""
+    import mujoco_menagerie
+
+    try:
+        return Path(mujoco_menagerie.Cache(cache, root=root).resolve(mujoco_menagerie.get(name)))
+    except (mujoco_menagerie.MenagerieError, OSError) as error:
+        return error
+
+
+def described_model(name: str, path: str | None, suffix: str, fetch: bool) -> Path:
+    """The file of a description in the package robot_descriptions; ``suffix`` says which where ``path`` is None.
+
+    The package clones the description's repository when it is first used; without ``fetch`` one that is not there is
+    missing. Raises :class:`NoModelError`.
+    """
+    if not is_installed(_DESCRIPTIONS):
+        raise NoModelError(f"install its models with `pip install {_DESCRIPTIONS}`", is_known=False)
+    module_name = f"{_DESCRIPTIONS}.{name}"
+    try:
+        if fetch:
+            module = importlib.import_module(module_name)
+        else:
+            _need_cloned(name)
+            with _offline():
+                module = importlib.import_module(module_name)
+    except ModuleNotFoundError:
+        raise NoModelError(f"`{_DESCRIPTIONS}` has no `{name}`; update it") from None
+    except NoModelError:
+        raise
+    except Exception as error:  # whatever git says of a network that is not there
+        raise NoModelError(f"`{_DESCRIPTIONS}` could not fetch `{name}`: {_line(error)}") from None
+    if path is not None:
+        return _inside(Path(module.PACKAGE_PATH), path, f"{_DESCRIPTIONS}:{name}")
+    if (found := getattr(module, _ATTRIBUTE.get(suffix, "USD_PATH"), None)) is None:
+        raise NoModelError(f"`{_DESCRIPTIONS}:{name}` has no {suffix.lstrip('.')} file")
+    return _inside(Path(found).parent, Path(found).name, f"{_DESCRIPTIONS}:{name}")
+
+
+def _need_cloned(name: str) -> None:
+    """Raise :class:`NoModelError` unless the repository of a description was cloned before.
+
+    The package tells only by cloning it: the module's text names the repository, and its table where that lies.
+    """
+    import sys
+
+    if f"{_DESCRIPTIONS}.{name}" in sys.modules:
+        return
+    spec = find_spec(f"{_DESCRIPTIONS}.{name}")
+    if spec is None or spec.origin is None:
+        raise ModuleNotFoundError(name)
+    named = _SOURCE.search(Path(spec.origin).read_text(encoding="utf-8"))
+    table = importlib.import_module(f"{_DESCRIPTIONS}._repositories").REPOSITORIES
+    folder = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")).expanduser()
+    if named is None or not (folder / table[named[1]].cache_path / ".git").exists():
+        raise NoModelError(f"it is not fetched yet; `{_DESCRIPTIONS} pull {name}` does so, as does its first use")
+
+
+@contextmanager
+def _offline() -> Iterator[None]:
+    """Let git reach no network, and say nothing, while a description that lies here is imported."""
+    before = os.environ.get("GIT_ALLOW_PROTOCOL")
+    os.environ["GIT_ALLOW_PROTOCOL"] = "none"
+    try:
+        with redirect_stdout(StringIO()):
+            yield
+    finally:
+        if before is None:
+            del os.environ["GIT_ALLOW_PROTOCOL"]
+        else:
+            os.environ["GIT_ALLOW_PROTOCOL"] = before
+
+
+def _inside(folder: Path, path: str, name: str) -> Path:
+    target = (folder / path).resolve()
+    if not target.is_relative_to(folder.resolve()):
+        raise NoModelError(f"`{path}` leaves `{name}`")
+    if not target.is_file():
+        raise NoModelError(f"`{name}` has no file {path}")
+    return target
+
+
+def _line(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__

@@ -1,0 +1,171 @@
+"""The project that a document belongs to: its folder, and what its marker ``simfoundry.yaml`` says."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from functools import cached_property
+from pathlib import Path
+from tempfile import gettempdir
+
+from pydantic import Field
+
+from simfoundry.spec.base import Model
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.text import YamlError, read
+from simfoundry.spec.validate import validate
+
+MARKER = "simfoundry.yaml"
+"""The file that marks the topmost folder of a project; it may be empty."""
+
+
+MARKING = "# The topmost folder of a SimFoundry project: what its documents name lies below it.\n"
+"""What a new marker says."""
+
+
+class ProjectSpec(Model):
+    """What a ``simfoundry.yaml`` may say."""
+
+    exclude: tuple[str, ...] = Field(
+        (),
+        max_length=1000,
+        description="Files and folders that commands over folders pass over, from this file's folder; "
+        "`*` stands for any part of a name, `**` for any number of folders.",
+    )
+
+
+@dataclass(frozen=True)
+class Project:
+    """A folder below which the files of its documents lie."""
+
+    root: Path
+
+    @property
+    def marker(self) -> Path:
+        """The file that marks the folder; there is none where a repository stands for the project."""
+        return self.root / MARKER
+
+    @property
+    def is_marked(self) -> bool:
+        """Whether a marker or a repository says that the folder is a project."""
+        return self.marker.exists() or (self.root / ".git").exists()
+
+    @cached_property
+    def exclude(self) -> tuple[str, ...]:
+        """The patterns of the files and folders that commands over folders pass over.
+
+        Raises :class:`SpecError` where the marker cannot be read.
+        """
+        if not self.marker.is_file():
+            return ()
+        try:
+            document = read(self.marker)
+        except YamlError as error:
+            raise SpecError([error.diagnostic(str(self.marker))]) from None
+        if document.data is None:
+            return ()
+        spec, findings = validate(ProjectSpec, document)
+        if spec is None:
+            raise SpecError(findings)
+        return spec.exclude
+
+    def excludes(self, path: Path, named: Path) -> bool:
+        """Whether ``path`` is passed over by a command that works on the folder ``named``.
+
+        What a person names is never passed over: only what lies below ``named`` counts.
+        """
+        if not self.exclude:
+            return False
+        parts, above = _parts(path, self.root), _parts(named, self.root)
+        patterns = [[part for part in pattern.split("/") if part not in ("", ".")] for pattern in self.exclude]
+        return any(
+            _matches(parts[:count], pattern)
+            for pattern in patterns
+            for count in range(len(above) + 1, len(parts) + 1)
+            if pattern
+        )
+
+
+def find_project(path: Path) -> Project | None:
+    """The project of a file or folder: the nearest folder upwards with a ``simfoundry.yaml``, else with a ``.git``."""
+    real = Path(os.path.realpath(path))  # unlike `Path.resolve`, also of links that form a ring
+    start = real if real.is_dir() else real.parent
+    folders = (start, *start.parents)
+    for mark in (MARKER, ".git"):
+        for folder in folders:
+            if (folder / mark).exists():
+                return Project(folder)
+    return None
+
+
+def project_root(path: Path) -> Path:
+    """The folder below which a document's files must lie: that of its project, or else its own."""
+    project = find_project(path)
+    return project.root if project is not None else Path(os.path.realpath(path)).parent
+
+
+def common_project(*files: Path) -> Project:
+    """The project that holds all ``files``, which need not exist: the nearest one that there is.
+
+    Where there is none, it is the working folder if they lie below it, else the closest folder that holds them all; it
+    is not marked yet. Raises :class:`NoProjectError` where no folder can hold them: one of them lies in a project
+    inside of it, or the folder is everybody's, and marking it would take in whatever else lies there.
+    """
+    folders = [Path(os.path.realpath(file.absolute().parent)) for file in files]
+    try:
+        closest = Path(os.path.commonpath(folders))
+    except ValueError:  # on different drives
+        raise NoProjectError(f"no folder holds {_listed(files)}; move them below one") from None
+    here = Path.cwd()
+    below = closest.is_relative_to(here) and not _is_shared(here)
+    project = find_project(closest) or Project(here if below else closest)
+    for file, folder in zip(files, folders, strict=True):
+        inner = find_project(folder)
+        if inner is not None and inner.root != project.root:
+            raise NoProjectError(
+                f"`{file}` belongs to the project {inner.root}, which does not hold "
+                f"{_listed(f for f, at in zip(files, folders, strict=True) if not at.is_relative_to(inner.root))}; "
+                f"move all below {inner.root}, or its {MARKER} to {project.root}"
+            )
+    if not project.is_marked and len({*folders}) > 1 and _is_shared(project.root):
+        raise NoProjectError(
+            f"the closest folder that holds {_listed(files)} is {project.root}, where other things lie, too; "
+            f"move them below a folder of their own"
+        )
+    return project
+
+
+class NoProjectError(Exception):
+    """Why files cannot be of one project, in one sentence."""
+
+
+def markers(project: Project) -> dict[Path, str]:
+    """The marker to write for a project, by path; nothing where it is marked, or its folder is everybody's."""
+    return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
+
+
+def _is_shared(folder: Path) -> bool:
+    """Whether a folder holds more than one project by its nature: of the system, of a user, of temporary files."""
+    return any(Path(os.path.realpath(owned)).is_relative_to(folder) for owned in (Path.home(), gettempdir()))
+
+
+def _listed(files: Iterable[Path]) -> str:
+    return " and ".join(f"`{file}`" for file in files)
+
+
+def _parts(path: Path, root: Path) -> tuple[str, ...]:
+    """The names from ``root`` to ``path``, whose own link is not followed; none where it lies elsewhere."""
+    whole = Path(os.path.normpath(path.absolute()))
+    real = Path(os.path.realpath(whole.parent)) / whole.name
+    return real.relative_to(root).parts if real.is_relative_to(root) else ()
+
+
+def _matches(parts: Sequence[str], pattern: Sequence[str]) -> bool:
+    """Whether the names of a path are what a pattern says, name by name."""
+    if not pattern:
+        return not parts
+    if pattern[0] == "**":
+        return any(_matches(parts[skipped:], pattern[1:]) for skipped in range(len(parts) + 1))
+    return bool(parts) and fnmatchcase(parts[0], pattern[0]) and _matches(parts[1:], pattern[1:])
