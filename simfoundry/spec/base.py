@@ -265,8 +265,8 @@ class Body(Model):
     color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
     collision: Collision = Field(
         "auto",
-        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a hull where it is "
-        "nearly convex and parts where not, `none` no contact. A primitive collides as itself.",
+        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, cylinder, "
+        "sphere or hull where it is nearly convex and parts where not, `none` no contact. A primitive collides as one.",
     )
     solid: Solid = Field(
         "exact", description="What carries the mass of a mesh: its own volume (it must be closed), or its convex hull."

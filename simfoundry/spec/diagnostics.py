@@ -51,6 +51,7 @@ CODES = {
     "SF409": "a thing out of every camera's view",
     "SF410": "things that overlap",
     "SF411": "a thing that nothing carries",
+    "SF412": "a texture that cannot be shown",
     "SF421": "a change of a stage that a spec cannot say",
     "SF501": "a capture whose files do not fit together",
     "SF502": "a capture without usable depth",
