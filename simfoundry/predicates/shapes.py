@@ -192,7 +192,9 @@ class Bodies:
         if name in names:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
-            raise PredicateError(f"no model of robot `{name}` is found, so its shape is unknown; see docs/robots.md")
+            raise PredicateError(
+                f"no model of robot `{name}` is found, so its shape is unknown; `simfoundry doctor` says more"
+            )
         raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
 
 
