@@ -62,6 +62,34 @@ def capsule(radius: float, height: float) -> Solid:
     return Solid(tube.volume + caps, np.zeros(3), tube.inertia + _diagonal(across, across, 0.4 * caps * radius**2))
 
 
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Gauss-Legendre nodes and weights on [-1, 1]: with three, polynomials up to degree 5 are integrated exactly."""
+
+
+def revolution(profile: Array) -> Solid:
+    """The solid that a closed polygon of (radius, height) [m], shape (n, 2), makes when it is turned about z.
+
+    By Pappus and Guldin the volume is the area times the way of its centroid, 2 pi times the integral of the radius
+    over the polygon; the moments are integrals of the same kind. Along an edge their integrands are polynomials of at
+    most degree 4, so that the sum over the edges is exact.
+    """
+    following = np.roll(profile, -1, axis=0)
+    share = (_NODES[:, None] + 1) / 2  # how far along each edge, shape (3, 1)
+    origin = float(profile[:, 1].mean())  # heights from nearby lose less to rounding
+    r = profile[:, 0] + share * (following[:, 0] - profile[:, 0])
+    z = profile[:, 1] - origin + share * (following[:, 1] - profile[:, 1])
+    along = math.pi * _WEIGHTS[:, None] * (following[:, 1] - profile[:, 1])  # 2 pi dz, over half the length of [-1, 1]
+
+    def integral(values: Array) -> float:
+        return math.fsum((along * values).ravel().tolist())
+
+    sign = math.copysign(1.0, integral(r**2 / 2))
+    volume, lever, square, spin = (sign * integral(v) for v in (r**2 / 2, z * r**2 / 2, z**2 * r**2 / 2, r**4 / 4))
+    middle = lever / volume
+    across = spin / 2 + square - volume * middle**2
+    return Solid(volume, np.array([0.0, 0.0, middle + origin]), _diagonal(across, across, spin))
+
+
 def mesh(vertices: Array, faces: NDArray[np.int32]) -> Solid:
     """A closed surface as a solid, by signed tetrahedra; the volume is negative where the surface is inside out."""
     origin = vertices.mean(axis=0)  # tetrahedra from nearby lose less to rounding

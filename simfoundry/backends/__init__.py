@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import cast
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss
-from simfoundry.backends.features import Cells
+from simfoundry.backends.features import SIMPLER, Cells, collider_losses
 from simfoundry.scene.model import Scene
 
 BACKENDS: dict[str, str] = {
@@ -37,13 +37,13 @@ def backend_of(name: str) -> Callable[..., Artifact]:
 
 
 def features_of(name: str) -> Cells:
-    """What the backend called ``name`` keeps of each feature."""
+    """What the backend called ``name`` keeps of each feature; what lowering simplified is alike in all of them."""
     module = import_module(SUPPORT[name])
-    return cast(Cells, module.FEATURES)
+    return {**cast(Cells, module.FEATURES), "collision_shape": SIMPLER}
 
 
 def compile_scene(scene: Scene, target: str, options: Mapping[str, float | bool | str] | None = None) -> Artifact:
     """Compile ``scene`` with the backend called ``target``; a ValueError lists the names there are."""
     artifact = backend_of(target)(scene, **(options or {}))
     left_out = tuple(Loss(part.path, Fidelity.DROPPED, part.reason) for part in scene.left_out)
-    return replace(artifact, losses=(*artifact.losses, *left_out))
+    return replace(artifact, losses=(*artifact.losses, *collider_losses(scene), *left_out))

@@ -65,6 +65,21 @@ def dropped(reason: str) -> Cell:
     return Cell(Fidelity.DROPPED, reason)
 
 
+SIMPLER = approximated("in each target alike; the loss report says by how much")
+"""The cell of shapes that collide as convex parts or primitives near them, which lowering decides for every target."""
+
+
+def collider_losses(scene: Scene) -> Iterator[Loss]:
+    """A loss for each object whose colliders are not the shapes that they stand for, with the greatest distance."""
+    for item in scene.objects:
+        error = max((link.collision_error for link in item.links), default=0.0)
+        if error:
+            count = sum(len(link.colliders) for link in item.links)
+            what = f"its {count} colliders are" if count > 1 else "its collider is"
+            reason = f"{what} up to {1000 * error:.2g} mm off the surface that is seen"
+            yield Loss(f"{item.name}.colliders", Fidelity.APPROXIMATED, reason, "collision_shape")
+
+
 def _objects(test: Callable[[SceneObject], object]) -> Users:
     return lambda scene: [item.name for item in scene.objects if test(item)]
 
@@ -143,6 +158,11 @@ FEATURES: dict[str, Feature] = {
     "cylinder": Feature("body", "cylinders that collide", _colliders(lambda c: isinstance(c.geometry, Cylinder))),
     "capsule": Feature("body", "capsules that collide", _colliders(lambda c: isinstance(c.geometry, Capsule))),
     "convex_mesh": Feature("body", "convex parts that collide", _colliders(lambda c: isinstance(c.geometry, Mesh))),
+    "collision_shape": Feature(
+        "body",
+        "round and hollow shapes that collide as simpler ones",
+        _objects(lambda item: any(link.collision_error for link in item.links)),
+    ),
     "friction": Feature("body", "friction of a pair (geometric mean)", _colliders(lambda c: True)),
     "restitution": Feature("body", "restitution of a pair (geometric mean)", _colliders(lambda c: True)),
     "torsional_friction": Feature(

@@ -3,8 +3,9 @@
 ``physics.json`` holds what else simulators know and URDF does not; the loaders for Drake, Genesis and SAPIEN use it.
 
 A free object is a robot whose root nothing holds; ``floating`` joints are never written, because PyBullet freezes
-them and Drake loses their poses. An inertial frame lies along the principal axes, so its products of inertia are zero.
-Link, joint and collider names are the scene's own; the robot's name is the object's.
+them and Drake loses their poses. An inertial frame has the axes of its link, and the file the products of inertia:
+some readers ignore a rotation of that frame. Link, joint and collider names are the scene's own; the robot's name is
+the object's.
 """
 
 from __future__ import annotations
@@ -92,6 +93,9 @@ class Dialect:
     ball: str | None = None
     """What it calls a ball joint; None where it knows none, so that the link is welded where it is."""
 
+
+_TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Rows and columns of an inertia in the order in which URDF's attributes are usually written."""
 
 _EFFORT, _VELOCITY = "1000", "100"
 """URDF demands limits of effort and velocity. The scene has none: these are out of reach [N or N m, m/s or rad/s]."""
@@ -209,12 +213,11 @@ def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
 
 def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
     element = ET.SubElement(root, "link", name=link.name)
-    moments, q = link.principal
     inertial = ET.SubElement(element, "inertial")
-    _add_origin(inertial, Pose.of(link.com, q))
+    _add_origin(inertial, Pose.of(link.com))
     ET.SubElement(inertial, "mass", value=number(link.mass))
-    ixx, iyy, izz = (number(moment) for moment in moments.tolist())
-    ET.SubElement(inertial, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0", ixz="0", iyz="0")
+    tensor = {f"i{'xyz'[a]}{'xyz'[b]}": number(link.inertia[a, b]) for a, b in _TENSOR}
+    ET.SubElement(inertial, "inertia", tensor)
     for visual in link.visuals:
         for suffix, geometry, X_GP in dialect.shown(visual.geometry):
             shown = ET.SubElement(element, "visual", name=visual.name + suffix)

@@ -13,14 +13,15 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from simfoundry.evaluate.correlate import Agreement, Interval
+    from simfoundry.evaluate.scores import Score
 
 
 @click.command()
 @click.argument("real", type=click.Path(path_type=Path, exists=True))
 @click.argument("sim", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
 @click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
-@click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="Of the bootstrap.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the bootstrap.")
+@click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="For intervals.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
 @click.option("--svg", type=click.Path(path_type=Path, dir_okay=False), help="Write the scatter plot.")
 @force_option
 @json_option
@@ -38,31 +39,36 @@ def command(
     """Say how well simulated success rates tell the real ones: Pearson's r and MMRV of each task.
 
     REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or what `simfoundry eval` wrote.
-    Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what a
-    bootstrap over the rollouts gives. r is undefined where all policies do equally well.
+    Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what
+    rates drawn from their posterior and policies drawn anew give. r is undefined where all policies do equally well.
     """
-    from simfoundry.evaluate.correlate import Draws, agreements, left_out
-    from simfoundry.evaluate.scores import read_scores
+    from simfoundry.evaluate.correlate import Draws, agreements, left_out, reservations
+    from simfoundry.evaluate.scores import by_engine, read_scores
 
     if svg is not None:
         from simfoundry.outputs import ensure_replaceable
 
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)
-    names = _names(sim)
-    tables = {name: read_scores(path) for name, path in zip(names, sim, strict=True)}
+    if len(engines := by_engine(truth)) > 1:
+        raise CannotError(f"{real} has results of {' and '.join(engines)}, and one table is to be the real one")
+    tables: dict[str, list[Score]] = {}
+    for name, path in zip(_names(sim), sim, strict=True):
+        each = by_engine(read_scores(path))
+        tables |= {f"{name} in {engine}" if len(each) > 1 else name: table for engine, table in each.items()}
     how = Draws(count=draws, rollouts=rollouts, seed=seed)
     found = {name: agreements(truth, table, how) for name, table in tables.items()}
     missing = {name: left_out(truth, table) for name, table in tables.items()}
+    said = {name: reservations([*truth, *table]) for name, table in tables.items()}
     if svg is not None:
         from simfoundry.evaluate.scatter import scatter
         from simfoundry.files import write_atomically
 
         write_atomically(svg, scatter(found).encode())
     if as_json:
-        print_json({name: _json(one, missing[name]) for name, one in found.items()})
+        print_json({name: {**_json(one, missing[name]), "reservations": said[name]} for name, one in found.items()})
         return
-    _print(found, missing)
+    _print(found, missing, said)
     if svg is not None:
         click.echo(f"\nwrote {svg}")
 
@@ -85,7 +91,9 @@ def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
     return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
 
 
-def _print(found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[str]]) -> None:
+def _print(
+    found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
+) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -108,6 +116,8 @@ def _print(found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[
         console.print(table)
         if missing[name]:
             console.print(f"not in both tables: {', '.join(missing[name])}", markup=False, soft_wrap=True)
+        for sentence in said[name]:
+            console.print(sentence, markup=False, soft_wrap=True)
 
 
 def _with_interval(value: float | None, interval: Interval | None) -> str:

@@ -70,12 +70,14 @@ def command(
     same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
     are united by a run without --shard.
 
-    Exit code 1 where there are fewer cousins than asked for, with the reasons.
+    Exit code 1 where there are fewer cousins, or fewer variants of an object, than asked for, with the reasons.
     """
+    from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.pools import Work, open_pool
     from simfoundry.cousins.reasons import ImpossibleError
     from simfoundry.cousins.recipe import claim_project, read_recipe
     from simfoundry.cousins.run import Plan, begin, run
+    from simfoundry.cousins.stock import ASSETS
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
     if stage is not None:
@@ -98,7 +100,8 @@ def command(
             see_possible(shared)
         except ImpossibleError as error:
             return _impossible(error, as_json)
-        plan = replace(plan, most=shared.stock.most)
+        made = counts(read.spec.object, folder / ASSETS / "objects")
+        plan = replace(plan, most=shared.stock.most, variants=made)
 
         def heard(ledger: Ledger) -> None:
             from simfoundry.cousins.manifest import told
@@ -157,14 +160,17 @@ def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool)
 
     facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted
+    end = FINDINGS if short or any(count.is_short for count in plan.variants) else DONE
     if as_json:
         print_json(facts | ({"shard": list(plan.shard)} if plan.shard is not None else {}))
-        return FINDINGS if short else DONE
+        return end
     share = "" if plan.shard is None else f" of shard {plan.shard[0]}/{plan.shard[1]}"
     click.echo(
         f"{len(ledger.accepted)} of {ledger.wanted} cousins{share}; {ledger.examined} candidates examined, "
         f"{ledger.rate:.1%} accepted"
     )
+    for count in plan.variants:
+        click.echo(f"{count}", err=count.is_short)
     for code, text in examples(ledger).items():
         click.echo(f"  {ledger.totals[code]:>6}  {code:<14} {text}", err=short)
     for text in ledger.unchecked:
@@ -181,4 +187,4 @@ def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool)
         click.echo(f"there are no more than these {ledger.examined} candidates", err=True)
     where = plan.out / FILE if plan.shard is None else plan.out
     click.echo(f"{where}" + ("" if plan.shard is None else "  (a run without --shard writes the cousins)"))
-    return FINDINGS if short else DONE
+    return end

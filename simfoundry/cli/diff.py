@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_option, print_json, reporting
+from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
     from simfoundry.review.compare import Comparison
@@ -51,7 +52,7 @@ def command(
 
             write_atomically(out, page(found).encode())
     if form == "json":
-        print_json({"documents": [_plain(c) for c in found]})
+        print_json({"documents": [plain(c) for c in found]})
     elif form == "text":
         _print(found)
     else:
@@ -67,16 +68,16 @@ def _driver(arguments: tuple[str, ...]) -> int:
     from simfoundry.review.driver import driver_lines
 
     for line in driver_lines(arguments, Path.cwd()):
-        click.echo(_printable(line))
+        click.echo(printable(line))
     return DONE
 
 
 def _print(found: list[Comparison]) -> None:
     for comparison in found:
         if len(found) > 1:
-            click.echo(_printable(comparison.name))
+            click.echo(printable(comparison.name))
         for line in comparison.lines():
-            click.echo(("  " if len(found) > 1 else "") + _printable(line))
+            click.echo(("  " if len(found) > 1 else "") + printable(line))
     if not found:
         click.echo("no document differs")
 
@@ -90,7 +91,8 @@ def _print_findings(found: list[Comparison]) -> None:
         click.echo(render(findings, texts=texts), err=True)
 
 
-def _plain(comparison: Comparison) -> dict[str, Any]:
+def plain(comparison: Comparison) -> dict[str, Any]:
+    """What changed as plain data."""
     from dataclasses import asdict
 
     from simfoundry.spec.diff.changes import to_json
@@ -106,8 +108,3 @@ def _plain(comparison: Comparison) -> dict[str, Any]:
         "changes": [to_json(c) for c in comparison.changes],
         "findings": [d.to_json() for d in comparison.findings],
     }
-
-
-def _printable(line: str) -> str:
-    """A line that cannot steer a terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

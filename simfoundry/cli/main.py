@@ -67,6 +67,7 @@ COMMANDS = {
     "git": "Let git show and merge documents by meaning.",
     "import": "Turn URDF, MJCF, USD or a scene of the authors' release into documents.",
     "judge": "Say whether predicates hold in a scene, by how much and why.",
+    "log": "Say what each commit changed about a document.",
     "merge": "Merge two edits of a document by meaning; decide conflicts.",
     "migrate": "Bring documents of older versions up to date.",
     "new": "Start a document of any kind, with comments that teach.",

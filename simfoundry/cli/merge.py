@@ -20,7 +20,7 @@ from simfoundry.cli.output import (
     print_json,
     reporting,
 )
-from simfoundry.spec.diagnostics import Diagnostic, render
+from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
     from simfoundry.spec.merge.conflict import Conflict
@@ -104,10 +104,10 @@ def _driver(args: Sequence[str]) -> int:
         _write(ours, merged.text)
     except Exception as error:  # whatever it is, the user has at least what git alone would have given
         reason = str(error) or type(error).__name__
-        click.echo(_printable(f"{name}: merged line by line, because {reason}"), err=True)
+        click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
         return _by_lines(args)
     if merged.conflicts or errors:
-        click.echo(_printable(f"{name}: {_count(merged.conflicts)}"), err=True)
+        click.echo(printable(f"{name}: {_count(merged.conflicts)}"), err=True)
         _print(merged, errors, Path(name))
     return FINDINGS if merged.conflicts or errors else DONE
 
@@ -152,7 +152,7 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
         print_json({"out": str(out or file), "decided": decided, "left": list(left), "findings": findings_})
     else:
         for key in decided:
-            click.echo(_printable(f"{key}: took {side}"))
+            click.echo(printable(f"{key}: took {side}"))
         print_findings(findings)
     return FINDINGS if any(d.severity == "error" for d in findings) else DONE
 
@@ -178,12 +178,12 @@ def _write(path: Path, text: str) -> None:
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
     """Each conflict on a line, the errors, and what to do."""
     for conflict in merged.conflicts:
-        click.echo(_printable(str(conflict)), err=True)
+        click.echo(printable(str(conflict)), err=True)
     if errors:
         click.echo(render(errors, texts={str(name): merged.text}), err=True)
     if merged.conflicts:
         click.echo(
-            _printable(
+            printable(
                 f"mend {name} and remove its `conflicts`, or take a side: simfoundry merge --resolve ours {name}"
             ),
             err=True,
@@ -199,8 +199,3 @@ def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
 
 def _count(conflicts: Sequence[Conflict]) -> str:
     return f"{len(conflicts) or 'no'} conflict{'s' if len(conflicts) != 1 else ''}"
-
-
-def _printable(line: str) -> str:
-    """A line that cannot steer a terminal."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

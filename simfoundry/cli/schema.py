@@ -15,15 +15,20 @@ WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 @click.command()
 @click.argument("kind", type=click.Choice(WORDS), required=False)
 @click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Write all of them into a folder.")
+@click.option("--standard", is_flag=True, help="Keywords of JSON Schema alone, for strict validators such as ajv.")
 @force_option
 @reporting
-def command(kind: str | None, out: Path | None, force: bool) -> None:
-    """Print the JSON Schema of a kind of document, or write all of them with -o."""
+def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
+    """Print the JSON Schema of a kind of document, or write all of them with -o.
+
+    They hold what editors add to JSON Schema: snippets, Markdown, messages. Validators that refuse keywords which they
+    do not know take them with --standard.
+    """
     from simfoundry.files import write_atomically
     from simfoundry.outputs import ensure_replaceable
     from simfoundry.spec.schema import schemas
 
-    texts = schemas()
+    texts = schemas(standard)
     if out is not None:
         for name, text in texts.items():
             if not (out / name).is_file() or (out / name).read_bytes() != text.encode():

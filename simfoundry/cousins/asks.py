@@ -71,7 +71,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
     if support is not None and not reasons:
-        reasons += too_full(twin, support, axis)
+        reasons += too_full(twin, (support,), axis)
     if reasons:
         return ImpossibleError(tuple(reasons))
     on = support.name if support is not None else anchor

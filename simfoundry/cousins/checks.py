@@ -133,15 +133,17 @@ def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
 
 
 def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
-    """What the task is about, or what was moved but no distractor, is in the picture of a camera."""
+    """What the task is about, or what was moved but no distractor, is seen by a camera and not hidden."""
     cameras = twin.scene.cameras
     if not cameras:
         unchecked.append("view: the scene has no camera that stands still")
         return
+    surfaces = twin.surfaces(state, twin.absent - set(layout.poses))
     for name in twin.task_objects or tuple(n for n in layout.poses if n not in twin.absent):
-        camera, share = best_view(cameras, twin.corners(name, state.poses[name])[0])
-        if share < SEEN:
-            text = f"only {share:.0%} of `{name}` is in the picture of `{camera}`, which has most; {SEEN:.0%} must be"
+        least = min(SEEN, twin.shares_seen.get(name, SEEN))
+        camera, share = best_view(cameras, name, surfaces, least)
+        if share < least:
+            text = f"only {share:.0%} of `{name}` is seen by `{camera}`, which sees most of it; {least:.0%} must be"
             yield Reason("out_of_view", text, _numbers(share=share))
 
 

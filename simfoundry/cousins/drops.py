@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from types import MappingProxyType
 
 import numpy as np
 
 from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.cousins import SceneAxis
 from simfoundry.spec.place import Place
+
+EDGE = 0.003
+"""A foot that is no farther from an edge than this [m] is on it: that of what is dropped keeps a gap of 1 mm."""
 
 DROPS = 64
 """How often a thing is dropped until it counts as not fitting there."""
@@ -24,8 +29,9 @@ def drop(
 ) -> Reason | None:
     """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
 
-    Upright first; what is to be inside and does not fit so, also on its sides. Why not, where there is none. It is
-    judged where it touches first; it may slide from there as it settles.
+    What is to be on it stands on any of its levels, or lies where it touches first from above, and may slide from there
+    as it settles; on an edge too narrow to stand on nothing is left to balance. Upright first; what is to be inside and
+    does not fit so, also on its sides. Why not, where there is none.
     """
     twin, X_WA = table.twin, table.poses[anchor]
     asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
@@ -33,7 +39,12 @@ def drop(
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
     low, high = (math.radians(v) for v in axis.yaw_deg)
     others = [name for name in table.solid if name != anchor]
-    counts, why = {"did not fit": 0, "did not lie as asked": 0, "met another thing": 0}, ""
+    counts, why = (
+        {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0},
+        "",
+    )
+    levels = () if "Inside" in words else twin.levels(anchor) if X_WA is twin.state.poses[anchor] else ()
+    areas = np.array([level.area for level in levels])
     ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
     for k in range(DROPS):
         thing = ways[0] if k < DROPS // 2 else ways[k % len(ways)]
@@ -41,11 +52,18 @@ def drop(
         x, y, turn = rng.random(3)
         x, y = spans[:, 0] + np.array([x, y]) * (spans[:, 1] - spans[:, 0])
         yaw = low + turn * (high - low)
+        level = levels[int(rng.choice(len(levels), p=areas / areas.sum()))] if len(levels) > 1 else None
         try:
-            X_WO = dropped(twin, thing, anchor, X_WA, "Inside" in words, (float(x), float(y)), float(yaw))
+            if level is not None and level is not levels[-1]:
+                X_WO = _standing(thing, level, (float(x), float(y)), float(yaw))
+            else:
+                X_WO = dropped(twin, thing, anchor, X_WA, "Inside" in words, (float(x), float(y)), float(yaw))
         except PlaceError as error:
             counts["did not fit"] += 1
             why = why or error.message
+            continue
+        if levels and _balances(twin, thing, X_WO, float(yaw), anchor):
+            counts["would balance on an edge"] += 1
             continue
         verdict = twin.judge(asked, twin.posed({anchor: X_WA, thing.name: X_WO}))
         if not verdict.value:
@@ -53,7 +71,7 @@ def drop(
             why = why or verdict.why
             continue
         table.pose(thing, X_WO)
-        if table.clashes(thing, others, anchor):
+        if table.clashes(thing, [*others, anchor] if level is not None else others, anchor):
             counts["met another thing"] += 1
             continue
         table.put(thing, float(X_WO.p[2]), (float(X_WO.p[0]), float(X_WO.p[1]), float(yaw)), dropped=True)
@@ -63,6 +81,27 @@ def drop(
     text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
     numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
     return Reason("no_place", text, MappingProxyType(numbers))
+
+
+def _standing(thing: Thing, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
+    """A thing on a level, its frame over a point; raises :class:`PlaceError` where it stands out of the level."""
+    X_WO = thing.pose(*xy, thing.height(level), yaw)
+    turn = cmath.rect(1.0, yaw)
+    middle = complex(*xy) + turn * thing.outline.middle
+    if not level.holds(np.array([[middle.real, middle.imag]]), np.array([turn]), thing.outline.spread)[0]:
+        raise PlaceError(f"`{thing.name}` would stand out of the level of `{level.name}` at {level.height:.3f} m")
+    return X_WO
+
+
+def _balances(twin: Twin, thing: Thing, X_WO: Pose, yaw: float, anchor: str) -> bool:
+    """Whether the middle of a thing is over an edge of the anchor at the height of its foot."""
+    import shapely
+
+    edges = twin.edges(anchor)
+    foot = float(X_WO.p[2]) + thing.outline.low
+    middle = complex(float(X_WO.p[0]), float(X_WO.p[1])) + cmath.rect(1.0, yaw) * thing.outline.middle
+    point = shapely.Point(middle.real, middle.imag)
+    return any(abs(foot - height) < EDGE and edge.distance(point) < EDGE for height, edge in edges)
 
 
 def _lying(twin: Twin, thing: Thing) -> list[Thing]:

@@ -46,8 +46,8 @@ def write_gallery(plan: Plan, ledger: Ledger, most: int, progress: Callable[[int
         path = _picture(plan.out, candidate)
         if path is not None:
             pictures[candidate.index] = path.relative_to(plan.out).as_posix()
-    path = plan.out / PAGE
-    write_atomically(path, page(summary(plan, ledger), shown, pictures, examples(ledger)).encode())
+    path, texts = plan.out / PAGE, [str(count) for count in plan.variants]
+    write_atomically(path, page(summary(plan, ledger), shown, pictures, examples(ledger), texts).encode())
     return path
 
 
@@ -97,8 +97,12 @@ def page(
     shown: Sequence[Candidate],
     pictures: Mapping[int, str],
     reasons: Mapping[str, str],
+    variants: Sequence[str] = (),
 ) -> str:
-    """The whole page; ``pictures`` by index, ``reasons`` an example of each. Every text is escaped."""
+    """The whole page; ``pictures`` by index, ``reasons`` an example of each, ``variants`` what came of each object.
+
+    Every text is escaped.
+    """
     title = f"Cousins: {facts['recipe']}"
     rest = facts["accepted"] - len(shown)
     return "\n".join(
@@ -110,6 +114,7 @@ def page(
             f"<p class='sides'>{facts['accepted']} of {facts['asked']} cousins, seed {facts['seed']}; "
             f"{facts['examined']} candidates examined, {facts['acceptance_rate']:.1%} accepted "
             f"({escape(facts['end'])})</p>",
+            "".join(f"<p class='sides'>{escape(text)}</p>" for text in variants),
             f"<div class='all'>{''.join(_figure(c, pictures.get(c.index)) for c in shown)}</div>",
             f"<p>{rest} more are in <a href='{FILE}'>{FILE}</a>.</p>" if rest > 0 else "",
             _table(facts, reasons),

@@ -73,7 +73,7 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
     reason: Reason | None = None
     tries = 0
     for _ in range(STARTS):
-        table = Table(twin, layout.poses, asks.order, asks.support)
+        table = Table(twin, layout.poses, asks.order)
         for name in asks.order:
             reason = _place(table, asks, axis, name, chosen[name], rng)
             if reason is not None:
@@ -89,29 +89,61 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
 def scatter(
     twin: Twin, names: Sequence[str], rng: np.random.Generator, on: str = "", layout: Layout = NOTHING
 ) -> Layout | Rejected:
-    """Put things anywhere on ``on``, by default what carries most, each uniformly over what is free; no predicates.
+    """Put things anywhere on ``on``, or uniformly over all places of the twin where that is free; no predicates.
 
-    Raises :class:`TwinError` where there is nothing level to stand on.
+    What finds no room at the place that chance gave it goes to another. Raises :class:`TwinError` where there is
+    nothing level to stand on.
     """
-    support = twin.support(on or twin.ground)
-    if support is None:
+    places = twin.places if not on else tuple(filter(None, [twin.support(on)]))
+    if not places:
         raise TwinError(f"nothing of `{on or twin.ground}` is level, so nothing can be put on it")
-    order = by_size(twin, names, support.name)
-    things = [Thing.of(twin, name, support.name, order) for name in order]
+    order = by_size(twin, names, places[0].name)
+    areas = np.array([place.area for place in places])
     reason: Reason | None = None
     tries = 0
     for _ in range(STARTS):
-        table = Table(twin, layout.poses, order, support)
-        failed = table.put_all(things, support, rng)
-        reason = None if failed is None else no_room(table, failed[0], support, failed[1])
+        chosen = rng.choice(len(places), len(order), p=areas / areas.sum()) if len(places) > 1 else [0] * len(order)
+        table = Table(twin, layout.poses, order)
+        left, reason = _put_all(table, order, [places[k] for k in chosen], places, rng)
         tries += table.tries
         if reason is None:
             return layout.and_then(table, "", (), tries)
-        assert failed is not None
-        if len(things) - things.index(failed[0]) > max(ALMOST, len(things) // 8):
+        if left > max(ALMOST, len(order) // 8):
             break
     assert reason is not None
     return Rejected((reason,))
+
+
+def _put_all(
+    table: Table, names: Sequence[str], chosen: Sequence[Support], places: Sequence[Support], rng: np.random.Generator
+) -> tuple[int, Reason | None]:
+    """Put things at the places chosen for them; how many are left, and why, where one finds no room anywhere."""
+    left = len(names)
+    for place in places:
+        things = [
+            Thing.of(table.twin, name, place.name, names) for name, at in zip(names, chosen, strict=True) if at is place
+        ]
+        while things:
+            failed = table.put_all(things, place, rng)
+            placed = len(things) if failed is None else things.index(failed[0])
+            left -= placed
+            if failed is None:
+                break
+            thing = failed[0]
+            if not any(_put_at(table, thing.name, other, names, rng) for other in places if other is not place):
+                return left, no_room(table, thing, place, failed[1])
+            left, things = left - 1, things[placed + 1 :]
+    return left, None
+
+
+def _put_at(table: Table, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
+    """Put a thing at a place; whether it found room there."""
+    thing = Thing.of(table.twin, name, place.name, names)
+    region = thing.anywhere(place)
+    found = table.find(thing, region, rng)
+    if found.spot is not None:
+        table.put(thing, region.z, found.spot)
+    return found.spot is not None
 
 
 def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:

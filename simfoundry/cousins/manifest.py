@@ -23,7 +23,7 @@ FILE = MANIFEST
 
 
 def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:
-    """The figures of a run; ``end`` is complete, hopeless or exhausted."""
+    """The figures of a run with those of its variants; ``end`` is complete, hopeless or exhausted."""
     return {
         "simfoundry": VERSION,
         **plan.about,
@@ -34,6 +34,7 @@ def summary(plan: Plan, ledger: Ledger) -> dict[str, Any]:
         "acceptance_rate": round(ledger.rate, 4),
         "reasons": dict(sorted(ledger.totals.items(), key=lambda pair: (-pair[1], pair[0]))),
         "unchecked": list(ledger.unchecked),
+        "variants": {count.name: count.to_json() for count in plan.variants},
     }
 
 

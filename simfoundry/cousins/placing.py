@@ -48,6 +48,7 @@ class There:
         self.count = 0
         self.owners: list[str] = []
         self._rows = np.zeros((6, room))  # centre x and y, radius of the circle around, lowest, highest, shadow's area
+        self._heights = np.zeros((2, room))  # lowest and highest, also of what is set aside
         self._half, self._turn = np.zeros((2, room), dtype=np.complex128)
         self._boxy: list[bool] = []
 
@@ -56,14 +57,22 @@ class There:
         k = self.count
         if k == len(self._half):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)], axis=1)
+            self._heights = np.concatenate([self._heights, np.zeros_like(self._heights)], axis=1)
             self._half, self._turn = (np.concatenate([v, np.zeros_like(v)]) for v in (self._half, self._turn))
         turn = cmath.rect(1.0, yaw)
         centre = complex(x, y) + turn * outline.middle
         self._rows[:, k] = centre.real, centre.imag, outline.size, z + outline.low, z + outline.high, outline.area
+        self._heights[:, k] = self._rows[3:5, k]
         self._half[k], self._turn[k] = complex(*outline.half.tolist()), turn * outline.turn
         self._boxy.append(outline.boxy)
         self.owners.append(owner)
         self.count = k + 1
+
+    def set_aside(self, owner: str | None) -> None:
+        """Leave out what is called ``owner``, and nothing else: what stands on it touches it."""
+        self._rows[3:5, : self.count] = self._heights[:, : self.count]
+        aside = [k for k, name in enumerate(self.owners) if name == owner]
+        self._rows[3, aside], self._rows[4, aside] = np.inf, -np.inf
 
     def near(self, centre: Array, outline: Outline, z: float, gap: float) -> tuple[Mask, Array, Array]:
         """Pairs of candidates and entries whose circles are nearer than ``gap``, (n, k), and their offsets [m]."""

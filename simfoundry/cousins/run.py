@@ -12,6 +12,7 @@ from typing import Any
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.ledger import End, Ledger
 from simfoundry.cousins.log import WORK, Log, Reader, log_file, logs, read_places, replace_logs
+from simfoundry.cousins.objects.swap import VariantCount
 from simfoundry.cousins.pools import Pool
 from simfoundry.errors import OutputError
 from simfoundry.files import write_atomically
@@ -31,7 +32,7 @@ class Plan:
     """What is to be made: ``wanted`` cousins in ``out``; ``about`` says of what, and is the same for the same bytes.
 
     ``shard`` (i, n), i from 1, examines every n-th candidate from the i-th on, and writes no cousins. ``most`` is how
-    many candidates there are, None without end.
+    many candidates there are, None without end; ``variants`` what came of each object that varies.
     """
 
     out: Path
@@ -39,6 +40,7 @@ class Plan:
     about: dict[str, Any]
     shard: tuple[int, int] | None = None
     most: int | None = None
+    variants: tuple[VariantCount, ...] = ()
 
     def ledger(self) -> Ledger:
         """An empty ledger of the run; a shard takes its share of what is wanted."""

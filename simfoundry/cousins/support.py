@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from simfoundry.cousins.outline import Complex, hull
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
+from simfoundry.scene.visibility import first_hits, scattered_rays
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -21,6 +23,32 @@ UPWARD = 0.999
 
 STEP = 1e-3
 """Faces whose heights differ by less than this [m] are one level."""
+
+NARROW = 0.04
+"""What is narrower than this [m] is an edge and no place: the side panel of a shelf, the rim of a box. What a hand
+takes is about as wide or wider, and would balance there."""
+
+ABOVE = 0.02
+"""So high over a level [m] it is looked from where a hand could come in: below the lips that keep things on trays."""
+
+OPEN_SHARE = 0.05
+"""A level is open where at least this share of the looks from its middle leave the object: about a sixth do from a
+shelf with an open front, none from a closed drawer."""
+
+_FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
+"""Rays (x, y, 1) that fill a right angle."""
+
+SIDEWAYS = tuple(
+    np.array(axes, dtype=np.float64).T
+    for axes in (
+        ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+        ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+        ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+        ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+        ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    )
+)
+"""Rotations whose last column is where to look: +x, -x, +y, -y and up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +70,15 @@ class Support:
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest corner [m], shape (2,) each."""
         return self.corners.min(axis=0), self.corners.max(axis=0)
+
+    @cached_property
+    def middle(self) -> tuple[float, float]:
+        """A point well within the level [m]."""
+        if self.plane is None:
+            x, y = self.corners.mean(axis=0).tolist()
+            return x, y
+        point = self.plane.representative_point()
+        return float(point.x), float(point.y)
 
     @cached_property
     def normals(self) -> Array:
@@ -79,33 +116,96 @@ class Support:
         return np.ascontiguousarray(self.normals).view(np.complex128)[:, 0]
 
 
+def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
+    """Every level of an object on which things can stand, the lowest first; only those of some ``links`` by index.
+
+    Strips narrower than :data:`NARROW` are none, nor are levels that the object itself encloses.
+    """
+    found = []
+    for _, triangles in _levels(shape, links):
+        support = _support(name, triangles, shape, NARROW)
+        if support is not None and not _is_enclosed(support, shape):
+            found.append(support)
+    return tuple(found)
+
+
 def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
     """The level of an object nearest to the height ``near`` [m], or its largest; None where no face is level."""
+    levels = _levels(shape)
+    if not levels:
+        return None
+    if near is not None:
+        _, triangles = min(levels, key=lambda level: abs(level[0] - near))
+    else:
+        _, triangles = max(levels, key=lambda level: float(np.abs(_areas(level[1][:, :, :2])).sum()))
+    return _support(name, triangles, shape, NARROW) or _support(name, triangles, shape, 0.0)
+
+
+def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
+    """Heights [m] and areas of what is level but narrower than :data:`NARROW`: sides of shelves, rims of boxes."""
+    found = []
+    for height, triangles in _levels(shape, links):
+        plane = _plane(triangles)
+        narrow = plane.difference(_without_strips(plane, NARROW))
+        if narrow.area > 0:
+            found.append((height, narrow))
+    return found
+
+
+def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
+    """Heights [m] and the triangles [m] there, shape (m, 3, 3), of all that is level, from below."""
+    level = shape.normals[:, 2] > UPWARD
+    if links is not None:
+        level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
+    triangles = shape.corners[shape.triangles[level]]
+    height = triangles[:, :, 2].mean(axis=1)
+    order = np.argsort(height, kind="stable")
+    cuts = np.flatnonzero(np.diff(height[order]) >= STEP) + 1
+    return [(float(height[some].mean()), triangles[some]) for some in np.split(order, cuts) if len(some)]
+
+
+def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
+    """The level that some triangles make, without strips that are narrower than ``narrow`` [m]; None if that is all."""
     import shapely
 
-    level = shape.normals[:, 2] > UPWARD
-    triangles = shape.corners[shape.triangles[level]]
-    if not len(triangles):
+    plane = _without_strips(_plane(triangles), narrow)
+    if plane.is_empty:
         return None
-    height = triangles[:, :, 2].mean(axis=1)
-    area = np.abs(_areas(triangles[:, :, :2]))
-    heights = np.unique(np.round(height / STEP).astype(np.int64))
-    if near is not None:
-        chosen = float(height[np.argmin(np.abs(height - near))])
-    else:
-        sums = [area[np.abs(height - h * STEP) < STEP].sum() for h in heights]
-        chosen = float(heights[int(np.argmax(sums))] * STEP)
-        chosen = float(height[np.argmin(np.abs(height - chosen))])
-    here = np.abs(height - chosen) < STEP
-    plane = shapely.union_all(shapely.polygons(triangles[here & (area > 1e-12)][:, :, :2]), grid_size=1e-9)
-    corners = hull(triangles[here].reshape(-1, 3)[:, :2])
+    corners = hull(shapely.get_coordinates(plane))
     whole = float(shapely.area(shapely.polygons(corners)))
     convex = float(plane.area) >= 0.999 * whole
     shapely.prepare(plane)
-    plain = len(shape.radius) == 1
-    return Support(
-        name, float(triangles[here][:, :, 2].max()), corners, float(plane.area), None if convex else plane, plain
-    )
+    top = float(triangles[:, :, 2].max())
+    return Support(name, top, corners, float(plane.area), None if convex else plane, len(shape.radius) == 1)
+
+
+def _plane(triangles: Array) -> BaseGeometry:
+    """The area that triangles cover, seen from above."""
+    import shapely
+
+    area = np.abs(_areas(triangles[:, :, :2]))
+    return shapely.union_all(shapely.polygons(triangles[area > 1e-12][:, :, :2]), grid_size=1e-9)
+
+
+def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
+    """An area without what is narrower than ``narrow`` [m]; its corners stay."""
+    half = narrow / 2
+    return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
+
+
+def _is_enclosed(support: Support, shape: Hulls) -> bool:
+    """Whether a hand cannot get to the middle of a level, because the object is nearly all around it."""
+    triangles = shape.corners[shape.triangles]
+    if float(triangles[:, :, 2].max()) - support.height < STEP:
+        return False
+    x, y = support.middle
+    seen_from = np.array([x, y, support.height + ABOVE])
+    out = 0
+    for side in SIDEWAYS:  # a look to each side, and one up; what is behind a ray's origin it does not see
+        local = (triangles - seen_from) @ side
+        rays = scattered_rays(*_FAN)
+        out += int((first_hits(local, rays).triangle < 0).sum())
+    return out < OPEN_SHARE * len(SIDEWAYS) * len(_FAN[0])
 
 
 def _areas(triangles: Array) -> Array:

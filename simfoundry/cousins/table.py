@@ -62,14 +62,9 @@ class Thing:
 
 
 class Table:
-    """Everything that stands, while things are placed among it. A twin has one at a time: it poses its solids.
+    """Everything that stands, while things are placed among it. A twin has one at a time: it poses its solids."""
 
-    The ``support`` itself is left out where nothing of it stands out: what is placed stands on it.
-    """
-
-    def __init__(
-        self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str], support: Support | None = None
-    ) -> None:
+    def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
         """``poses`` differ from the twin's; what is ``moving``, and what rides on it, is not there yet."""
         self.twin, self.tries = twin, 0
         self.poses = dict(twin.state.poses) | dict(poses)
@@ -84,8 +79,7 @@ class Table:
             if item.name not in waiting:
                 twin.solids.put(item.name, self.poses[item.name])
                 self.solid.append(item.name)
-                if support is None or not support.plain or item.name != support.name:
-                    self._enter(item.name, twin.shadows(item.name, self.poses[item.name]))
+                self._enter(item.name, twin.shadows(item.name, self.poses[item.name]))
         for item in twin.robot_items:
             self.solid.append(item.name)
             self._enter(item.name, twin.shadows(item.name, item.X_WO))
@@ -93,6 +87,10 @@ class Table:
     def _enter(self, name: str, shadows: Iterable[Outline]) -> None:
         for outline in shadows:
             self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
+
+    def _stand_on(self, support: Support) -> None:
+        """Leave the support out where nothing of it stands out: what is placed stands on it."""
+        self.there.set_aside(support.name if support.plain else None)
 
     def find(
         self,
@@ -104,6 +102,7 @@ class Table:
     ) -> Found:
         """A free place for a thing; ``also`` is asked with the thing posed among the solids."""
         owners, on = self.there.owners, region.support.name
+        self._stand_on(region.support)
 
         def clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
             self.pose(thing, thing.pose(x, y, region.z, yaw))
@@ -123,6 +122,7 @@ class Table:
     ) -> tuple[Thing, Found] | None:
         """Let things stand anywhere on a support, one after another; the first that finds no place, and why."""
         owners = self.there.owners
+        self._stand_on(support)
         placed = [(thing.outline, thing.anywhere(support)) for thing in things]
         self.tries += EACH * len(things)
 

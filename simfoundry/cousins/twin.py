@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.settling import ELSEWHERE
 from simfoundry.cousins.solids import Solids
-from simfoundry.cousins.support import Support, support_of
+from simfoundry.cousins.support import Support, edges_of, support_of, supports_of
+from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
@@ -23,6 +24,7 @@ from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint, Scene, SceneObject
 from simfoundry.scene.state import SceneState
+from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.task import TaskSpec
@@ -31,9 +33,15 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 
 if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.reach import Reach
     from simfoundry.predicates import Judge
+
+
+UNDERFOOT = 0.3
+"""What lies so much lower than a table top [m], and under it, is the floor: the lowest tables are about so high."""
 
 
 class TwinError(SimfoundryError):
@@ -96,7 +104,7 @@ class Twin:
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
         initial = SceneState.initial(replace(self.scene, objects=tuple(new.values())))
         state = SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions))
-        kept = {key: value for key, value in self.kept.items() if key == "reach"}
+        kept = {key: value for key, value in self.kept.items() if key in ("reach", "seen") or _is_surface(key, new)}
         return Twin(
             replace(self.scene, objects=(*here, *more)),
             state,
@@ -202,6 +210,33 @@ class Twin:
             self.kept[key] = made
         return made
 
+    def surfaces(self, state: SceneState, absent: Iterable[str] = ()) -> dict[str, VisibleSurface]:
+        """What is seen of each thing in a state; of robots, which stand as they start, their colliders."""
+        gone = set(absent)
+        found = {}
+        for item in self.scene.objects:
+            if item.name not in gone:
+                if (key := ("surface", item.name)) not in self.kept:
+                    self.kept[key] = VisibleSurface.of(self.item(item.name))
+                found[item.name] = self.kept[key].at(state.poses[item.name])
+        for item in self.robot_items:
+            if (key := ("surface", item.name)) not in self.kept:
+                links = tuple(replace(link, visuals=()) for link in item.links)  # hundreds of thousands of triangles
+                self.kept[key] = VisibleSurface.of(replace(item, links=links))
+            found[item.name] = self.kept[key].at(item.X_WO)
+        return found
+
+    @cached_property
+    def shares_seen(self) -> Mapping[str, float]:
+        """How much of each object the camera that sees most of it sees, as the twin is; what is absent has no entry."""
+        if not self.scene.cameras:
+            return MappingProxyType({})
+        if "seen" not in self.kept:
+            surfaces = self.surfaces(self.state, self.absent)
+            names = [item.name for item in self.scene.objects if item.name not in self.absent and not item.fixed]
+            self.kept["seen"] = {n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names}
+        return MappingProxyType(self.kept["seen"])
+
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
         """:attr:`state` with some things elsewhere, at rest."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
@@ -237,6 +272,42 @@ class Twin:
         found: Support | None = self.kept[key]
         return found
 
+    def levels(self, name: str) -> tuple[Support, ...]:
+        """Every level of an object, where it is, on which things can stand, but for those that its joints move."""
+        key = ("levels", name)
+        if key not in self.kept:
+            self.kept[key] = supports_of(name, self.shape(name, self.state.poses[name]), self._still_links(name))
+        found: tuple[Support, ...] = self.kept[key]
+        return found
+
+    def edges(self, name: str) -> list[tuple[float, BaseGeometry]]:
+        """Heights [m] and areas of an object, where it is, that are level but too narrow to stand on."""
+        key = ("edges", name)
+        if key not in self.kept:
+            self.kept[key] = edges_of(self.shape(name, self.state.poses[name]), self._still_links(name))
+        found: list[tuple[float, BaseGeometry]] = self.kept[key]
+        return found
+
+    def _still_links(self, name: str) -> list[int]:
+        """The links of an object, by index, that none of its joints moves."""
+        item = self.scene.object(name)
+        welded = weld_groups(item)
+        return [k for k, link in enumerate(item.links) if welded[link.name] == welded[item.root.name]]
+
+    @cached_property
+    def places(self) -> tuple[Support, ...]:
+        """Where new things may stand: every level of what is fixed, but for the floor under the furniture.
+
+        Where nothing fixed is level, that of the object that most others stand on.
+        """
+        found = [level for item in self.scene.objects if item.fixed for level in self.levels(item.name)]
+        if found and not any(self.carried.values()):
+            return tuple(found)
+        ground = self.support(self.ground)
+        if ground is None:
+            return tuple(found)
+        return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
+
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
         """The shadow of a thing, with what rides on it, ``upright`` at the origin."""
         key = ("outline", name, *upright.q.tolist(), *along)
@@ -269,6 +340,21 @@ class Twin:
     def relations(self) -> tuple[str, ...]:
         """What the scene states of itself and is true in :attr:`state`."""
         return tuple(text for text in map(str, self.scene.relations) if self.judge(text, self.state).value)
+
+
+def _is_floor_under(ground: Support, level: Support) -> bool:
+    """Whether a level lies far below another, and under most of it."""
+    import shapely
+
+    if ground.height - level.height < UNDERFOOT:
+        return False
+    over = shapely.intersection(shapely.polygons(ground.corners), shapely.polygons(level.corners)).area
+    return bool(over > 0.5 * shapely.polygons(ground.corners).area)
+
+
+def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
+    """Whether a key of what is kept is that of the surface of a thing that stays what it is."""
+    return isinstance(key, tuple) and key[0] == "surface" and key[1] not in new
 
 
 def _away(item: SceneObject, k: int) -> Pose:

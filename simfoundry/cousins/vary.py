@@ -66,10 +66,10 @@ def see_possible(shared: Prepared) -> None:
     """Raise :class:`ImpossibleError` where what the recipe asks for can never be."""
     twin, axis, distractors = shared.twin, shared.recipe.spec.scene, shared.recipe.spec.distractors
     asks = asks_of(twin, axis) if axis is not None else None
-    support = twin.support(twin.ground) if distractors is not None else None
-    if distractors is not None and support is not None:
+    places = twin.places if distractors is not None else ()
+    if distractors is not None and places:
         around = asks.support.name if asks is not None and asks.support is not None else ""
-        full = too_full(twin, support, axis, shared.recipe.distractors, distractors.count[0], around)
+        full = too_full(twin, places, axis, shared.recipe.distractors, distractors.count[0], around)
         if full:
             raise ImpossibleError(full)
 

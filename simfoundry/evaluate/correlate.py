@@ -1,18 +1,21 @@
-"""Real against simulated success rates: Pearson's r and MMRV of each task, with bootstrap intervals."""
+"""Real against simulated success rates: Pearson's r and MMRV of each task, with intervals from posterior draws."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
 import numpy as np
 
-from simfoundry.evaluate.metrics import mmrv, pearson
+from simfoundry.evaluate.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson
 from simfoundry.evaluate.scores import Score, ScoresError
 from simfoundry.scene.frames import Array
 
 Interval = tuple[float, float]
+
+BLOCK = 1000
+"""Draws at a time: MMRV compares every two policies in each, 80 MB for a hundred policies."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +23,7 @@ class Agreement:
     """How simulation agrees with reality on one task, over the policies that both have been tried with.
 
     ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None where one of the two does
-    not vary. The intervals hold the middle share of what rollouts drawn anew give, None where no draw defines them.
+    not vary. The intervals hold the middle share of what rates and policies drawn anew give, None with one policy.
     """
 
     task: str
@@ -35,7 +38,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """How the bootstrap draws: every rollout of every policy anew, from its rate; ``rollouts`` where nobody said."""
+    """How intervals are drawn: ``rollouts`` where nobody said how many a rate is of."""
 
     count: int = 2000
     rollouts: int = 25
@@ -46,8 +49,11 @@ class Draws:
 def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[Agreement]:
     """Agreement on each task that both have, in the order of the real scores; a ScoresError where there is none.
 
-    Policies stay as they are in the bootstrap: of the three to five of a usual comparison, drawing policies anew would
-    mostly leave out the very ones that differ.
+    Each draw takes every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
+    taken for certain, and the policies by a Bayesian bootstrap (Rubin, 1981): weights from a flat Dirichlet. To draw
+    three to five policies with replacement would mostly leave two, and r at 1 or -1. Of 95 % intervals, of 3 to 8
+    policies with 25 rollouts, 84 to 99 % hold the r of all policies there could be (``tests/corpora/intervals.py``);
+    of a bootstrap over the rollouts alone, 57 to 94 % did.
     """
     there = {(s.task, s.policy): s for s in sim}
     tasks: dict[str, list[tuple[Score, Score]]] = {}
@@ -70,6 +76,18 @@ def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
     return [f"{task} × {policy}" for task, policy in sorted(a ^ b)]
 
 
+def reservations(scores: Sequence[Score]) -> list[str]:
+    """What is to be known of rates that are not of all the rollouts that were asked for, a sentence each."""
+    said = []
+    for s in scores:
+        of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
+        if s.missing:
+            said.append(f"{s.policy} on {s.task}: {s.missing}{of} rollouts are missing, the rate is of the others")
+        if s.invalid:
+            said.append(f"{s.policy} on {s.task}: {s.invalid} rollouts failed by an invalid answer")
+    return said
+
+
 def mean_agreement(found: Sequence[Agreement]) -> tuple[float | None, float]:
     """Mean of r over the tasks that define it, None where none does, and mean MMRV over all."""
     defined = [a.pearson for a in found if a.pearson is not None]
@@ -78,7 +96,7 @@ def mean_agreement(found: Sequence[Agreement]) -> tuple[float | None, float]:
 
 def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> Agreement:
     real, sim = (np.array([pair[k].rate for pair in pairs]) for k in (0, 1))
-    again = [_drawn([pair[k] for pair in pairs], draws, rng) for k in (0, 1)]
+    r, violation = _drawn(pairs, draws, rng)
     return Agreement(
         task=task,
         policies=tuple(pair[0].policy for pair in pairs),
@@ -86,25 +104,36 @@ def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: n
         sim=tuple(map(float, sim)),
         pearson=pearson(real, sim),
         mmrv=mmrv(real, sim),
-        pearson_interval=_interval(pearson, again, draws.confidence),
-        mmrv_interval=_interval(mmrv, again, draws.confidence),
+        pearson_interval=_interval(r, draws.confidence),
+        mmrv_interval=_interval(violation, draws.confidence) if len(pairs) > 1 else None,
     )
 
 
-def _drawn(scores: list[Score], draws: Draws, rng: np.random.Generator) -> Array:
-    """Rates of rollouts drawn anew, shape (draws, policies)."""
-    counts = [s.rollouts or draws.rollouts for s in scores]
-    return np.column_stack(
-        [rng.binomial(n, s.rate, draws.count) / n for n, s in zip(counts, scores, strict=True)]
-    ).astype(float)
+def _drawn(pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Pearson's r, NaN where it is undefined, and MMRV of each draw, shape (draws,)."""
+    found: list[tuple[Array, Array]] = []
+    for start in range(0, draws.count, BLOCK):
+        count = min(BLOCK, draws.count - start)
+        real, sim = (_rates([pair[k] for pair in pairs], draws, count, rng) for k in (0, 1))
+        weights = rng.dirichlet(np.ones(len(pairs)), count)
+        found.append((weighted_pearson(real, sim, weights), weighted_mmrv(real, sim, weights)))
+    r, violation = (np.concatenate(rows) for rows in zip(*found, strict=True))
+    return r, violation
 
 
-def _interval(metric: Callable[[Array, Array], float | None], again: list[Array], confidence: float) -> Interval | None:
-    found = [value for x, y in zip(*again, strict=True) if (value := metric(x, y)) is not None]
-    if not found:
+def _rates(scores: list[Score], draws: Draws, count: int, rng: np.random.Generator) -> Array:
+    """Rates from their posteriors, shape (count, policies)."""
+    of = np.array([s.rollouts or draws.rollouts for s in scores], dtype=float)
+    done = np.array([s.rate for s in scores]) * of
+    return rng.beta(done + 0.5, of - done + 0.5, (count, len(scores)))
+
+
+def _interval(drawn: Array, confidence: float) -> Interval | None:
+    defined = drawn[np.isfinite(drawn)]
+    if not len(defined):
         return None
     tail = (1 - confidence) / 2
-    low, high = np.quantile(found, [tail, 1 - tail])
+    low, high = np.quantile(defined, [tail, 1 - tail])
     return float(low), float(high)
 
 

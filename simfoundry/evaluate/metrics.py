@@ -42,6 +42,22 @@ def mmrv(real: Sequence[float] | Array, sim: Sequence[float] | Array) -> float:
     return float(np.max(np.abs(x[:, None] - x[None, :]) * violated, axis=1).mean())
 
 
+def weighted_pearson(real: Array, sim: Array, weights: Array) -> Array:
+    """Pearson's coefficient of each row of weighted scores, all of shape (rows, n); NaN where one does not vary."""
+    share = weights / weights.sum(axis=1, keepdims=True)
+    dx, dy = (v - (share * v).sum(axis=1, keepdims=True) for v in (real, sim))
+    square = (share * dx * dx).sum(axis=1) * (share * dy * dy).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.clip((share * dx * dy).sum(axis=1) / np.sqrt(square), -1.0, 1.0))
+
+
+def weighted_mmrv(real: Array, sim: Array, weights: Array) -> Array:
+    """Mean maximum rank violation of each row of weighted scores, all of shape (rows, n)."""
+    share = weights / weights.sum(axis=1, keepdims=True)
+    dx, dy = (v[:, :, None] - v[:, None, :] for v in (real, sim))
+    return np.asarray((share * np.max(np.abs(dx) * ((dy < 0) != (dx < 0)), axis=2)).sum(axis=1))
+
+
 def wilson(successes: int, rollouts: int, z: float = Z_95) -> tuple[float, float]:
     """Wilson's score interval of a success rate, for ``z`` standard deviations; (0, 1) where nothing was tried.
 

@@ -26,16 +26,25 @@ class ScoresError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Score:
-    """How often a policy did a task: ``rate`` in [0, 1] of ``rollouts``, None where nobody said how many."""
+    """How often a policy did a task: ``rate`` in [0, 1] of ``rollouts``, None where nobody said how many.
+
+    ``invalid`` of them failed by an answer that is no action; ``missing`` further ones have no result.
+    """
 
     task: str
     policy: str
     rate: float
     rollouts: int | None
+    engine: str = ""
+    invalid: int = 0
+    missing: int = 0
 
 
 def read_scores(path: Path) -> list[Score]:
-    """The scores of a CSV table, of a ``results.json``, or of a folder with one; in their order."""
+    """The scores of a CSV table, of a ``results.json``, or of a folder with one; in their order.
+
+    A row of ``results.json`` without any result is left out.
+    """
     file = path / "results.json" if path.is_dir() else path
     if file.stat().st_size > MOST_BYTES:
         raise ScoresError(f"{file} is larger than {MOST_BYTES >> 20} MiB, which is no table of success rates")
@@ -44,12 +53,14 @@ def read_scores(path: Path) -> list[Score]:
     except UnicodeDecodeError as error:
         raise ScoresError(f"{file} is not UTF-8 text: {error.reason} at byte {error.start}") from None
     rows = _json_rows(file, text) if file.suffix == ".json" else _csv_rows(file, text)
-    scores: dict[tuple[str, str], Score] = {}
+    scores: dict[tuple[str, str, str], Score] = {}
     for place, row in rows:
+        if row.get("rollouts") == 0 and row.get("missing"):
+            continue
         score = _score(place, row)
-        if (score.task, score.policy) in scores:
+        if (score.task, score.policy, score.engine) in scores:
             raise ScoresError(f"{place}: {score.policy} on {score.task} is there already; each pair stands once")
-        scores[score.task, score.policy] = score
+        scores[score.task, score.policy, score.engine] = score
     if not scores:
         raise ScoresError(f"{file} holds no scores: a line each with task, policy and rate is expected")
     return list(scores.values())
@@ -78,7 +89,8 @@ def _json_rows(file: Path, text: str) -> Iterator[tuple[str, Mapping[str, Any]]]
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise ScoresError(f"{file} has no list `scores`; `simfoundry eval` writes one into results.json")
     for k, row in enumerate(rows):
-        yield f"{file}: scores[{k}]", row
+        onward = {"task": f"{row.get('task')}+{row['from']}"} if row.get("from") else {}
+        yield f"{file}: scores[{k}]", {**row, **onward}
 
 
 def _score(place: str, row: Mapping[str, Any]) -> Score:
@@ -96,7 +108,18 @@ def _score(place: str, row: Mapping[str, Any]) -> Score:
         rate = successes / rollouts
     if not 0 <= rate <= 1:
         raise ScoresError(f"{place}: {rate:g} is no success rate; it lies between 0 and 1, or is written 34%")
-    return Score(task, policy, rate, None if rollouts is None else int(rollouts))
+    counts = {key: int(_number(place, row, key) or 0) for key in ("invalid", "missing")}
+    return Score(
+        task, policy, rate, None if rollouts is None else int(rollouts), str(row.get("engine") or ""), **counts
+    )
+
+
+def by_engine(scores: list[Score]) -> dict[str, list[Score]]:
+    """The scores of each engine, in their order; a table that names none has one, called by the empty string."""
+    found: dict[str, list[Score]] = {}
+    for score in scores:
+        found.setdefault(score.engine, []).append(score)
+    return found
 
 
 def _number(place: str, row: Mapping[str, Any], key: str) -> float | None:

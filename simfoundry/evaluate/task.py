@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.robots import check_can_act
 from simfoundry.evaluate.setup import Setup, carried_by, lowered
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError, nearest
@@ -121,11 +122,13 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
 
 
 def need_robots(task: Task) -> None:
-    """Raise :class:`SimfoundryError` where a robot that should act is not there."""
+    """Raise :class:`SimfoundryError` where a robot that should act is not there, or its model does not say how."""
     if not task.robots:
         raise SimfoundryError(f"task `{task.name}` has no robot that could act: its scene has none")
     for name, reason in task.missing_robots.items():
         raise SimfoundryError(f"task `{task.name}` needs robot `{name}`, which is left out: {reason}")
+    for name in task.robots:
+        check_can_act(task.scene.robot(name))
 
 
 def _subtasks(spec: TaskSpec) -> dict[str, Subtask]:

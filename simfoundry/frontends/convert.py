@@ -272,7 +272,7 @@ def _fill(folder: Path, built: Built) -> None:
 
 
 def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:
-    """Leave out flat colliders, which nothing can touch, and things seen that are too wide; whether there were any."""
+    """Leave out flat colliders, which nothing can touch, and what cannot be shown; whether there was any."""
     from simfoundry.frontends.masses import make_sound
 
     mended = False
@@ -289,8 +289,9 @@ def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], sou
                 part.use = "visual"
             else:
                 link.parts.remove(part)
-        elif finding.code == "SF303" and part.use == "visual":
-            draft.dropped(what, "no mesh of such a size is shown", finding.message)
+        elif finding.code in ("SF301", "SF303") and part.use == "visual":
+            why = "no mesh of such a size is shown" if finding.code == "SF303" else "its mesh cannot be shown"
+            draft.dropped(what, why, finding.message)
             link.parts.remove(part)
         else:
             continue

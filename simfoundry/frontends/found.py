@@ -60,7 +60,7 @@ class Search:
                 f"lies outside {self.root}; name the folder that it belongs to with `--package NAME=PATH`"
             )
         if package:
-            name = package[1].partition("/")[0]
+            name = package[1].lstrip("/").partition("/")[0]
             raise NotFoundError(f"is not found; say where its package lies: `--package {name}=PATH`")
         raise NotFoundError("does not exist")
 
@@ -72,6 +72,7 @@ class Search:
 
     def _packaged(self, path: str) -> Iterator[tuple[Path, Path]]:
         """Candidates for ``package://NAME/REST``: named packages, then folders upward, then without any name."""
+        path = path.lstrip("/")
         name, _, rest = path.partition("/")
         if name in ("", ".", ".."):
             return

@@ -14,7 +14,17 @@ USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of what states no mass, as MuJoCo and UsdPhysics take it: that of water."""
 
 WIDEST_GYRATION = 2.0
-"""Radius of gyration [m] above which an inertia was never meant: nothing on or around a table is so large."""
+"""Radius of gyration [m] above which an inertia was never meant: nothing on or around a table is so large. In MJCF it
+is: MuJoCo takes such inertias, and models use them to keep a thing from turning."""
+
+FEATHER_SHARE = 1e-7
+"""Mass of a link that only joins two joints, as a share of what it carries: less than single precision sees."""
+
+LIGHTEST_FEATHER = 1e-9
+"""The least mass [kg] of such a link: MuJoCo refuses bodies below 1e-15 kg or kg m^2, others divide by it."""
+
+LEAST_INERTIA = 1e-14
+"""The least moment of inertia [kg m^2] that is given to anything, ten times what MuJoCo needs."""
 
 ROUNDING = 0.01
 """Share by which moments may miss the triangle inequality through rounding."""
@@ -39,7 +49,7 @@ def make_sound(draft: Draft, file: str) -> None:
             if not link.mass and (link.density is None or not any(part.use != "visual" for part in link.parts)):
                 _weigh(draft, body, link, file)
             elif link.mass:
-                _mend_inertia(draft, link)
+                _mend_inertia(draft, body, link)
 
 
 def _start_inside(draft: Draft, joint: JointDraft) -> None:
@@ -178,6 +188,11 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
             draft.assumed(
                 f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PyBullet takes it"
             )
+    elif any(joint.parent == link.name for joint in body.joints):
+        feather = feather_link(link.name, _mass_below(body, link.name))
+        link.mass, link.com, link.inertia, link.assumed = feather.mass, feather.com, feather.inertia, "import"
+        why = "none is given and it only joins two joints; almost none, so that nobody notices"
+        draft.assumed(f"mass of `{link.name}`", why, f"{link.mass:.3g} kg")
     else:
         message = f"link `{link.name}` moves and has neither a mass nor a shape to weigh"
         raise ImportRefusedError(file, message, hint="give it an inertial")
@@ -194,8 +209,23 @@ def take_density(draft: Draft, link: LinkDraft, usual: str, is_still: bool = Fal
         draft.assumed(f"mass of `{link.name}`", f"none is given; {said}")
 
 
-def _mend_inertia(draft: Draft, link: LinkDraft) -> None:
-    """An inertia that no body has is replaced by that of the shapes; one that misses by rounding is rounded up."""
+def _mass_below(body: BodyDraft, link: str) -> float:
+    """The mass [kg] of all that a link carries, as far as it is known."""
+    carried = [joint.child for joint in body.joints if joint.parent == link]
+    return sum((body.links[child].mass or 0.0) + _mass_below(body, child) for child in carried)
+
+
+def feather_link(name: str, carried: float) -> LinkDraft:
+    """A link between two joints that is too light to be noticed by what it carries [kg]."""
+    mass = max(LIGHTEST_FEATHER, FEATHER_SHARE * carried)
+    return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball(mass), assumed="import")
+
+
+def _mend_inertia(draft: Draft, body: BodyDraft, link: LinkDraft) -> None:
+    """An inertia that no body has is replaced by that of the shapes; one that misses by rounding is rounded up.
+
+    None at all is that of a point, where a fixed joint makes the link one with another.
+    """
     if link.inertia is None or link.mass is None:
         if not any(part.use != "visual" for part in link.parts):
             _as_ball(draft, link, "none is given")
@@ -206,9 +236,13 @@ def _mend_inertia(draft: Draft, link: LinkDraft) -> None:
     shown = ", ".join(f"{m:.3g}" for m in moments)
     if moments[0] > 0 and missing <= moments[2] * 1e-9:
         gyration = math.sqrt(float(moments[2]) / link.mass)
-        if gyration <= WIDEST_GYRATION:
+        if gyration <= WIDEST_GYRATION or draft.format == "MJCF":
             return
         reason, detail = "only something many metres wide has it", f"{shown} kg m^2 for {link.mass:.3g} kg"
+    elif not link.inertia.any() and (carrier := body.carrier(link.name)) is not None and carrier.type == "fixed":
+        link.inertia = LEAST_INERTIA * np.eye(3)
+        draft.changed(f"inertia of `{link.name}`", "it has a mass and no inertia; it is fixed, so it stays a point")
+        return
     elif moments[0] > 0 and missing <= moments[2] * ROUNDING:
         link.inertia = link.inertia + missing * (1 + 1e-6) * np.eye(3)
         why = "rounding took it out of what a body can have; rounded back"
@@ -231,6 +265,6 @@ def _as_ball(draft: Draft, link: LinkDraft, reason: str, detail: str = "") -> No
 
 
 def ball(mass: float) -> Array:
-    """Inertia [kg m^2] of a ball of water of a mass [kg]."""
+    """Inertia [kg m^2] of a ball of water of a mass [kg], or the least that there may be."""
     radius = (3 * mass / (4 * math.pi * 1000.0)) ** (1 / 3)
-    return np.diag([0.4 * mass * radius**2] * 3)
+    return np.diag([max(0.4 * mass * radius**2, LEAST_INERTIA)] * 3)

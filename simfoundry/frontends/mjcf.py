@@ -12,7 +12,7 @@ import numpy as np
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.found import NotFoundError, Search, refused
-from simfoundry.frontends.masses import ball, make_sound
+from simfoundry.frontends.masses import feather_link, make_sound
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf_geoms import Geoms
 from simfoundry.frontends.mjcf_own import BACKGROUND, TWIN, restore, said
@@ -30,9 +30,6 @@ from simfoundry.scene.frames import Array, Pose
 
 FAR = 1000.0
 """Limit [m] of a slide that has none."""
-
-FEATHER = 1e-6
-"""Mass [kg] of a link that only joins two joints of one body."""
 
 MAX_INCLUDES = 100
 
@@ -81,9 +78,10 @@ def _checked(path: Path, packages: Mapping[str, Path]) -> list[Element]:
 def _check_file(search: Search, path: Path, element: Element, folders: list[Path]) -> None:
     """Refuse a file outside the folders of the model; whether it exists is for MuJoCo to say."""
     reference = element.need("file")
-    for folder in [Path(), *folders]:
+    beside = dict.fromkeys((path.resolve().parent, element.file.resolve().parent))  # MuJoCo looks beside both
+    for here, folder in itertools.product(beside, [Path(), *folders]):
         try:
-            search.find((folder / reference).as_posix(), path.resolve().parent)
+            search.find((folder / reference).as_posix(), here)
             return
         except NotFoundError as error:
             if "outside" in str(error):
@@ -192,6 +190,7 @@ class _Mjcf:
             self.draft.bodies.append(draft)
             if free:
                 self.free[name] = self.name("joint", joints[0])
+                self.note_free_dynamics(joints[0])
             draft.links[name] = self.new_link(body, name, Pose.of())
             self.owner[body] = (draft, name, Pose.of())
             if int(model.body_mocapid[body]) >= 0:
@@ -202,6 +201,14 @@ class _Mjcf:
         draft = BodyDraft(unique, base, {base: LinkDraft(base, mass=0.0)}, fixed=True, X_WO=X_WB)
         self.draft.bodies.append(draft)
         self.chain(draft, body, base, Pose.of(), joints)
+
+    def note_free_dynamics(self, joint: int) -> None:
+        """Note what resists a free joint: what is free has no joint here that could say it."""
+        dof, what = int(self.model.jnt_dofadr[joint]), f"free joint `{self.name('joint', joint)}`"
+        for field, word in (("dof_armature", "armature"), ("dof_damping", "damping"), ("dof_frictionloss", "friction")):
+            value = float(np.ravel(getattr(self.model, field)[dof])[0])
+            if value:
+                self.draft.dropped(f"{word} of {what}", "what is free moves without one", f"{value:.4g}")
 
     def root_name(self, body: int) -> str:
         """A name for the link that carries a body of the world: no body below it is called so."""
@@ -233,10 +240,9 @@ class _Mjcf:
             self.joint_owner[joint] = (draft, made)
             anchor, parent, X_PB = model.jnt_pos[joint], link, Pose.of()
             if not last:
-                feather = LinkDraft(link, mass=FEATHER, com=np.zeros(3), inertia=ball(FEATHER), assumed="import")
-                draft.links[link] = feather
-                why = f"a body has one joint here; {FEATHER * 1e6:g} mg between two joints of one body"
-                self.draft.assumed(f"link `{link}`", why)
+                draft.links[link] = feather = feather_link(link, float(model.body_subtreemass[body]))
+                why = "a body has one joint here; a link of almost no mass joins two joints of one body"
+                self.draft.assumed(f"link `{link}`", why, f"{feather.mass:.3g} kg")
         X_BL = Pose.of(model.jnt_pos[joints[-1]])
         draft.links[name] = self.new_link(body, name, X_BL)
         self.owner[body] = (draft, name, X_BL)

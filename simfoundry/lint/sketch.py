@@ -164,7 +164,9 @@ def _turn(joint: JointSpec, value: float, written: Written | None) -> Turn:
     limits = joint.limits
     if joint.limits_deg is not None:
         limits = (math.radians(joint.limits_deg[0]), math.radians(joint.limits_deg[1]))
-    return Turn(value, limits, joint.child, frame_of(written) if isinstance(written, Pose) else WORLD)
+    return Turn(
+        value, limits, joint.child, frame_of(written) if isinstance(written, Pose) else WORLD, joint.closed or ""
+    )
 
 
 def _links(asset: Loaded, spec: AssetSpec, joints: Mapping[str, Turn]) -> Iterator[tuple[str, Limb]]:

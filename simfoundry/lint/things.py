@@ -25,12 +25,16 @@ class Limb(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """A joint at its position, with its limits [m or rad]; a continuous joint has none, a ball or free one a motion."""
+    """A joint at its position, with its limits [m or rad]; a continuous joint has none, a ball or free one a motion.
+
+    ``closed`` is the limit at which it counts as closed, where the document says so.
+    """
 
     position: float
     limits: tuple[float, float] | None
     child: str
     motion: Frame = WORLD
+    closed: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +187,15 @@ def is_over(point: Vec, piece: Piece) -> bool:
     return bool(top) and all(
         (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) >= 0 for a, b in edges
     )
+
+
+def is_even(piece: Piece) -> bool:
+    """Whether a piece is the same on either side of the middle of its points: it balances there."""
+    n = len(piece.points)
+    twice = tuple(2 * sum(p[k] for p in piece.points) / n for k in range(3))
+    known = {tuple(round(v, 9) for v in p) for p in piece.points}
+    mirrored = {tuple(round(t - v, 9) + 0.0 for t, v in zip(twice, p, strict=True)) for p in piece.points}
+    return len(set(piece.radii)) <= 1 and {tuple(v + 0.0 for v in p) for p in known} == mirrored
 
 
 def landing_on(thing: Thing, others: tuple[Piece, ...]) -> float | None:

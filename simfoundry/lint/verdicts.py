@@ -9,11 +9,11 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from simfoundry.lint.convex import CLOSE
+from simfoundry.lint.convex import CLOSE, Piece
 from simfoundry.lint.frames import Vec
 from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
-from simfoundry.lint.things import Thing, bounds, extent, landing, middle
+from simfoundry.lint.things import Thing, bounds, extent, is_even, landing, middle
 from simfoundry.spec.expressions import Call, parse_call, parts
 
 FAR_OFF = 0.03
@@ -119,15 +119,22 @@ def _raised(a: _Side, b: _Side) -> float | None:
     return landing(a.thing.pieces_of(a.link), b.thing.pieces_of(b.link))
 
 
-def _over(a: _Side, b: _Side) -> bool:
-    """Whether the middle of ``a`` is certainly within the outline of an upright ``b``, seen from above."""
-    X_WA, X_WB = a.thing.limb_frame(a.link), b.thing.limb_frame(b.link)
-    if not (a.thing.sure and b.thing.sure) or abs(X_WB.axis(2)[2]) < UPRIGHT_COSINE:
-        return False
-    p = [0.0, 0.0, 0.0]
+def _own_middle(a: _Side) -> Vec:
+    """The middle of the box around a thing in its own frame, in the world [m]."""
+    X_WA = a.thing.limb_frame(a.link)
+    p = (0.0, 0.0, 0.0)
     for n in (X_WA.axis(k) for k in range(3)):
         half = sum(extent(a.thing.part(a.link), n)) / 2
-        p = [v + half * w for v, w in zip(p, n, strict=True)]
+        p = (p[0] + half * n[0], p[1] + half * n[1], p[2] + half * n[2])
+    return p
+
+
+def _over(a: _Side, b: _Side) -> bool:
+    """Whether the middle of ``a`` is certainly within the outline of an upright ``b``, seen from above."""
+    X_WB = b.thing.limb_frame(b.link)
+    if not (a.thing.sure and b.thing.sure) or abs(X_WB.axis(2)[2]) < UPRIGHT_COSINE:
+        return False
+    p = _own_middle(a)
     (x1, x2, _), (y1, y2, _) = X_WB.axis(0), X_WB.axis(1)
     s = math.sqrt(0.5)
     for x, y in ((x1, x2), (y1, y2), (s * (x1 + y1), s * (x2 + y2)), (s * (x1 - y1), s * (x2 - y2))):
@@ -135,6 +142,16 @@ def _over(a: _Side, b: _Side) -> bool:
         if not low + CLOSE < p[0] * x + p[1] * y < high - CLOSE:
             return False
     return True
+
+
+def _is_balanced(a: _Side, b: _Side) -> bool:
+    """Whether the centre of mass of ``a`` is certainly over ``b`` where its middle is."""
+    pieces = a.thing.pieces_of(a.link)
+    if len(pieces) == 1 and is_even(pieces[0]):
+        return True
+    corners = [(x, y, a.high[2]) for x in (a.low[0], a.high[0]) for y in (a.low[1], a.high[1])]
+    other = b.thing.pieces_of(b.link)
+    return all(landing((Piece.of([corner]),), other) is not None for corner in corners)
 
 
 def _is_certain(*sides: _Side) -> bool:
@@ -150,9 +167,9 @@ def _on_top(call: Call, drawn: Sketch) -> Verdict:
     a, b = _sides(call, drawn)
     if a.thing is b.thing:
         return OPEN
-    high_up = a.low[2] >= b.high[2] - BESIDE
+    stands = a.low[2] >= b.high[2] - RESTING and _over(a, b) and _is_balanced(a, b)
     if _is_put(a, b):
-        certain = high_up and not a.thing.inside and _over(a, b)
+        certain = stands and not a.thing.inside
         return Verdict(True, f"`{a.name}` is put on `{b.name}`") if certain else OPEN
     gap = _gap(a, b)
     if gap > BESIDE:
@@ -166,8 +183,8 @@ def _on_top(call: Call, drawn: Sketch) -> Verdict:
         return Verdict(False, f"`{a.name}` is beside `{b.name}`") if a.low[2] < b.high[2] - FAR_OFF else OPEN
     if raised < -FAR_OFF:
         return Verdict(False, f"`{a.name}` is {length(-raised)} above `{b.name}`")
-    stands = abs(raised) <= RESTING - CLOSE and high_up and _over(a, b)
-    return Verdict(True, f"`{a.name}` stands on `{b.name}`") if stands else OPEN
+    lies = abs(raised) <= RESTING - CLOSE
+    return Verdict(True, f"`{a.name}` stands on `{b.name}`") if stands and lies else OPEN
 
 
 def _inside(call: Call, drawn: Sketch) -> Verdict:
@@ -221,19 +238,25 @@ def _direction(call: Call, drawn: Sketch) -> Verdict:
 
 
 def _above(call: Call, drawn: Sketch) -> Verdict:
+    """Above, or Under: the plumb line through the middle of the first meets the second under it, or over it."""
     a, b = _sides(call, drawn)
-    upper, lower = (a, b) if call.predicate == "Above" else (b, a)
     gap = _gap(a, b)
     if gap > BESIDE:
         return Verdict(False, f"`{a.name}` is {length(gap)} beside `{b.name}`")
     if not (a.thing.exact and b.thing.exact):
         return OPEN
-    higher = upper.middle[2] - lower.middle[2]
-    if higher < -LEVEL:
-        word = "below" if call.predicate == "Above" else "above"
-        return Verdict(False, f"the middle of `{a.name}` is {length(-higher)} {word} that of `{b.name}`")
-    clear = upper.middle[2] > lower.high[2] + CLOSE and _over(upper, lower)
-    return Verdict(True, f"`{upper.name}` is over `{lower.name}`") if clear else OPEN
+    x, y, z = _own_middle(a)
+    over = call.predicate == "Above"
+    beyond = b.low[2] - z if over else z - b.high[2]  # how far all of the second is on the other side
+    if beyond > LEVEL:
+        word = "below" if over else "above"
+        return Verdict(False, f"the middle of `{a.name}` is {length(beyond)} {word} all of `{b.name}`")
+    apart = a.low[2] - b.high[2] if over else b.low[2] - a.high[2]
+    if not _is_certain(a, b) or apart < -CLOSE:
+        return OPEN
+    lines = [(x, y, z), (x + BESIDE, y, z), (x - BESIDE, y, z), (x, y + BESIDE, z), (x, y - BESIDE, z)]
+    met = all(landing((Piece.of([p]),), b.thing.pieces_of(b.link)) is not None for p in lines)
+    return Verdict(True, f"`{a.name}` is {call.predicate.lower()} `{b.name}`") if met else OPEN
 
 
 def _touching(call: Call, drawn: Sketch) -> Verdict:
@@ -285,8 +308,8 @@ def _joint(call: Call, drawn: Sketch) -> Verdict:
         if turn.limits is None:
             return OPEN
         low, high = turn.limits
-        closed = min(max(0.0, low), high)
-        share = abs(turn.position - closed) / max(high - closed, closed - low)
+        closed = {"lower": low, "upper": high}.get(turn.closed, min(max(0.0, low), high))
+        share = abs(turn.position - closed) / (high - low)
         is_open = True if share > OPEN_SHARE else False if share < CLOSED_SHARE else None
         value = is_open if call.predicate == "Open" or is_open is None else not is_open
         if value is False:

@@ -24,18 +24,23 @@ class BoxField:
     axes: NDArray[np.float32]
     half: NDArray[np.float32]
 
-    def bounds(self, points: NDArray[np.float32], radius: NDArray[np.float32]) -> tuple[Array, Array]:
-        """A lower and an upper bound [m], (n,) each, for hulls of balls at points in the link's frame, (n, m, 3).
+    def local(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Points in the link's frame, (..., 3), in that of the box."""
+        return np.asarray((points - self.middle) @ self.axes)
 
-        The one is the widest gap across a face of the box, the other the distance of the nearest ball.
+    def lower(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> Array:
+        """A lower bound [m], (n,), of what reaches from ``low`` to ``high`` in the frame of the box, (n, 3) each.
+
+        It is the widest gap across a face of the box.
         """
-        local = (points - self.middle) @ self.axes
+        return np.asarray(np.maximum(low - self.half, -self.half - high).max(axis=1) - np.float32(ROUNDING))
+
+    def upper(self, local: NDArray[np.float32], radius: NDArray[np.float32]) -> Array:
+        """An upper bound [m], (n,): how far the nearest of balls at points in the frame of the box, (n, m, 3), is."""
         off = np.abs(local) - self.half
         outside = np.maximum(off, 0)
         away = np.sqrt(np.einsum("...i,...i->...", outside, outside)) + np.minimum(off.max(axis=-1), 0) - radius
-        low, high = (local - radius[:, None]).min(axis=1), (local + radius[:, None]).max(axis=1)
-        gap = np.maximum(low - self.half, -self.half - high).max(axis=1)
-        return gap - np.float32(ROUNDING), away.min(axis=1) + np.float32(ROUNDING)
+        return np.asarray(away.min(axis=1) + np.float32(ROUNDING))
 
 
 @lru_cache(maxsize=256)

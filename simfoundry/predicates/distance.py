@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.predicates.batch import Index, Poses, rotate
-from simfoundry.predicates.boxfield import box_field
+from simfoundry.predicates.boxfield import BoxField, box_field
 from simfoundry.predicates.exact import Candidates, Exact
 from simfoundry.predicates.shapes import Bodies, Form, Thing
-from simfoundry.predicates.view import View
+from simfoundry.predicates.thresholds import TOUCH
+from simfoundry.predicates.view import UP, View
 from simfoundry.scene.frames import Array
 
 FAR = 0.05
@@ -18,6 +22,15 @@ FAR = 0.05
 
 FEW = 16
 """Of so many states the distance is always measured."""
+
+LIFT = 0.001
+"""How far a thing is raised to see which way it is pushed [m]: more than a distance is off, less than what is round."""
+
+RAISED = LIFT * np.array([[0.0, 0.0, 1.0]])
+ALONG = LIFT * np.eye(3)
+
+FLATTEST = math.cos(math.radians(80.0))
+"""A wall that pushes up by less than this cosine does not help to hold a thing."""
 
 
 class Distances:
@@ -57,6 +70,71 @@ class Distances:
                     out[close] = np.minimum(out[close], found)
         return out
 
+    def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
+        """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.
+
+        The second is the greatest cosine between up and the way in which a part of ``b`` no farther than ``limit`` [m]
+        pushes a part of ``a``, by how much raising that by :data:`LIFT` brings it away; -1 where none is so near. Where
+        several parts push together, as the walls of a funnel do, it is that of the steepest way in which they can.
+        Of more than :data:`FEW` states only the sides of ``limit`` and of ``steepest`` are exact.
+        """
+        many = view.n > FEW
+        gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
+        cosine = np.full(view.n, -1.0)
+        pushes: list[tuple[Index, _Pair]] = []
+        for i, one in view.forms(a):
+            for j, other in view.forms(b):
+                if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
+                    continue
+                X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
+                close = np.flatnonzero((cosine < steepest) & (middles_apart(X_WA, one, X_WB, other) <= limit))
+                close = close[ball_bound(X_WA.at(close), one, X_WB.at(close), other) <= limit]
+                if not len(close):
+                    continue
+                pair = _Pair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+                apart, up, open_ = _box_support(pair, limit, steepest)
+                if not many:
+                    open_ = np.arange(len(close))
+                if len(open_):
+                    some = pair.at(open_)
+                    most = np.full(len(open_), np.nextafter(limit, np.inf))
+                    enough = steepest * LIFT if many else np.inf
+                    state, near, grown = self._exact.lifted(
+                        some.a, some.b, some.X_WA, some.X_WB, candidates(some, most), RAISED, limit, enough
+                    )
+                    apart[open_], up[open_] = np.inf, -1.0
+                    np.minimum.at(apart, open_[state], near)
+                    np.maximum.at(up, open_[state], grown[:, 0] / LIFT)
+                    pushes.append((close[open_], some))
+                gap[close] = np.minimum(gap[close], apart)
+                cosine[close] = np.maximum(cosine[close], up)
+        left = np.flatnonzero((cosine < steepest) & (gap <= limit))
+        if len(left):
+            cosine[left] = np.maximum(cosine[left], self._together(pushes, left, view.n))
+        return gap, cosine
+
+    def _together(self, pushes: list[tuple[Index, _Pair]], left: Index, n: int) -> Array:
+        """The greatest cosine between up and a way in which several parts can push together, of some states."""
+        from scipy.optimize import nnls
+
+        normals: dict[int, list[Array]] = {int(k): [] for k in left}
+        wanted = np.zeros(n, bool)
+        wanted[left] = True
+        for states, pair in pushes:
+            index = np.flatnonzero(wanted[states])
+            some = pair.at(index)
+            near = candidates(some, np.full(len(index), np.nextafter(TOUCH, np.inf)))
+            state, _, grown = self._exact.lifted(some.a, some.b, some.X_WA, some.X_WB, near, ALONG, TOUCH, least=-TOUCH)
+            for k, way in zip(states[index][state].tolist(), grown / LIFT, strict=True):
+                if way[2] > FLATTEST:
+                    normals[k].append(way / np.linalg.norm(way))
+        found = []
+        for k in left.tolist():
+            ways = np.array(normals[k])
+            # The nearest push to up is the projection of up on their cone: its length is the cosine.
+            found.append(float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2))) if len(ways) > 1 else -1.0)
+        return np.array(found)
+
     def _measured(self, pair: _Pair, most: Array) -> Array:
         """The distances [m] of two links, where they are below ``most`` [m]."""
         return self._exact.distance(pair.a, pair.b, pair.X_WA, pair.X_WB, candidates(pair, most), most)
@@ -90,17 +168,69 @@ def box_bounds(pair: _Pair, threshold: float) -> tuple[Array, Index]:
 
     Where a link is one box, the corners of the other's hull tell nearly always.
     """
-    one, other, X_WA, X_WB = pair.one, pair.other, pair.X_WA, pair.X_WB
-    if box_field(other) is None:
-        one, other, X_WA, X_WB = other, one, X_WB, X_WA
-    field, n = box_field(other), len(X_WA.p)
-    if field is None:
+    if (seen := from_box(pair)) is None:
+        n = len(pair.X_WA.p)
         return np.full(n, -np.inf), np.arange(n)
-    X_BA = X_WB.inverse() @ X_WA
-    p, turned = X_BA.p.astype(np.float32), X_BA.R.transpose(0, 2, 1).astype(np.float32)
-    lower, upper = field.bounds(one.points.astype(np.float32) @ turned + p[:, None], one.radius.astype(np.float32))
+    lower, upper = seen.lower(), seen.upper()
     found = np.where(upper <= threshold, upper, lower).astype(np.float64)
     return found, np.flatnonzero((lower <= threshold) & (upper > threshold))
+
+
+def _box_support(pair: _Pair, limit: float, steepest: float) -> tuple[Array, Array, Index]:
+    """Bounds of the distance [m] and of the cosine of :meth:`Distances.support`, (n,) each, and where they do not tell.
+
+    Where a link is one box, the corners of the other's hull tell nearly always that it is far, or stands on the other.
+    """
+    n = len(pair.X_WA.p)
+    if (seen := from_box(pair)) is None:
+        return np.full(n, np.inf), np.full(n, -1.0), np.arange(n)
+    lower, upper = seen.lower(), seen.upper()
+    up = (seen.lower(LIFT) - upper) / LIFT
+    stands = (upper <= limit) & (up >= steepest)
+    apart = np.where(stands, upper, np.where(lower > limit, lower, np.inf)).astype(np.float64)
+    open_ = np.flatnonzero(~stands & (lower <= limit))
+    return apart, np.where(stands, up, -1.0).astype(np.float64), open_
+
+
+class FromBox(NamedTuple):
+    """The hull of one link of a pair in the frame of the other, which is one box, in n states.
+
+    ``local`` [m], (n, m, 3), are points with a ``radius`` [m] each, which reach from ``low`` to ``high`` [m], (n, 3);
+    ``up`` is the way in which they move in that frame where the first link of the pair is raised, (n, 3).
+    """
+
+    field: BoxField
+    local: NDArray[np.float32]
+    radius: NDArray[np.float32]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    up: NDArray[np.float32]
+
+    def lower(self, raised: float = 0.0) -> Array:
+        """A lower bound of the distance [m], (n,), where the first link is raised [m]."""
+        move = np.float32(raised) * self.up
+        return self.field.lower(self.low + move, self.high + move)
+
+    def upper(self) -> Array:
+        """An upper bound of the distance [m], (n,)."""
+        return self.field.upper(self.local, self.radius)
+
+
+def from_box(pair: _Pair) -> FromBox | None:
+    """A pair of links seen from that which is one box; None where neither is."""
+    one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
+    if box_field(other) is None:
+        one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
+    field = box_field(other)
+    if field is None:
+        return None
+    X_BA = X_WB.inverse() @ X_WA
+    p, turned = X_BA.p.astype(np.float32), X_BA.R.transpose(0, 2, 1).astype(np.float32)
+    points = one.points.astype(np.float32) @ turned + p[:, None]
+    up = sign * X_WB.R[:, 2].astype(np.float32) @ field.axes
+    local, radius = field.local(points), one.radius.astype(np.float32)
+    low, high = (local - radius[:, None]).min(axis=1), (local + radius[:, None]).max(axis=1)
+    return FromBox(field, local, radius, low, high, np.asarray(up, dtype=np.float32))
 
 
 def middles_apart(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
@@ -133,8 +263,8 @@ def candidates(pair: _Pair, most: Array) -> Candidates:
     )
     state, i, j = np.nonzero(square < reach**2 * (reach > 0))
     a_in_b = (ball_a - X_AB.p[:, None]) @ X_AB.R
-    first = _beyond(b_in_a[state, j], low_a[i], high_a[i]) - size_b[j]
-    bound = np.maximum(first, _beyond(a_in_b[state, i], low_b[j], high_b[j]) - size_a[i])
+    bound = _beyond(b_in_a[state, j], low_a[i], high_a[i]) - size_b[j]
+    bound = np.maximum(bound, _beyond(a_in_b[state, i], low_b[j], high_b[j]) - size_a[i])
     kept = np.flatnonzero(bound < most[state])
     kept = kept[np.lexsort((bound[kept], state[kept]))]
     return Candidates(state[kept], i[kept], j[kept], bound[kept])

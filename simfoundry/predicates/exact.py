@@ -76,6 +76,57 @@ class Exact:
             out[state] = min(best, measure(model, data, first + i, second + j, max(best, 1e-3), None))
         return np.array(out)
 
+    def lifted(
+        self,
+        a: tuple[str, int],
+        b: tuple[str, int],
+        X_WA: Poses,
+        X_WB: Poses,
+        near: Candidates,
+        offsets: Array,
+        limit: float,
+        enough: float = np.inf,
+        least: float = -np.inf,
+    ) -> tuple[Array, Array, Array]:
+        """How pairs of parts from ``least`` to ``limit`` [m] apart come apart where the first link is moved.
+
+        ``offsets`` [m], (k, 3), are those of the first link in the world, one after another. Returns the state of each
+        such pair, (m,), its distance [m], (m,), and by how much it grows with each offset [m], (m, k). A pair that
+        grows by ``enough`` [m] with the first offset ends the search in its state.
+        """
+        geoms_a, geoms_b = self._geoms[a], self._geoms[b]
+        at_a, at_b = self._poses(geoms_a, X_WA), self._poses(geoms_b, X_WB)
+        first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link follow one another
+        rows_a, rows_b = slice(first, first + len(geoms_a)), slice(second, second + len(geoms_b))
+        xpos, xmat = self._data.geom_xpos, self._data.geom_xmat
+        measure, model, data = self._distance, self._model, self._data
+        reach = limit + float(np.linalg.norm(offsets, axis=1).max()) + 1e-3  # a distance beyond it is cut off
+        states: list[int] = []
+        gaps: list[float] = []
+        grown: list[list[float]] = []
+        last = done = -1
+        for state, i, j, bound in zip(*(column.tolist() for column in near), strict=True):
+            if state == done or bound > limit:
+                continue
+            if state != last:
+                xpos[rows_a], xmat[rows_a], xpos[rows_b], xmat[rows_b] = (x[state] for x in (*at_a, *at_b))
+                last = state
+            gap = measure(model, data, first + i, second + j, reach, None)
+            if not least <= gap <= limit:
+                continue
+            at = at_a[0][state, i]
+            moved = []
+            for offset in offsets:
+                xpos[first + i] = at + offset
+                moved.append(measure(model, data, first + i, second + j, reach, None) - gap)
+            xpos[first + i] = at
+            states.append(state)
+            gaps.append(gap)
+            grown.append(moved)
+            if moved[0] >= enough:
+                done = state
+        return np.array(states, dtype=np.int64), np.array(gaps), np.array(grown).reshape(-1, len(offsets))
+
     def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
         """Where the geoms of a link are: (n, geoms, 3) and (n, geoms, 9)."""
         p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.lint.report import length
 from simfoundry.predicates import thresholds as at
 from simfoundry.predicates.distance import FAR, Distances
 from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
 from simfoundry.predicates.inside import cavities, depth_in, facing
+from simfoundry.predicates.plumb import Meeting, centre_of_mass, meet
 from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
 from simfoundry.predicates.terms import Terms
 from simfoundry.predicates.view import UP, View, over
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.spec.expressions import Call
+
+STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
+"""The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""
 
 
 class Context:
@@ -53,17 +59,23 @@ Rule = Callable[[Context, View, Call], Terms]
 
 
 def on_top(context: Context, view: View, call: Call) -> Terms:
-    """OnTop(a, b): ``a`` rests on ``b``, also within it; nothing holds or moves ``a``."""
+    """OnTop(a, b): ``b`` carries ``a``, also within it; nothing holds or moves ``a``."""
     a, b = _two(context, call)
     terms = Terms(view)
-    beside = over(view.boxes(a).middle, view.boxes(b))
-    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
-    higher = view.heights(a)[0] - view.heights(b)[0]
-    words = f"the lowest point of `{a.name}` is {{}} {{}} that of `{b.name}`"
-    terms.must(higher, higher - at.HIGHER, lambda v, ok: "" if ok else words.format(length(abs(v)), _height(v)))
     _settled(terms, a)
-    gap = partial(_distance, context, a, b, at.RESTING)
+    beside = over(centre_of_mass(view, a), view.boxes(b))
+    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
+    pushed: list[Array] = []
+
+    def gap(some: View) -> Array:
+        found, up = context.distances.support(some, a, b, at.RESTING, STEEPEST)
+        pushed.append(up[found < at.RESTING])
+        return found
+
     terms.must_also(gap, lambda v: at.RESTING - v, lambda v, ok: _apart(a, b, v))
+    terms.must_also(
+        lambda _: pushed[-1], lambda v: at.RESTING * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
+    )
     _not_held(context, terms, a)
     return terms
 
@@ -91,24 +103,39 @@ def inside(context: Context, view: View, call: Call) -> Terms:
 
 
 def above(context: Context, view: View, call: Call) -> Terms:
-    """Above(a, b): the middle of ``a`` is higher than all of ``b``, and one is over the other."""
+    """Above(a, b): the plumb line through the middle of ``a`` meets ``b`` under ``a``, and not over it."""
     a, b = _two(context, call)
-    return _above(view, a, b)
+    return _plumb(view, a, b, ("under", "over"))
 
 
 def under(context: Context, view: View, call: Call) -> Terms:
-    """Under(a, b): Above(b, a)."""
+    """Under(a, b): the plumb line through the middle of ``a`` meets ``b`` over ``a``, and not under it."""
     a, b = _two(context, call)
-    return _above(view, b, a)
+    return _plumb(view, a, b, ("over", "under"))
 
 
-def _above(view: View, a: Thing, b: Thing) -> Terms:
+def _plumb(view: View, a: Thing, b: Thing, sides: tuple[str, str]) -> Terms:
+    """``b`` is on the first side of the middle of ``a``, and not on the second."""
     terms = Terms(view)
-    low, high = view.heights(a)
-    higher = (low + high) / 2 - view.heights(b)[1]
-    words = f"the middle of `{a.name}` is {{}} {{}} the top of `{b.name}`"
-    terms.must(higher, higher, lambda v, ok: words.format(length(abs(v)), _height(v)))
-    terms.must_also(partial(_over_either, a, b), lambda v: v, lambda v, ok: _over(a, b, v))
+    middle = view.boxes(a).middle
+    beside = over(middle, view.boxes(b))
+    terms.must(beside, beside, lambda v, ok: "" if ok else _over(a, b, v))
+    met: list[Meeting] = []
+
+    def wanted(some: View) -> Array:
+        met.append(meet(some, a, b))
+        return np.asarray(getattr(met[-1], sides[0]))
+
+    def words(_: float, ok: bool) -> str:
+        return f"`{b.name}` is {'' if ok else 'not '}straight {sides[0]} the middle of `{a.name}`"
+
+    terms.must_also(wanted, lambda v: v, words)
+
+    def other(_: View) -> Array:
+        first, second = (np.asarray(getattr(met[-1], side)) for side in sides)
+        return np.asarray(second[first > 0])
+
+    terms.must_also(other, lambda v: -v, lambda v, ok: "" if ok else f"`{b.name}` is also {sides[1]} it")
     return terms
 
 
@@ -237,18 +264,18 @@ def is_open(context: Context, view: View, call: Call) -> Terms:
     terms = Terms(view)
     for joint in context.bodies.joints(call.args[0]):
         assert joint.limits is not None
-        low, high = joint.limits
-        closed = min(max(0.0, low), high)
-        reach = max(high - closed, closed - low)
-        share = np.abs(view.position(owner, joint) - closed) / reach
-        spare = (share - at.OPEN_SHARE) * reach * (1.0 if call.predicate == "Open" else -1.0)
+        reach = joint.limits[1] - joint.limits[0]
+        share = np.abs(view.position(owner, joint) - joint.closed_position) / reach
+        spare = (share - at.OPEN_SHARE) * reach
+        if call.predicate == "Closed":
+            spare = np.where(spare == 0, np.nextafter(0.0, 1.0), -spare)  # at the threshold itself it is still closed
         name = f"{owner}.{joint.name}"
         terms.must(share, spare, lambda v, ok, name=name: f"`{name}` is open by {v:.1%} of its range")  # type: ignore[misc]
     return terms
 
 
 def lifted(context: Context, view: View, call: Call) -> Terms:
-    """Lifted(a): higher than the scene describes it, and touching nothing but robots."""
+    """Lifted(a): higher than the scene describes it, and touching nothing but robots and what it carries."""
     a = context.bodies.thing(call.args[0])
     terms = Terms(view)
     rise = view.heights(a)[0] - context.start.heights(a)[0]
@@ -260,15 +287,49 @@ def lifted(context: Context, view: View, call: Call) -> Terms:
     others = [context.bodies.thing(n) for n in context.bodies.objects if n != a.owner and _has_shape(context, n)]
 
     def gap(some: View) -> Array:
-        found = np.full(some.n, np.inf)
-        for other in others:
-            found = np.minimum(found, context.distances.between(some, a, other, at.TOUCH))
-        return found
+        gaps = {b.name: context.distances.between(some, a, b, at.TOUCH) for b in others}
+        load = _load(context, some, a, {b.name: b for b in others}, gaps)
+        found = [np.where(load[name], np.inf, gap) for name, gap in gaps.items()]
+        return np.asarray(np.min([*found, np.full(some.n, np.inf)], axis=0))
 
     terms.must_also(
-        gap, lambda v: v - at.TOUCH, lambda v, ok: f"`{a.name}` touches " + ("nothing" if ok else "another thing")
+        gap, lambda v: v - at.TOUCH, lambda v, ok: f"`{a.name}` touches " + ("nothing else" if ok else "another thing")
     )
     return terms
+
+
+def _load(
+    context: Context, view: View, a: Thing, others: dict[str, Thing], gaps: dict[str, Array]
+) -> dict[str, NDArray[np.bool_]]:
+    """Which of the others ``a`` carries, (n,) each: they rest on it, or on what it carries.
+
+    Asked only in states in which something touches ``a``, ``gaps`` [m] being how far they are from it.
+    """
+    load = {name: np.zeros(view.n, bool) for name in others}
+    touched = {name: gap <= at.TOUCH for name, gap in gaps.items()}
+    asked = np.flatnonzero(np.any(list(touched.values()), axis=0)) if others else np.zeros(0, np.int64)
+    if not len(asked):
+        return load
+    some = view.at(asked)
+    carried = {name: _rests(context, some, b, a) & touched[name][asked] for name, b in others.items()}
+    news = [name for name, found in carried.items() if found.any()]
+    while news:
+        below = news.pop()
+        for name, b in others.items():
+            left = np.flatnonzero(carried[below] & ~carried[name])
+            if name != below and len(left):
+                found = left[_rests(context, some.at(left), b, others[below])]
+                carried[name][found] = True
+                news += [name] if len(found) else []
+    for name, found in carried.items():
+        load[name][asked] = found
+    return load
+
+
+def _rests(context: Context, view: View, a: Thing, b: Thing) -> NDArray[np.bool_]:
+    """Whether ``b`` touches ``a`` and pushes it up, (n,)."""
+    gap, up = context.distances.support(view, a, b, at.TOUCH, STEEPEST)
+    return np.asarray((gap <= at.TOUCH) & (up >= STEEPEST))
 
 
 def grasped(context: Context, view: View, call: Call) -> Terms:
@@ -372,11 +433,15 @@ def _over(a: Thing, b: Thing, value: float) -> str:
     return f"`{a.name}` is {length(-value)} beside `{b.name}`"
 
 
+def _pushed(a: Thing, b: Thing, cosine: float) -> str:
+    """What is wrong with how a thing is pushed by another that is near."""
+    if cosine < 0:
+        return f"`{b.name}` is over `{a.name}`, not under it"
+    off = np.degrees(np.arccos(min(cosine, 1.0)))
+    return f"`{b.name}` pushes `{a.name}` to the side, {off:.0f} deg off straight up"
+
+
 def _apart(a: Thing, b: Thing, value: float) -> str:
     if not np.isfinite(value):
         return f"`{a.name}` and `{b.name}` touch nothing"
     return f"`{a.name}` is {length(value)} away from `{b.name}`" if value > 0 else f"`{a.name}` touches `{b.name}`"
-
-
-def _height(value: float) -> str:
-    return "above" if value > 0 else "below"

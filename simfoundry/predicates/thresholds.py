@@ -8,8 +8,9 @@ TOUCH = 0.001
 RESTING = 0.003
 """A thing rests on another from which it is no farther than this [m]: engines keep small gaps and overlaps."""
 
-HIGHER = 0.0005
-"""The lowest point of what rests on a thing is higher than that thing's own by more than this [m]."""
+SUPPORT_DEG = 45.0
+"""What a thing rests on pushes it within this of straight up [deg] (Isaac Lab-Arena's rule); what pushes it more to the
+side stands or leans beside it."""
 
 SETTLED = 0.01
 """What moves no faster than this [m/s] is at rest."""

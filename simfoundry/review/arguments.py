@@ -8,6 +8,7 @@ from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.review.compare import Comparison, Side, compare, side
+from simfoundry.review.history import Step, history
 from simfoundry.review.revisions import commit, differing, export, files_of, merge_base, repository
 
 
@@ -56,6 +57,20 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
         root = repository(Path.cwd())
         return list(_below(_span(root, revisions or ["HEAD"]), root, root))
     return [pair for f in files for pair in _of_file(Path(f), revisions or ["HEAD"])]
+
+
+def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[Step]:
+    """The commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
+    *revisions, file = arguments or [""]
+    if not file or len(revisions) > 1:
+        raise ArgumentError("give one document, perhaps behind a revision or a range: main..feature a.scene.yaml")
+    if Path(file).is_dir():
+        raise ArgumentError(f"{file} is a folder; give one document")
+    root, inside = _inside(Path(file))
+    if not revisions or ".." not in revisions[0]:
+        return history(root, [commit(root, (revisions or ["HEAD"])[0])], inside, verbose)
+    old, new = _span(root, revisions).commits
+    return history(root, [f"^{old}", new], inside, verbose)
 
 
 def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> Comparison:
@@ -118,19 +133,24 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
     """One document, or every one below a folder that differs."""
+    root, inside = _inside(path)
+    span = _span(root, revisions)
+    if path.is_dir():
+        yield from _below(span, root, path.resolve())
+    else:
+        yield _pair(span, root, inside, inside, str(path))
+
+
+def _inside(path: Path) -> tuple[Path, str]:
+    """The repository of a file or folder, and its path in there."""
     folder = path if path.is_dir() else path.parent
     while not folder.is_dir():  # a folder that a later revision no longer has
         folder = folder.parent
     root = repository(folder)
-    span = _span(root, revisions)
-    if path.is_dir():
-        yield from _below(span, root, path.resolve())
-        return
     try:
-        inside = (path.parent.resolve() / path.name).relative_to(root).as_posix()
+        return root, (path.parent.resolve() / path.name).relative_to(root).as_posix()
     except ValueError:
         raise ArgumentError(f"{path} is not in the repository {root}") from None
-    yield _pair(span, root, inside, inside, str(path))
 
 
 def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:

@@ -82,20 +82,29 @@ def merge_base(root: Path, a: str, b: str) -> str:
 
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
     """The documents below a folder that differ between two commits, or between one and the working tree."""
-    revisions = [old] if new is None else [old, new]
+    found = []
+    for pair in _renames(root, *([old] if new is None else [old, new])):
+        names = [name for name in (pair.old, pair.new) if name is not None]
+        if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
+            found.append(pair)
+    return sorted(found, key=lambda pair: pair.new or pair.old or "")
+
+
+def renamed_from(root: Path, old: str, new: str, path: str) -> str | None:
+    """What the file ``path`` of a commit was called in an older one; None where it was not there."""
+    return next((pair.old for pair in _renames(root, old, new) if pair.new == path), None)
+
+
+def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
+    """The files that differ between two commits, or between one and the working tree."""
     options = ["--name-status", "-z", "-M", "--no-ext-diff", "--no-color", "--ignore-submodules"]
     fields = iter(git(root, "diff", *options, *revisions, "--").decode(errors="surrogateescape").split("\0"))
-    found = []
     for status in fields:
         if not status:
             break
         before = next(fields)
         after = next(fields) if status[0] in "RC" else before
-        pair = Renamed(None if status[0] in "AC" else before, None if status[0] == "D" else after)
-        names = [name for name in (pair.old, pair.new) if name is not None]
-        if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
-            found.append(pair)
-    return sorted(found, key=lambda pair: pair.new or pair.old or "")
+        yield Renamed(None if status[0] in "AC" else before, None if status[0] == "D" else after)
 
 
 @contextmanager
@@ -141,19 +150,34 @@ def export(read: Read, path: str, folder: Path) -> Path | None:
         if written > MAX_FILES:
             raise GitError(f"{path} refers to more than {MAX_FILES} files, so its revisions cannot be compared")
         write_file(folder / name, data)
-        new = [reference for reference in _references(name, data) if reference not in seen]
+        new = [reference for reference in references(name, data) if reference not in seen]
         seen.update(new)
         todo += new
     target = folder / path
     return target if target.is_file() else None
 
 
-def _references(name: str, data: bytes) -> Iterator[str]:
+def document_references(name: str, data: bytes) -> list[str]:
+    """The paths of the documents in the repository that the document ``name`` may refer to."""
+    return [path for path in references(name, data) if path.endswith(".yaml")]
+
+
+def extended(name: str, data: bytes) -> str | None:
+    """The path in the repository of what the document ``name`` extends; None where it extends nothing."""
+    try:
+        written = parse(data.decode("utf-8")).data
+    except (YamlError, UnicodeDecodeError):
+        return None
+    base = written.get("extends") if isinstance(written, dict) else None
+    return posixpath.normpath(posixpath.join(posixpath.dirname(name), base)) if isinstance(base, str) else None
+
+
+def references(name: str, data: bytes) -> Iterator[str]:
     """The paths in the repository that the file ``name`` may refer to; none that leave the repository."""
     folder = posixpath.dirname(name)
     for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
         path = posixpath.normpath(posixpath.join(folder, written))
-        if not path.startswith(("/", "../")) and "\0" not in path and len(path) < MAX_PATH:
+        if not path.startswith(("/", "../")) and path.isprintable() and len(path) < MAX_PATH:
             yield path
 
 

@@ -12,7 +12,7 @@ from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, convex_parts, hull
 from simfoundry.assets.faults import LEAST_VOLUME, MeshError, no_volume, not_closed
-from simfoundry.assets.lathe import checked_profile, lathe_mesh, lathe_parts
+from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, lathe_parts
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
@@ -66,15 +66,17 @@ class BodyBuilder:
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
     solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
+    collision_error: float = 0.0
 
     def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
-        geometry, solid, touching = _primitive(shape)
+        geometry, solid, touching, error = _primitive(shape)
         if show and _use(part) != "collision":
             self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
+            self.collision_error = max(self.collision_error, error)
             names = [name] if touching[0] is geometry else _piece_names(name, len(touching), part)
             for label, piece in zip(names, touching, strict=True):
                 self._collide(label, piece, X_LG, part)
@@ -137,7 +139,10 @@ class BodyBuilder:
 
     def _finished(self, mass_kg: float, com: Array, inertia: Array, fixed: bool) -> Link:
         inertia = (inertia + inertia.T) / 2  # exactly symmetric, whatever the rounding was
-        link = Link(self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders))
+        link = Link(
+            self.name, mass_kg, frozen(com), frozen(inertia), tuple(self.visuals), tuple(self.colliders),
+            self.collision_error,
+        )  # fmt: skip
         least = _check_inertia(link)
         if not fixed and (mass_kg < LEAST_MASS or least < LEAST_MOMENT):
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
@@ -198,8 +203,8 @@ def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
 
 
-def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
-    """What is shown, what it weighs at density 1, and what touches."""
+def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry], float]:
+    """What is shown, what it weighs at density 1, what touches, and how far that is from the shape at most [m]."""
     geometry: Geometry
     match shape:
         case BoxShape():
@@ -219,8 +224,10 @@ def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry]]:
             return _meshes((vertices, faces), pieces)
         case LatheShape():
             profile = checked_profile(np.array(shape.lathe.profile))
-            return _meshes(lathe_mesh(profile), [hull(points) for points in lathe_parts(profile)])
-    return geometry, solid, [geometry]
+            parts = [hull(points) for points in lathe_parts(profile)]
+            shown, _, touching, _ = _meshes(lathe_mesh(profile), parts)
+            return shown, mass.revolution(profile), touching, lathe_error(profile, parts)
+    return geometry, solid, [geometry], 0.0
 
 
 def shape_solid(shape: ShapeSpec) -> mass.Solid:
@@ -230,10 +237,10 @@ def shape_solid(shape: ShapeSpec) -> mass.Solid:
 
 def _meshes(
     whole: tuple[Array, Faces], parts: list[tuple[Array, Faces]]
-) -> tuple[Geometry, mass.Solid, list[Geometry]]:
-    """A shape that simulators know only as a mesh: its surface, its solid, its convex parts."""
+) -> tuple[Geometry, mass.Solid, list[Geometry], float]:
+    """A shape that simulators know only as a mesh: its surface, its solid, its convex parts, which tile it exactly."""
     shown, *touching = (Mesh(frozen(vertices), _faces(faces)) for vertices, faces in (whole, *parts))
-    return shown, mass.mesh(*whole), list(touching)
+    return shown, mass.mesh(*whole), list(touching), 0.0
 
 
 def _faces(faces: Faces) -> Faces:

@@ -322,6 +322,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
+        closed=spec.closed,
     )
 
 

@@ -11,6 +11,7 @@ import hashlib
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +116,8 @@ class Link:
     """A rigid body of an object.
 
     ``mass`` [kg]; ``com`` [m] in the link frame, shape (3,); ``inertia`` [kg m^2] about the centre of mass in link
-    axes, shape (3, 3), symmetric positive definite.
+    axes, shape (3, 3), symmetric positive definite. ``collision_error`` [m] is how far the surface of its colliders is
+    at most from the shapes that they stand for; 0 where they are those shapes.
     """
 
     name: str
@@ -124,6 +126,7 @@ class Link:
     inertia: Array
     visuals: tuple[Visual, ...]
     colliders: tuple[Collider, ...]
+    collision_error: float = 0.0
 
     @cached_property
     def principal(self) -> tuple[Array, Array]:
@@ -169,6 +172,10 @@ class Drive:
     force_limit: float | None = None
 
 
+ClosedEnd = Literal["lower", "upper"]
+"""A limit of a joint."""
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
     """A joint between two links of one object.
@@ -178,7 +185,8 @@ class Joint:
     ``damping`` [N m s/rad or N s/m]; ``friction`` the Coulomb friction torque or force [N m or N]; ``armature``
     [kg m^2 or kg]; ``position`` [rad or m] the state in the spec of a joint with one axis. The state of a ball or free
     joint is ``motion``: the pose of the child's frame in where it is at position zero. A free joint holds nothing: its
-    child is a body of its own, posed relative to the parent.
+    child is a body of its own, posed relative to the parent. ``closed`` is the limit at which it counts as closed; None
+    for zero, or the limit nearest to zero.
     """
 
     name: str
@@ -195,6 +203,15 @@ class Joint:
     motion: Pose = IDENTITY
     mimic: Mimic | None = None
     drive: Drive | None = None
+    closed: ClosedEnd | None = None
+
+    @property
+    def closed_position(self) -> float:
+        """Where it is closed [rad or m]: the limit that ``closed`` names, else zero or the limit nearest to zero."""
+        low, high = self.limits or (0.0, 0.0)
+        if self.closed is not None:
+            return low if self.closed == "lower" else high
+        return min(max(0.0, low), high)
 
     @property
     def has_axis(self) -> bool:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from types import MappingProxyType
 from weakref import WeakValueDictionary
-
-import yaml
-from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.poses import pose
@@ -17,7 +13,7 @@ from simfoundry.scene.robot import FILES_ONLY, Attached, Follow, Gripper, LinkFr
 from simfoundry.scene.robot_files import digest, find_model, model_files
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.spec.robot import RobotSpec
-from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec
+from simfoundry.spec.robot_model import ModelSpec, RobotModelsSpec, read_models
 
 OWN_MODELS = "SIMFOUNDRY_ROBOTS"
 """The environment variable that names a folder of one's own robot files, `franka_robotiq.yaml` and so on."""
@@ -38,6 +34,9 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
     known = spec.known()
     if isinstance(spec.model, str):
         models, missing = _known_models(spec.model, fetch)
+    elif spec.model.file is not None:
+        file = find_model(spec.model.file, document, ".yaml", fetch)
+        models, missing = _models(read_models(file), file, fetch)
     else:
         models, missing = _models(RobotModelsSpec.model_validate(_as_models(spec)), document, fetch)
     if not models:
@@ -75,19 +74,6 @@ def _known_models(name: str, fetch: bool) -> tuple[dict[ModelFormat, NativeModel
         return _models(models, built_in, fetch)
     changed = read_models(own)
     return _models(models.model_copy(update={k: getattr(changed, k) for k in changed.model_fields_set}), own, fetch)
-
-
-def read_models(file: Path) -> RobotModelsSpec:
-    """What a robot file says; raises :class:`SimfoundryError` where it is not one."""
-    try:
-        data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        return RobotModelsSpec.model_validate_json(json.dumps(data))
-    except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            where = ".".join(str(part) for part in first["loc"]) or "the file"
-            raise SimfoundryError(f"{file}: {where}: {first['msg']}; docs/robots.md has the form") from None
-        raise SimfoundryError(f"{file} is not a robot file: {str(error).splitlines()[0]}") from None
 
 
 def _models(spec: RobotModelsSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:

@@ -122,6 +122,11 @@ class JointSpec(Model):
     limits_deg: tuple[Number, Number] | None = Field(
         None, description="Lowest and highest position of a revolute joint [deg]."
     )
+    closed: Literal["lower", "upper"] | None = Field(
+        None,
+        description="The limit at which `Open` and `Closed` take it for closed; default: zero, or the limit nearest "
+        "to zero.",
+    )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
     armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
@@ -146,6 +151,9 @@ class JointSpec(Model):
             if getattr(self, name):
                 message = f"`{name}` has no effect: a free joint holds nothing"
                 raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+        if self.closed is not None and self.type not in ("revolute", "prismatic"):
+            message = f"`closed` names a limit, and a {self.type} joint has none"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "closed"})
         for name in ("mimic", "drive"):
             if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
                 message = f"`{name}` belongs to joints with one axis, and this one is {self.type}"

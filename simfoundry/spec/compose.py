@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path, PurePosixPath
 
-from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, reachable
 from simfoundry.spec.kinds import model_of, suffix
-from simfoundry.spec.text import Document, Node, YamlError, read
+from simfoundry.spec.text import Document, Node, Path_, YamlError, read
 
 MAX_BASES = 16
 
@@ -57,14 +57,15 @@ def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[D
         findings += found.duplicates
     if not bases:
         return document, findings, bases
-    whole = chained[-1].root
+    whole, added = chained[-1].root, dict[Path_, tuple[str, ...]]()
     for upper in reversed(chained[:-1]):
         _take_over(whole, kind, whole.file or chained[-1].file, upper.file)
         _own(upper.root, "" if upper is document else upper.file)
         joining = _Joining(kind, upper.file)
         whole = joining.join(whole, upper.root, ())
         findings += joining.findings
-    return replace(document, data=whole.value, root=whole), findings, bases
+        added |= joining.added
+    return replace(document, data=whole.value, root=whole, added=added), findings, bases
 
 
 def _keys(node: Node) -> dict[str, Node]:
@@ -121,6 +122,7 @@ class _Joining:
     kind: str
     file: str
     findings: list[Diagnostic] = field(default_factory=list)
+    added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
 
     def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
         """``base`` as ``over`` changes it: mappings key by key, all else replaced, null removed."""
@@ -130,12 +132,14 @@ class _Joining:
         for key, node in over.children.items():
             if node.value is None:
                 if key not in children:
-                    self.nothing_to_remove(over.keys[key], (*path, key))
+                    self.nothing_to_remove(over.keys[key], (*path, key), base.children)
                 children.pop(key, None)
                 continue
             for rival in self.rivals(key, path, children):
                 if rival not in over.children:
                     del children[rival]
+            if key not in base.children:
+                self.added[*path, key] = tuple(base.children)
             children[key] = self.join(children[key], node, (*path, key)) if key in children else node
             keys[key] = over.keys[key]
         return _mapping(over, children, {key: keys[key] for key in children})
@@ -150,10 +154,11 @@ class _Joining:
             return rivals if any(not is_mapping(m, key) for m in models) else []
         return rivals
 
-    def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...]) -> None:
+    def nothing_to_remove(self, place: tuple[int, int], path: tuple[str, ...], there: Iterable[str]) -> None:
         message = f"`{path[-1]}` is not in what this document extends, so it cannot be removed"
-        dotted = ".".join(path)
-        self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, dotted, "remove the line"))
+        similar = nearest(path[-1], there)
+        hint = similar if similar.startswith("did you mean") else "remove the line"
+        self.findings.append(Diagnostic("SF201", Severity.ERROR, message, self.file, *place, ".".join(path), hint))
 
 
 def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, int]]) -> Node:

@@ -203,9 +203,9 @@ def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mappi
 
     blocks = []
     for d in ordered(diagnostics):
-        place = _printable(f"{d.file}:{d.line}:{d.column}" if d.line else d.file)
+        place = printable(f"{d.file}:{d.line}:{d.column}" if d.line else d.file)
         label = paint(f"{d.severity}[{d.code}]", d.severity)
-        lines = [f"{paint(place, 'place')}: {label} {paint(_printable(d.message), 'message')}"]
+        lines = [f"{paint(place, 'place')}: {label} {paint(printable(d.message), 'message')}"]
         text = _line_of(d, sources)
         if text is not None:
             start = max(0, d.column - SHOWN)
@@ -215,7 +215,7 @@ def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mappi
                 f"{paint('        |', 'margin')} {caret}",
             ]
         if d.hint:
-            lines.append(f"{paint('        =', 'margin')} {_printable(d.hint)}")
+            lines.append(f"{paint('        =', 'margin')} {printable(d.hint)}")
         blocks.append("\n".join(lines))
     return "\n".join(blocks)
 
@@ -228,7 +228,7 @@ def _painted(text: str, style: str) -> str:
     return f"\x1b[{_STYLES[style]}m{text}\x1b[0m"
 
 
-def _printable(line: str) -> str:
+def printable(line: str) -> str:
     """A line that cannot steer a terminal: what does not print is written as an escape."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 

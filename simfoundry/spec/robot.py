@@ -51,8 +51,12 @@ ROBOTS = MappingProxyType(
 
 
 class RobotFiles(Model):
-    """A robot of your own: its model in each format that there is one for; targets take their native one."""
+    """A robot of your own: its model in each format that there is one for; targets take their native one.
 
+    Rollouts ask for its hand and, where it has one, its gripper, which no model names: those stand in a robot ``file``.
+    """
+
+    file: FileName | None = Field(None, description="A robot file: its models, with hand, arm joints and gripper.")
     mjcf: FileName | None = Field(
         None, description="MJCF: a path, `pkg:package/path`, `menagerie:robot/path` or `robot_descriptions:name`."
     )
@@ -61,8 +65,11 @@ class RobotFiles(Model):
 
     @model_validator(mode="after")
     def _any(self) -> Self:
-        if self.mjcf is None and self.urdf is None and self.usd is None:
-            raise PydanticCustomError("sf107", "one of `mjcf`, `urdf`, `usd` is needed", {})
+        bare = [key for key in ("mjcf", "urdf", "usd") if getattr(self, key) is not None]
+        if self.file is not None and bare:
+            raise PydanticCustomError("sf107", f"`file` names all models: remove `{bare[0]}`, or `file`", {})
+        if self.file is None and not bare:
+            raise PydanticCustomError("sf107", "one of `file`, `mjcf`, `urdf`, `usd` is needed", {})
         return self
 
 

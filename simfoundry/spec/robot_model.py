@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from pathlib import Path
+from typing import Annotated, Self
 
-from pydantic import Field
+import yaml
+from pydantic import Field, ValidationError, model_validator
+from pydantic_core import PydanticCustomError
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.base import Model, Name, Number, Pose, Positive
 from simfoundry.spec.robot import JointName
 
@@ -62,6 +67,12 @@ class ModelSpec(Model):
         {}, description="Greatest force of a joint [N m or N], where the file's own is not the robot's."
     )
 
+    @model_validator(mode="after")
+    def _arm(self) -> Self:
+        if self.gripper is not None and not self.joints:
+            raise PydanticCustomError("arm", "`joints` must list the arm's joints where there is a gripper", {})
+        return self
+
     @property
     def files(self) -> list[Reference]:
         """The files to look for, best first."""
@@ -74,3 +85,22 @@ class RobotModelsSpec(Model):
     mjcf: ModelSpec | None = None
     urdf: ModelSpec | None = None
     usd: Annotated[ModelSpec | None, Field(description="A USD whose default prim is the robot.")] = None
+
+
+def read_models(file: Path) -> RobotModelsSpec:
+    """What a robot file says; raises :class:`SimfoundryError` where it is not one."""
+    try:
+        data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        models = RobotModelsSpec.model_validate_json(json.dumps(data))
+    except (OSError, yaml.YAMLError, TypeError, ValueError) as error:
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
+            raise SimfoundryError(f"{file}: {where}: {first['msg']}; docs/robots.md has the form") from None
+        reason = str(error).splitlines()[0]
+        if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+            reason = f"line {error.problem_mark.line + 1}: {error.problem}"
+        raise SimfoundryError(f"{file} is not a robot file: {reason}") from None
+    if models == RobotModelsSpec():
+        raise SimfoundryError(f"{file} names no model; give `mjcf`, `urdf` or `usd`; docs/robots.md has the form")
+    return models

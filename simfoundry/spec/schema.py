@@ -41,9 +41,31 @@ LISTED = "Listed"
 """The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
 
 
-def schemas() -> dict[str, str]:
-    """File name to text of every schema, as checked in below ``schemas/``."""
-    return {f"{kind.split('/')[0]}.schema.json": _text(kind) for kind in KINDS}
+FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
+"""Keywords that editors have added to JSON Schema; a strict validator, as ajv, refuses a schema with such."""
+
+_BY_NAME = ("$defs", "patternProperties", "properties")
+"""Keywords whose value is a mapping by names, which may be called like a keyword."""
+
+
+def schemas(standard: bool = False) -> dict[str, str]:
+    """File name to text of every schema, as checked in below ``schemas/``; ``standard`` without words for editors."""
+    return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
+
+
+def without_editor_words(part: Any) -> Any:
+    """The same schema in the keywords of the standard; it accepts the same documents."""
+    if isinstance(part, list):
+        return [without_editor_words(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    return {
+        key: {name: without_editor_words(inner) for name, inner in value.items()}
+        if key in _BY_NAME
+        else without_editor_words(value)
+        for key, value in part.items()
+        if key not in FOR_EDITORS
+    }
 
 
 def schema(kind: str) -> Schema:
@@ -56,13 +78,14 @@ def schema(kind: str) -> Schema:
     overlay[f"{OVERLAY}Document"]["properties"] |= {
         key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")
     }
+    extends = {"title": "extends", "type": "string"}
     return {
         "$schema": DIALECT,
         "$id": f"simfoundry/{kind}",
         "title": f"SimFoundry {kind}",
         "description": parts["Document"]["description"],
         "$defs": {**parts, **overlay},
-        "if": {"required": ["extends"], "properties": {"extends": {"title": "extends", "type": "string"}}},
+        "if": {"type": "object", "required": ["extends"], "properties": {"extends": extends}},
         "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
         "else": {"$ref": "#/$defs/Document"},
     }
@@ -293,5 +316,6 @@ def _flow(body: Body) -> str:
     return body
 
 
-def _text(kind: str) -> str:
-    return json.dumps(schema(kind), indent=2, ensure_ascii=False) + "\n"
+def _text(kind: str, standard: bool) -> str:
+    whole = without_editor_words(schema(kind)) if standard else schema(kind)
+    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"

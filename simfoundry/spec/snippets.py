@@ -29,6 +29,10 @@ CHOICES = {
         "It is only seen.",
         "It touches and weighs, and is not seen.",
     ),
+    ("lower", "upper"): (
+        "It is closed at its lower limit.",
+        "It is closed at its upper limit.",
+    ),
     ("fixed", "revolute", "prismatic", "continuous", "ball", "free"): (
         "It does not move.",
         "It turns about `axis` within `limits_deg`, as a door.",

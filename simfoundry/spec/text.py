@@ -83,6 +83,8 @@ class Document:
     data: Any
     root: Node
     duplicates: tuple[Diagnostic, ...]
+    added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
+    """The members that it adds to what it extends, by path, with the names of those that are there."""
 
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
         """Line and column of the value at ``path`` (or of its key); of the nearest ancestor where there is none.
@@ -156,8 +158,28 @@ def read(path: Path) -> Document:
     return parse(text, str(path))
 
 
+_MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$", r">{7,}(?: |$)"))
+"""Lines of a conflict as git leaves it, in order; a repository may have longer markers than seven characters."""
+
+
+def _conflict(text: str) -> int:
+    """The line in which a conflict of git's starts, from 1; 0 where there is none."""
+    start, wanted = 0, 0
+    for number, line in enumerate(text.splitlines() if "<<<<<<<" in text else (), 1):
+        if _MARKERS[wanted].match(line):
+            start, wanted = (start or number), wanted + 1
+            if wanted == len(_MARKERS):
+                return start
+    return 0
+
+
 def parse(text: str, file: str = "<text>") -> Document:
     """Read a text; raises :class:`YamlError` with a place where it cannot be read."""
+    conflict = _conflict(text)
+    if conflict:
+        hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
+        hint += f"`git checkout --merge -- {file}`"
+        raise YamlError("SF209", "here is a conflict that git left to decide", conflict, 1, hint)
     odd = UNPRINTABLE.search(text, 1 if text.startswith("\ufeff") else 0)
     if odd is not None:
         before = text[: odd.start()].splitlines(keepends=True)

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from simfoundry.spec.base import SHAPE_KEYS, WIRE_KEY, Model
 from simfoundry.spec.diagnostics import Diagnostic, nearest
 from simfoundry.spec.spelling import number
-from simfoundry.spec.text import Document
+from simfoundry.spec.text import Document, Path_
 from simfoundry.spec.types import models_at
 
 M = TypeVar("M", bound=Model)
@@ -72,12 +72,32 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
         errors = [e for e in error.errors(include_url=False) if e["input"] is not None or e["type"] == "missing"]
         unknown = {e["loc"][:-1] for e in errors if e["type"] == "extra_forbidden"}
         errors = [e for e in errors if not (_is_guess(e) and e["loc"][:-1] in unknown)]
-        findings += [_finding(model, document, e) for e in errors[:MAX_FINDINGS]]
+        findings += _new_members_first([_finding(model, document, e) for e in errors[:MAX_FINDINGS]], document)
         if len(errors) > MAX_FINDINGS:
             more = f"{len(errors) - MAX_FINDINGS} more errors are not shown"
             findings.append(replace(findings[-1], message=more, hint="mend these first"))
         return None, findings
     return (None if findings else spec), findings
+
+
+def _new_members_first(findings: list[Diagnostic], document: Document) -> list[Diagnostic]:
+    """The findings, of which those say so that are about a member that a document adds to what it extends.
+
+    Mostly such a member was meant to be one that is there, and its name is misspelt: one finding says so.
+    """
+    out, named = list[Diagnostic](), set[Path_]()
+    for d in findings:
+        parts = tuple(d.path.split("."))
+        member = next((parts[:k] for k in (len(parts), len(parts) - 1) if k > 1 and parts[:k] in document.added), None)
+        if member is None or not (d.code == "SF102" or d.message.endswith(" is needed")):
+            out.append(d)
+        elif member not in named:
+            named.add(member)
+            kind = member[-2].removesuffix("s")
+            message = f"what this document extends has no {kind} `{member[-1]}`; a new one is incomplete: {d.message}"
+            hint = nearest(str(member[-1]), document.added[member])
+            out.append(document.finding("SF201", member, message, hint or d.hint, of_key=True))
+    return out
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:

@@ -57,6 +57,25 @@ def test_round_shapes_are_their_fine_meshes() -> None:
     assert_same(mass.mesh(*revolved(pill)), mass.capsule(r, h), 1e-4)
 
 
+def test_a_body_of_revolution_is_exact() -> None:
+    """Against closed forms of a frustum and of a mug (a cylinder less another), and a fine mesh far from z = 0."""
+    low, high, height = 0.03, 0.05, 0.1
+    frustum = mass.revolution(np.array([(0.0, 0.0), (low, 0.0), (high, height), (0.0, height)]))
+    assert_allclose(frustum.volume, math.pi * height / 3 * (low**2 + low * high + high**2), rtol=1e-14)
+    lever = (low**2 + 2 * low * high + 3 * high**2) / (4 * (low**2 + low * high + high**2))
+    assert_allclose(frustum.com, [0, 0, height * lever], rtol=1e-14)
+    outer, inner = mass.cylinder(0.05, 0.1), mass.cylinder(0.045, 0.09)  # a floor of 1 cm
+    hollow = inner.moved(np.eye(3), np.array([0.0, 0.0, 0.005]))
+    expected = mass.combine([(1.0, outer), (-1.0, hollow)])
+    mug = [(0, 0.05), (0.0, -0.04), (0.045, -0.04), (0.045, 0.05), (0.05, 0.05), (0.05, -0.05), (0.0, -0.05)][1:]
+    found = mass.revolution(np.array(mug))
+    for value, wanted in zip((found.volume, found.com, found.inertia), expected, strict=True):
+        assert_allclose(value, wanted, rtol=1e-12, atol=1e-18)
+    vase = [(0.0, 9.0), (0.04, 9.0), (0.06, 9.07), (0.03, 9.15), (0.02, 9.15), (0.05, 9.07), (0.03, 9.01), (0.0, 9.01)]
+    for way in (1, -1):
+        assert_same(mass.revolution(np.array(vase[::way])), mass.mesh(*revolved(vase)), 3e-5)
+
+
 def test_capsule_without_height_is_a_sphere_and_a_long_one_a_cylinder() -> None:
     assert_same(mass.capsule(0.1, 1e-12), mass.sphere(0.1), 1e-9)
     long, tube = mass.capsule(0.001, 10.0), mass.cylinder(0.001, 10.0)

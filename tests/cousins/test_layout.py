@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 
 from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose
+from simfoundry.cousins.layout import Layout, propose, scatter
 from simfoundry.cousins.reasons import ImpossibleError, Rejected
+from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
 from simfoundry.spec.cousins import SceneAxis
+from tests.cousins.conftest import twin_of
 
 SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
 
@@ -27,11 +30,14 @@ def proposed(twin: Twin, asked: SceneAxis, k: int) -> Layout:
 
 
 def test_every_word_comes_up_holds_at_rest_and_is_where_it_says(table: Twin) -> None:
-    words, toppled = set(), 0
+    words, toppled, hidden = set(), 0, 0
     asked = axis("post", brick=SIDES, can=(*SIDES, "OnTop"))
     for k in range(50):
         layout = proposed(table, asked, k)
         result = examine(table, layout)
+        if {reason.code for reason in result.reasons} == {"out_of_view"}:  # a thing behind another
+            hidden += 1
+            continue
         if not result.accepted:  # a can on the edge of the post falls off
             assert "OnTop(can, post)" in layout.asked, result.reasons
             toppled += 1
@@ -44,7 +50,7 @@ def test_every_word_comes_up_holds_at_rest_and_is_where_it_says(table: Twin) -> 
             far = {"LeftOf": y, "RightOf": -y, "Behind": x, "InFrontOf": -x, "OnTop": z}.get(word, 1.0)
             assert far > 0.05 - 1e-3
         assert abs(p["chip"][2] - (0.035 - 0.05)) < 1e-3  # it rides along
-    assert toppled < 10
+    assert toppled < 10 and 0 < hidden < 20
     assert words == {f"{w}(brick, post)" for w in SIDES} | {f"{w}(can, post)" for w in (*SIDES, "OnTop")}
 
 
@@ -97,3 +103,77 @@ def test_a_goal_that_is_true_already_is_no_cousin(cup_in_bowl: Twin) -> None:
     asked = axis("bowl", cup=("Inside",))
     results = [examine(cup_in_bowl, proposed(cup_in_bowl, asked, k)) for k in range(3)]
     assert {reason.code for result in results for reason in result.reasons} == {"goal_true"}
+
+
+SHELF = """\
+simfoundry: asset/1
+name: shelf
+materials: {wood: {density: 600, friction: 0.5}}
+links:
+  body:
+    material: wood
+    parts:
+      bottom: {shape: {box: [0.3, 0.6, 0.018]}, pose: {xyz: [0, 0, 0.009]}}
+      middle: {shape: {box: [0.3, 0.564, 0.018]}, pose: {xyz: [0, 0, 0.259]}}
+      back: {shape: {box: [0.018, 0.6, 0.5]}, pose: {xyz: [0.141, 0, 0.268]}}
+      left: {shape: {box: [0.3, 0.018, 0.5]}, pose: {xyz: [0, 0.291, 0.268]}}
+      right: {shape: {box: [0.3, 0.018, 0.5]}, pose: {xyz: [0, -0.291, 0.268]}}
+"""
+"""Open in front (-x) and at the top: two boards between side panels 18 mm wide."""
+
+CELL = """\
+simfoundry: scene/1
+name: cell
+materials: {wood: {density: 600, friction: 0.5}}
+objects:
+  floor: {fixed: true, shape: {box: [4, 4, 0.02]}, material: wood, pose: {xyz: [0, 0, -0.71]}}
+  table: {fixed: true, shape: {box: [0.8, 0.6, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}
+  side_table: {fixed: true, shape: {box: [0.5, 0.5, 0.04]}, material: wood, pose: {xyz: [0, 0.8, -0.1]}}
+  shelf: {asset: shelf.asset.yaml, fixed: true, pose: {xyz: [0.2, -0.8, -0.3]}}
+  post: {shape: {box: [0.1, 0.1, 0.1]}, material: wood, pose: {xyz: [0, 0, 0.05]}}
+  tin: {shape: {cylinder: {radius: 0.03, height: 0.08}}, material: wood, pose: {xyz: [0.2, 0.2, 0.04]}}
+  cube: {shape: {box: [0.03, 0.03, 0.03]}, material: wood, pose: {xyz: [-0.2, 0.2, 0.015]}}
+"""
+
+
+def is_over(place: Support, p: np.ndarray) -> bool:
+    """Whether a point is above a level."""
+    return bool(p[2] > place.height and place.holds(p[None, :2], np.ones(1, complex), np.zeros((2, 1)))[0])
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory: pytest.TempPathFactory) -> Twin:
+    """Two tables and a shelf in a room."""
+    folder = tmp_path_factory.mktemp("cell")
+    (folder / "shelf.asset.yaml").write_text(SHELF)
+    return twin_of(CELL, folder)
+
+
+def test_every_free_level_is_a_place_but_the_floor_and_edges(cell: Twin) -> None:
+    assert [place.name for place in cell.places] == ["table", "side_table", "shelf", "shelf"]
+    assert [place.height for place in cell.places] == pytest.approx([0.0, -0.08, -0.3 + 0.018, -0.3 + 0.268])
+
+
+def test_distractors_go_wherever_there_is_room(cell: Twin) -> None:
+    seen = Counter[tuple[str, int]]()
+    for k in range(40):
+        layout = scatter(cell, ["tin", "cube"], np.random.default_rng([3, k]))
+        assert isinstance(layout, Layout)
+        for pose in layout.poses.values():
+            below = [place for place in cell.places if is_over(place, pose.p)]
+            on = max(below, key=lambda place: place.height)
+            seen[on.name, round(100 * on.height)] += 1
+        assert examine(cell, layout).accepted
+    areas = {(p.name, round(100 * p.height)): p.area for p in cell.places}
+    for place, area in areas.items():
+        assert seen[place] == pytest.approx(80 * area / sum(areas.values()), abs=14), seen
+
+
+def test_on_a_shelf_means_on_any_of_its_boards_and_on_no_edge(cell: Twin) -> None:
+    heights, fell = Counter[int](), 0
+    for k in range(30):
+        result = examine(cell, proposed(cell, axis("shelf", cube=("OnTop",)), k))
+        if result.accepted:
+            heights[round(100 * (result.state.poses["cube"].p[2] - 0.015 + 0.3))] += 1
+        fell += not result.accepted  # from the front edge of a board
+    assert fell <= 3 and set(heights) == {2, 27} and min(heights.values()) >= 8, heights

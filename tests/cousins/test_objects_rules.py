@@ -5,23 +5,31 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from simfoundry.assets import mass
 from simfoundry.assets.lathe import checked_profile
+from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.cousins.objects.appearance import color_of, recolor, restuff
 from simfoundry.cousins.objects.components import Kind, components
 from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, taper
+from simfoundry.cousins.objects.handles import COLLIDERS, FORMS, swept
 from simfoundry.cousins.objects.item import Item, item_of_asset, lowered
-from simfoundry.cousins.objects.parts import at, parts_of, rod
+from simfoundry.cousins.objects.parts import at, axis_of, parts_of, rod
 from simfoundry.cousins.objects.procedural import draft, rng_of
 from simfoundry.cousins.objects.profiles import Profile, flared, raised_foot, swelled, thickened
+from simfoundry.cousins.objects.silhouettes import reshape
+from simfoundry.cousins.objects.skins import PATTERNS, skinned
 from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.weigh import weighed
+from simfoundry.files import write_atomically
+from simfoundry.scene.model import Mesh
 from simfoundry.scene.summary import bounds
 from simfoundry.spec.base import Estimate, LatheShape
 from simfoundry.spec.cousins import Change
@@ -36,6 +44,14 @@ CHANGES: tuple[Change, ...] = ("geometry", "topology", "appearance")
 
 def item(name: str) -> Item:
     return item_of_asset(load(ASSETS / f"{name}.asset.yaml"))
+
+
+def read_mesh_bytes(obj: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of an OBJ."""
+    rows = [line.split() for line in obj.decode().splitlines()]
+    vertices = np.array([row[1:] for row in rows if row[0] == "v"], float)
+    faces = np.array([[c.partition("/")[0] for c in row[1:]] for row in rows if row[0] == "f"], int) - 1
+    return vertices, faces.astype(np.int32)
 
 
 def profile(name: str) -> Profile:
@@ -77,18 +93,20 @@ def test_components_are_found(name: str, found: dict[str, Kind]) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_draft_is_a_sound_document(name: str) -> None:
+def test_every_draft_is_a_sound_document(name: str, tmp_path: Path) -> None:
     twin = item(name)
     for k in range(4):
         made = draft(twin, CHANGES, (), rng_of(7, name, k))
         text = to_yaml(weighed(made.spec, twin.spec, {}, {}))
-        read = load(ASSETS / "draft.asset.yaml", text=text)
+        for file, data in made.files.items():
+            write_atomically(tmp_path / file, data)
+        read = load(tmp_path / "draft.asset.yaml", text=text)
         assert not read.errors, (made.changed, read.errors)
         assert read.spec is not None and to_yaml(read.spec) == text
         assert made.changed
-        assert lowered(made.spec, ASSETS, name).name == name
+        assert lowered(made.spec, tmp_path, name).name == name
         again = draft(twin, CHANGES, (), rng_of(7, name, k))
-        assert to_yaml(again.spec) == to_yaml(made.spec)
+        assert to_yaml(again.spec) == to_yaml(made.spec) and again.files == made.files
 
 
 def test_only_the_components_that_are_named_differ() -> None:
@@ -187,15 +205,24 @@ def test_a_round_thing_stays_round_and_a_ball_a_ball() -> None:
     assert np.ptp(high - low) < 1e-9
 
 
-def test_of_two_handles_both_change_and_none_goes() -> None:
-    spec = item("pot").spec
-    handle = next(c for c in components(spec) if c.kind is Kind.HANDLE)
-    assert remove(spec, handle, np.random.default_rng(0)) is None
-    for k in range(8):
+def test_of_two_handles_both_change_alike() -> None:
+    for k in range(4):
         made = draft(item("pot"), ("geometry",), ("handle", "handle_2"), rng_of(0, "pot", k)).spec
-        left, right = (parts_of(made)["body", f"handle_{side}"] for side in ("left", "right"))
-        assert left.shape == right.shape != parts_of(spec)["body", "handle_left"].shape
-        assert at(left)[1] == pytest.approx(-at(right)[1])
+        parts = parts_of(made)
+        left, right = ([p for key, p in parts.items() if key[1].startswith(f"{n}_")] for n in ("handle", "handle_2"))
+        left = [p for p in left if p not in right]
+        tubes = [p for p in left + right if p.use == "collision"]
+        assert len(tubes) == 2 * COLLIDERS
+        one, other = (np.array(sorted(size for p in side if (size := rod(p)) is not None)) for side in (left, right))
+        assert np.allclose(one, other, atol=1e-6)
+        assert sum(float(at(p)[1]) for p in tubes) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_no_rule_takes_the_handle_of_a_mug() -> None:
+    """A mug without a handle is a cup, and no mug."""
+    for k in range(12):
+        made = draft(item("mug"), CHANGES, (), rng_of(3, "mug", k))
+        assert any("handle" in name for _, name in parts_of(made.spec)), made.changed
 
 
 def test_topology_adds_and_removes_parts() -> None:
@@ -205,8 +232,10 @@ def test_topology_adds_and_removes_parts() -> None:
     assert looped is not None and components(looped[0])[1].kind is Kind.HANDLE
     assert loop_handle(mug, components(mug)[0], rng) is None  # it has one
     assert loop_handle(item("plate").spec, components(item("plate").spec)[0], rng) is None  # no plate has
-    bare = remove(mug, components(mug)[1], rng)
-    assert bare is not None and [c.kind for c in components(bare[0])] == [Kind.VESSEL]
+    organizer = item("organizer").spec
+    divider = next(c for c in components(organizer) if c.kind is Kind.DIVIDER)
+    bare = remove(organizer, divider, rng)
+    assert bare is not None and sum(c.kind is Kind.DIVIDER for c in components(bare[0])) == 1
     bar = next(c for c in components(cabinet) if c.name == "drawer_handle")
     knobbed = knobs(cabinet, bar, rng)
     assert knobbed is not None and any(c.kind is Kind.KNOB and c.link == "drawer" for c in components(knobbed[0]))
@@ -224,6 +253,77 @@ def test_resizing_keeps_a_handle_where_it_is_held_on() -> None:
         before, after = parts_of(spec)["body", name], parts_of(made[0])["body", name]
         ends = [float(at(p)[0]) - (rod(p) or (0, 0))[1] / 2 - (rod(p) or (0, 0))[0] for p in (before, after)]
         assert ends[0] == pytest.approx(ends[1], abs=2e-3)
+
+
+# -- silhouettes, handles and patterns --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["cup", "mug", "pot", "bowl", "plate"])
+def test_other_silhouettes_are_hollow_with_an_even_wall(name: str) -> None:
+    spec = item(name).spec
+    body, old = components(spec)[0], profile(name)
+    words, sharp = set(), 0
+    for seed in range(40):
+        edit = reshape(spec, body, np.random.default_rng(seed))
+        if edit is None:
+            sharp += 1
+            continue
+        key = lathe_of(edit[0], body)
+        assert key is not None
+        shape = parts_of(edit[0])[key].shape
+        assert isinstance(shape, LatheShape)
+        checked_profile(np.array(shape.lathe.profile))
+        new = Profile.of(shape)
+        assert new.is_hollow and 0.7 * old.height < new.height < 1.6 * old.height
+        assert new.thinnest > 0.45 * old.thinnest and new.thinnest > 0.0008
+        words.add(edit[1].partition(",")[0])
+    assert len(words) >= 4 and sharp <= 2, words
+
+
+def test_every_form_of_a_handle_is_a_closed_tube_that_stays_out_of_the_cup() -> None:
+    spec = item("mug").spec
+    wall = profile("mug")
+    said = set()
+    for seed in range(30):
+        made, files, words = swept(spec, (), np.random.default_rng(seed))
+        said.add(words)
+        (mesh,) = (read_mesh_bytes(data) for name, data in files.items() if name.endswith(".obj"))
+        assert open_edges(mesh[1]) == 0 and mass.mesh(*mesh).volume > 1e-6
+        off = np.hypot(mesh[0][:, 0], mesh[0][:, 1])
+        assert off.min() > 0.04 - wall.wall and off.max() > 0.06  # it ends in the wall, and fingers fit through
+        for part in (p for p in parts_of(made).values() if p.use == "collision"):
+            size = rod(part)
+            assert size is not None
+            ends = at(part) + np.outer([-0.5, 0.5], size[1] * axis_of(part))
+            assert np.hypot(*ends[:, :2].T).min() - size[0] > 0.04 - wall.wall
+        assert {c.kind for c in components(made)} == {Kind.VESSEL, Kind.HANDLE}
+    assert len(said) == len(FORMS)
+
+
+@pytest.mark.parametrize("name", sorted(PATTERNS))
+def test_patterns_vary_and_close_around(name: str) -> None:
+    u, v = np.meshgrid(np.linspace(0, 1, 65), np.linspace(1, 0, 64))
+    field = PATTERNS[name](u, v, np.random.default_rng(1))
+    assert field.shape == u.shape and np.ptp(np.clip(field, 0, 1)) > 0.2
+    if name != "print":  # a label has a left and a right
+        assert np.abs(np.clip(field[:, 0], 0, 1) - np.clip(field[:, -1], 0, 1)).mean() < 0.05
+
+
+@pytest.mark.parametrize("name", ["mug", "plate", "cube", "marker", "baseball", "cabinet"])
+def test_a_pattern_is_a_closed_skin_of_the_same_size_and_weighs_nothing(name: str, tmp_path: Path) -> None:
+    spec = item(name).spec
+    made, files, words = skinned(spec, (), np.random.default_rng(2))
+    assert words and any(file.endswith(".png") for file in files)
+    for file, data in files.items():
+        write_atomically(tmp_path / file, data)
+    before, after = (lowered(s, tmp_path, name) for s in (spec, made))
+    assert np.allclose(bounds(before), bounds(after), atol=2e-4)
+    assert [link.mass for link in after.links] == pytest.approx([link.mass for link in before.links])
+    assert [len(link.colliders) for link in after.links] == [len(link.colliders) for link in before.links]
+    for link in after.links:
+        for mesh in (v.geometry for v in link.visuals if isinstance(v.geometry, Mesh) and v.geometry.texture):
+            corners, faces = weld(mesh.vertices, mesh.faces)
+            assert open_edges(faces) == 0 and mass.mesh(corners, faces).volume > 0
 
 
 # -- looks and masses -------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -53,6 +54,20 @@ def assets(project: Path, name: str) -> set[str]:
         assert loaded.all_findings() == [] and isinstance(loaded.spec, SceneSpec)
         found.add(str(loaded.spec.objects[name].asset))
     return found
+
+
+def test_fewer_variants_than_asked_for_are_said_and_end_with_1(project: Path) -> None:
+    """All cousins are made, of fewer cups than the recipe asks for: a cup of one material in one colour is one cup."""
+    axis = "object:\n  objects: {cup: {sources: [library], count: 3}}\n  library: ../assets\n"
+    done = made(project, axis, 1)
+    assert done.code == 1, done
+    assert done.out.startswith("1 of 1 cousins")
+    assert "variants of `cup`: 2 of 3 made from " in done.err and "such as: " in done.err, done.err
+    manifest = json.loads((project / "out" / "manifest.json").read_bytes())
+    assert manifest["variants"]["cup"] | {"reasons": {}} == {
+        "asked": 3, "made": 2, "candidates": manifest["variants"]["cup"]["candidates"], "reasons": {},
+    }  # fmt: skip
+    assert sum(manifest["variants"]["cup"]["reasons"].values()) == manifest["variants"]["cup"]["candidates"] - 2
 
 
 def test_by_rules(project: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +12,14 @@ from simfoundry.cousins.checks import examine, kept_relations
 from simfoundry.cousins.layout import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.twin import Twin, bare
-from simfoundry.cousins.views import best_view, share_in_view
+from simfoundry.cousins.views import VisibleSurface, best_view, visible_share
 from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera
 from simfoundry.spec.cousins import SceneAxis
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY
+from tests.scenes import box, pose, solid
 
 
 def moved(name: str, X_WO: Pose) -> Layout:
@@ -69,14 +71,41 @@ def test_relations_of_what_did_not_move_and_of_riders_are_kept(table: Twin) -> N
     assert kept_relations(table, ("chip",)) == ("OnTop(post, table)", "OnTop(can, table)")
 
 
-def test_shares_in_view() -> None:
-    camera = Camera("eye", 100, 100, 200.0, 200.0, 49.5, 49.5, look_at(np.array([-1.0, 0, 0.5]), np.zeros(3)))
-    corners = np.array([[x, y, 0.0] for x in (-0.01, 0.01) for y in (-0.01, 0.01)])
-    assert share_in_view(camera, corners) == 1.0
-    assert share_in_view(camera, corners + [0, 0.5, 0]) == 0.0
-    assert share_in_view(camera, corners - [3, 0, 0]) == 0.0  # behind
-    half = np.concatenate([corners, corners + [0, 5, 0]])
-    assert best_view((camera,), half) == ("eye", 0.5)
+EYE = Camera("eye", 100, 100, 200.0, 200.0, 49.5, 49.5, look_at(np.array([-1.0, 0, 0.5]), np.zeros(3)))
+
+
+def block(size: tuple[float, float, float], x: float = 0.0, y: float = 0.0, z: float = 0.0) -> VisibleSurface:
+    """The surface of a box in the world."""
+    return VisibleSurface.of(solid("block", box(*size), pose(0, 0, 0))).at(pose(x, y, z))
+
+
+def test_shares_in_the_picture() -> None:
+    tile = (0.02, 0.02, 0.001)
+    assert visible_share(EYE, block(tile), []) == 1.0
+    assert visible_share(EYE, block(tile, y=0.5), []) == 0.0
+    assert visible_share(EYE, block(tile, x=-3), []) == 0.0, "it is behind the camera"
+    edge = 50 / 200 * math.hypot(1, 0.5)  # m from the middle of the picture to its side, at the depth of the origin
+    assert visible_share(EYE, block((0.02, 0.02, 0.02), y=edge), []) == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_stands_before_a_thing_hides_it() -> None:
+    tile, wall = block((0.02, 0.02, 0.02), z=0.01), (0.01, 0.2, 0.2)
+    assert visible_share(EYE, tile, [block(wall, -0.1, 0, 0.1)]) == 0.0
+    assert visible_share(EYE, tile, [block(wall, 0.1, 0, 0.1)]) == 1.0, "what stands behind hides nothing"
+    assert visible_share(EYE, tile, [block(wall, -0.1, 0.1, 0.1)]) == pytest.approx(0.5, abs=0.1)
+    assert visible_share(EYE, tile, [block(wall, -2.1, 0, 0.1)]) == 1.0, "nor does what is behind the camera"
+    assert visible_share(EYE, tile, [block((9, 9, 0.02), z=-0.01)]) == 1.0, "nor what reaches under the camera"
+    assert visible_share(EYE, tile, [block((0.1, 9, 9), x=-0.5)]) == 0.0, "but a wall that goes on behind it does"
+    away = replace(EYE, name="away", X_WC=look_at(np.array([1.0, 0, 0.5]), np.zeros(3)))
+    surfaces = {"tile": tile, "wall": block(wall, -0.1, 0, 0.1)}
+    assert best_view((EYE, away), "tile", surfaces) == ("away", 1.0)
+
+
+def test_a_hidden_thing_is_no_cousin(table: Twin) -> None:
+    hidden = moved("chip", Pose.of((0.13, 0.0, 0.005)))
+    assert [r.code for r in examine(table, hidden).reasons] == ["out_of_view"], "the post stands before it"
+    aside = moved("chip", Pose.of((0.2, -0.2, 0.005)))
+    assert examine(table, aside).reasons == ()
 
 
 def test_settling_is_the_same_each_time(table: Twin) -> None:

@@ -12,8 +12,8 @@ import pytest
 from scipy import stats
 
 from simfoundry.evaluate.correlate import Agreement, Draws, agreements, mean_agreement
-from simfoundry.evaluate.metrics import mmrv, pearson, wilson
-from simfoundry.evaluate.scores import ScoresError, read_scores
+from simfoundry.evaluate.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson, wilson
+from simfoundry.evaluate.scores import Score, ScoresError, read_scores
 from tests.cli.command import run
 
 RESULTS = Path(__file__).parents[2] / "specs" / "results"
@@ -108,6 +108,47 @@ def test_bootstrap_intervals_hold_the_value_narrow_with_rollouts_and_repeat() ->
         assert b.pearson_interval[1] - b.pearson_interval[0] <= a.pearson_interval[1] - a.pearson_interval[0]
 
 
+def test_rates_of_none_and_all_are_not_taken_for_certain() -> None:
+    real = [Score("a", p, rate, 25) for p, rate in (("p", 0.0), ("q", 1.0), ("r", 0.0))]
+    sim = [Score("a", p, rate, 25) for p, rate in (("p", 1.0), ("q", 1.0), ("r", 0.0))]
+    (a,) = agreements(real, sim, Draws(1500))
+    assert a.pearson == pytest.approx(0.5) and a.mmrv == pytest.approx(1 / 3)
+    assert a.pearson_interval is not None and a.mmrv_interval is not None
+    assert a.pearson_interval[0] < 0.2 and a.pearson_interval[1] > 0.9  # three policies say little
+    assert a.mmrv_interval[0] < 0.05 and a.mmrv_interval[1] > 0.8
+    (one,) = agreements(real[:1], sim[:1], Draws(10))
+    assert (one.pearson, one.pearson_interval, one.mmrv, one.mmrv_interval) == (None, None, 0.0, None)
+
+
+def test_weighted_figures_are_the_plain_ones_where_all_weigh_the_same() -> None:
+    rng = np.random.default_rng(5)
+    real, sim, even = rng.random((20, 4)), rng.random((20, 4)), np.ones((20, 4))
+    for k, (x, y) in enumerate(zip(real, sim, strict=True)):
+        assert weighted_pearson(real, sim, even)[k] == pytest.approx(pearson(x, y))
+        assert weighted_mmrv(real, sim, even)[k] == pytest.approx(mmrv(x, y))
+    twice = np.array([[2.0, 1.0, 1.0]])  # as if the first policy stood twice in the table
+    three = np.array([[0.1, 0.5, 0.9]]), np.array([[0.3, 0.2, 0.4]]), twice
+    assert weighted_pearson(*three)[0] == pytest.approx(pearson([0.1, 0.1, 0.5, 0.9], [0.3, 0.3, 0.2, 0.4]))
+    assert weighted_mmrv(*three)[0] == pytest.approx(mmrv([0.1, 0.1, 0.5, 0.9], [0.3, 0.3, 0.2, 0.4]))
+
+
+def test_missing_rollouts_and_invalid_answers_are_said_and_engines_are_tables(tmp_path: Path) -> None:
+    row = {"task": "stack_dishware", "successes": 5, "rollouts": 23, "invalid": 3, "missing": 2, "engine": "mujoco"}
+    rows = [{**row, "policy": p} for p in ("pi0", "pi05")]
+    rows.append({**row, "policy": "gone", "rollouts": 0, "successes": 0, "missing": 25, "rate": None})
+    rows.append({**row, "policy": "pi0", "from": "stack"})
+    (tmp_path / "results.json").write_text(json.dumps({"scores": rows}))
+    result = run("correlate", RESULTS / "real.csv", tmp_path)
+    assert "pi0 on stack_dishware: 2 of 25 rollouts are missing, the rate is of the others" in result.out, result.err
+    assert "pi05 on stack_dishware: 3 rollouts failed by an invalid answer" in result.out
+    both = rows + [{**r, "engine": "pybullet"} for r in rows]
+    (tmp_path / "results.json").write_text(json.dumps({"scores": both}))
+    result = run("correlate", RESULTS / "real.csv", tmp_path)
+    assert f"{tmp_path.name} in mujoco" in result.out and f"{tmp_path.name} in pybullet" in result.out
+    result = run("correlate", tmp_path, RESULTS / "real.csv")
+    assert result.code == 2 and "has results of mujoco and pybullet, and one table is to be the real one" in result.err
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -162,5 +203,5 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
     with contextlib.chdir(RESULTS.parents[1]):
         result = run(*words)
     assert result.code == 0 and (tmp_path / "correlation.svg").exists()
-    for line in ("stack_dishware    3         0.883 (0.693 to 0.998)   0.000 (0.000 to 0.000)", "0.911"):
+    for line in ("stack_dishware    3         0.883 (0.325 to 0.999)   0.000 (0.000 to 0.058)", "0.911"):
         assert line in result.out and line in text

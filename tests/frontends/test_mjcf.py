@@ -105,7 +105,16 @@ def test_two_joints_of_a_body_are_two_links(importing: Importing) -> None:
     link = thing.links[-1]
     X = thing.X_WO @ link_poses(thing)[link.name]
     assert X.apply(link.com) == pytest.approx(data.xipos[1], abs=1e-8)
-    assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-6)
+    assert sum(k.mass for k in thing.links[1:-1]) == pytest.approx(1e-7 * link.mass)
+
+
+def test_links_between_joints_of_a_light_body_are_lighter(importing: Importing) -> None:
+    text = """<mujoco><worldbody><body name="b"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+      <joint/><geom size="0.01" mass="0.005"/></body></worldbody></mujoco>"""
+    _, scene = importing("b.xml", text)
+    *_, first, second, body = scene.objects[0].links
+    assert body.mass == 0.005 and first.mass + second.mass < 1e-6 * body.mass
+    assert np.linalg.eigvalsh(first.inertia).min() > 1e-15  # what MuJoCo takes for nothing
 
 
 def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
@@ -135,6 +144,27 @@ def test_servos_springs_equalities_and_exclusions(importing: Importing) -> None:
     assert (collider.friction, collider.torsional_friction, collider.rolling_friction) == (0.7, 0.02, 0.003)
     assert scene.object("e").joints[0].type is JointType.BALL
     assert "actuator number 2" in {n.what for n in report.notes}
+
+
+def test_inertias_are_those_that_mujoco_takes(importing: Importing) -> None:
+    """Models keep a thing from turning by an inertia that nothing of its size has."""
+    text = """<mujoco><default><joint armature="0.5"/></default><worldbody><body name="b"><joint type="free"/>
+      <inertial pos="0 0 0" mass="0.1" diaginertia="1000 1000 1000"/><geom size="0.01"/></body></worldbody></mujoco>"""
+    report, scene = importing("b.xml", text)
+    assert np.diag(scene.objects[0].links[0].inertia) == pytest.approx([1000] * 3)
+    assert [n.what for n in report.notes] == ["armature of free joint `joint_0`"]
+
+
+def test_a_mesh_lies_beside_the_file_that_includes_it(tmp_path: Path) -> None:
+    (tmp_path / "parts/meshes").mkdir(parents=True)
+    (tmp_path / "parts/meshes/m.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+    )
+    (tmp_path / "parts/assets.xml").write_text('<mujoco><asset><mesh name="m" file="meshes/m.obj"/></asset></mujoco>')
+    body = '<worldbody><body><geom type="mesh" mesh="m"/></body></worldbody>'
+    (tmp_path / "a.xml").write_text(f'<mujoco><include file="parts/assets.xml"/>{body}</mujoco>')
+    mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
+    assert import_file(tmp_path / "a.xml", tmp_path / "a.scene.yaml").meshes == 1
 
 
 HAND = """<mujoco><worldbody><body name="hand"><freejoint/><geom size=".1" mass="1"/>

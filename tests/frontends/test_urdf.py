@@ -175,6 +175,24 @@ def test_an_inertia_that_no_body_has_is_that_of_the_shapes(importing: Importing)
     assert [(str(n.kind), n.what) for n in report.notes] == [("changed", "inertia of `a`")]
 
 
+def test_a_link_that_only_joins_two_joints_weighs_next_to_nothing(importing: Importing) -> None:
+    """Joints with several degrees of freedom are often written as links of nothing between them."""
+    joints = _joint("continuous", "") + _joint("continuous", '<axis xyz="0 1 0"/>', "k", "b", "c")
+    report, scene = importing("a.urdf", _robot(_link("a"), _link("b", ""), _link("c"), joints))
+    _, between, carried = scene.objects[0].links
+    assert 0 < between.mass < 1e-6 * carried.mass and np.linalg.eigvalsh(between.inertia).min() > 1e-15
+    assert "mass of `b`" in {n.what for n in report.notes}
+
+
+def test_a_mass_without_inertia_at_a_fixed_joint_stays_a_point(importing: Importing) -> None:
+    point = '<inertial><origin xyz="0.1 0 0"/><mass value="0.3"/><inertia ixx="0" iyy="0" izz="0"/></inertial>' + BOX
+    _, scene = importing("a.urdf", _robot(_link("a"), _link("b", point), _joint("fixed", "")))
+    link = scene.objects[0].links[1]
+    assert link.mass == 0.3 and 0 < np.linalg.eigvalsh(link.inertia).max() < 1e-12
+    _, scene = importing("a.urdf", _robot(_link("a"), _link("b", point), _joint("continuous", "")))
+    assert np.linalg.eigvalsh(scene.objects[0].links[1].inertia).min() > 1e-4  # of its shapes
+
+
 def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
     mesh = '<collision><geometry><mesh filename="package://bot/m/t.obj"/></geometry></collision>'
     source = tmp_path / "bot/urdf/a.urdf"

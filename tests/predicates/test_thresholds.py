@@ -34,9 +34,17 @@ def test_what_rests_has_its_middle_over_the_other(boxes: Setting) -> None:
     crosses(lambda x: boxes.margin("OnTop(a, b)", a=posed(x, 0.01, 0.06)) > 0, 0.05, STEP, True)
 
 
-def test_what_rests_is_higher_at_its_lowest(boxes: Setting) -> None:
-    sunk = lambda z: boxes.margin("OnTop(a, b)", a=posed(0, 0, 0.01 + z)) > 0  # noqa: E731
-    crosses(sunk, at.HIGHER, STEP, False)
+def test_what_carries_pushes_up(boxes: Setting) -> None:
+    """A box that leans against the edge of another rests on it until the edge pushes it more to the side than up."""
+
+    def rests(lean_deg: float) -> bool:
+        lean = math.radians(lean_deg)  # the edge of `b` at (0.05, 0, 0.05) is under the middle of a face of `a`
+        x, z = 0.05 - 1e-4 + 0.01 * math.sin(lean), 0.05 + 0.01 * math.cos(lean)
+        return (
+            boxes.margin("OnTop(a, b)", a=posed(x - 0.012 * math.cos(lean), 0, z + 0.012 * math.sin(lean), 0, lean)) > 0
+        )
+
+    crosses(rests, at.SUPPORT_DEG, 2.0, True)
 
 
 @pytest.mark.parametrize("condition", ["OnTop(a, b)", "Released(a)"])
@@ -101,10 +109,11 @@ def test_sides_begin_beyond_the_edge(boxes: Setting, condition: str, x: int, y: 
     crosses(lambda d: boxes.margin(condition, a=posed(x * d, y * d, 0.2)) > 0, edge, STEP, False)
 
 
-def test_above_begins_where_the_middle_is_over_the_top(boxes: Setting) -> None:
-    crosses(lambda z: boxes.margin("Above(a, b)", a=posed(0, 0, z)) > 0, 0.05, STEP, False)
-    crosses(lambda z: boxes.margin("Under(b, a)", a=posed(0, 0, z)) > 0, 0.05, STEP, False)
+def test_above_and_under_begin_where_the_plumb_line_meets_the_other(boxes: Setting) -> None:
+    crosses(lambda z: boxes.margin("Above(a, b)", a=posed(0, 0, z)) > 0, 0.04, STEP, False)
+    crosses(lambda z: boxes.margin("Under(a, b)", a=posed(0, 0, z)) > 0, 0.01, STEP, True)
     crosses(lambda x: boxes.margin("Above(a, b)", a=posed(x, 0, 0.3)) > 0, 0.05, STEP, True)
+    crosses(lambda y: boxes.margin("Under(a, b)", a=posed(0, y, -0.3)) > 0, 0.04, STEP, True)
 
 
 def test_at_ends_two_centimetres_away(boxes: Setting) -> None:

@@ -186,6 +186,7 @@ LINKS = st.builds(
     **BODY,
 )
 LIMITS = st.tuples(st.floats(-360, -1e-3), st.floats(1e-3, 360))
+CLOSED = st.sampled_from([None, "lower", "upper"])
 JOINT: dict[str, st.SearchStrategy[Any]] = {
     "parent": NAMES,
     "child": NAMES,
@@ -212,8 +213,8 @@ JOINTS = st.one_of(
     st.builds(JointSpec, type=st.sampled_from(["fixed", "ball"]), **JOINT),
     st.builds(JointSpec, type=st.just("free"), parent=NAMES, child=NAMES, pose=POSES),
     st.builds(JointSpec, type=st.just("continuous"), **ONE_AXIS),
-    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, **ONE_AXIS),
-    st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("prismatic"), limits=LIMITS, closed=CLOSED, **ONE_AXIS),
+    st.builds(JointSpec, type=st.just("revolute"), limits_deg=LIMITS, closed=CLOSED, **ONE_AXIS),
 )
 ASSETS = st.builds(
     AssetSpec,

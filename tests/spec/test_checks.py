@@ -97,7 +97,7 @@ def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
         ("franka_robotiq", "franka_robotic", "SF201", 10, "no robot is called `franka_robotic`"),
         ("joint1", "joint9", "SF201", 10, "no joint of `franka_robotiq` is called `joint9`"),
         ("franka_robotiq, joints: {joint1: 0.3}", "{mjcf: arm.xml}", "SF203", 10, "there is no file `arm.xml`"),
-        ("franka_robotiq, joints: {joint1: 0.3}", "{}", "SF107", 10, "one of `mjcf`, `urdf`, `usd`"),
+        ("franka_robotiq, joints: {joint1: 0.3}", "{}", "SF107", 10, "one of `file`, `mjcf`, `urdf`, `usd`"),
         ("arm.hand", "arm.hnd", "SF201", 12, "no link of `arm` is called `hnd`"),
         ("arm.hand", "leg.hand", "SF201", 12, "no robot or object is called `leg`"),
         ("viewpoint: arm", "viewpoint: are", "SF201", 3, "no camera or robot is called `are`"),

@@ -31,6 +31,21 @@ def with_nul(path: Path) -> None:
     path.write_bytes(b"simfoundry: scene/1\nname: a\0b\n")
 
 
+def with_markers(path: Path) -> None:
+    sides = [f"  cup: {{shape: {{sphere: {r}}}, mass: 0.2}}" for r in (0.04, 0.05)]
+    lines = [
+        "simfoundry: scene/1",
+        "name: bad",
+        "objects:",
+        "<" * 7 + " HEAD",
+        sides[0],
+        "=" * 7,
+        sides[1],
+        ">" * 7 + " x",
+    ]
+    path.write_text("\n".join([*lines, "relations: [", ""]))
+
+
 def edited_stage(path: Path) -> None:
     import simfoundry.cli  # noqa: F401 - the command line reads stages
 
@@ -46,6 +61,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "SF001_latin1.scene.yaml": not_utf8,
     "SF002_nul.scene.yaml": with_nul,
     "SF005_too_large.scene.yaml": too_large,
+    "SF209_markers_of_git.scene.yaml": with_markers,
     "SF421_mass_of_a_link.usda": edited_stage,
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from hypothesis import given
 
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.schema import schema, schemas
+from simfoundry.spec.schema import FOR_EDITORS, schema, schemas
 from simfoundry.spec.text import parse
 from simfoundry.spec.write import to_data
+from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.spec.strategies import ASSETS, SCENES
 
@@ -66,7 +68,9 @@ def test_no_schema_is_left_over() -> None:
 
 def errors(kind: str, data: Any) -> list[str]:
     jsonschema = pytest.importorskip("jsonschema", reason="jsonschema checks what editors check")
-    return [e.message for e in jsonschema.Draft202012Validator(_schema(kind)).iter_errors(data)]
+    found = [e.message for e in jsonschema.Draft202012Validator(_schema(kind)).iter_errors(data)]
+    assert [e.message for e in jsonschema.Draft202012Validator(_standard(kind)).iter_errors(data)] == found
+    return found
 
 
 @pytest.mark.parametrize(
@@ -126,6 +130,43 @@ def test_documents_name_the_schema_files() -> None:
 @functools.cache
 def _schema(kind: str) -> Any:
     return schema(kind)
+
+
+@functools.cache
+def _standard(kind: str) -> Any:
+    return json.loads(schemas(standard=True)[f"{kind.partition('/')[0]}.schema.json"])
+
+
+KEYWORDS = {
+    *("$schema", "$id", "$ref", "$defs", "$comment", "title", "description", "type", "enum", "const"),
+    *("if", "then", "else", "allOf", "anyOf", "oneOf", "not", "required", "pattern", "minLength", "maxLength"),
+    *("properties", "patternProperties", "additionalProperties", "propertyNames", "minProperties", "maxProperties"),
+    *("items", "prefixItems", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"),
+}
+"""What of JSON Schema 2020-12 may stand in a schema; there is no `format`, which strict validators refuse as well."""
+
+
+def _keywords(part: Any) -> Iterator[str]:
+    for key, value in part.items() if isinstance(part, dict) else ():
+        yield key
+        named = key in ("$defs", "properties", "patternProperties")
+        below = value.values() if named else value if key in ("allOf", "anyOf", "oneOf", "prefixItems") else (value,)
+        for inner in below if key not in ("const", "enum") else ():
+            yield from _keywords(inner)
+
+
+@pytest.mark.parametrize("name", schemas())
+def test_standard_schemas_hold_keywords_of_the_standard_only(name: str) -> None:
+    """Validators that are strict, as ajv is by default, refuse a schema with any other."""
+    assert set(_keywords(json.loads(schemas(standard=True)[name]))) <= KEYWORDS
+    assert set(_keywords(json.loads(schemas()[name]))) - KEYWORDS <= set(FOR_EDITORS)
+
+
+def test_schemas_of_either_kind_are_written(tmp_path: Path) -> None:
+    assert run("schema", "--standard", "-o", str(tmp_path)).code == 0
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == schemas(standard=True)
+    assert run("schema", "scene", "--standard").out == schemas(standard=True)["scene.schema.json"]
+    assert run("schema", "scene").out == schemas()["scene.schema.json"]
 
 
 def _keys(kind: str) -> list[tuple[str, str, Any]]:

@@ -1,25 +1,18 @@
-"""Changes of appearance: another colour, another material with its density, paint."""
+"""Changes of appearance: another colour, another material with its density."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from simfoundry.cousins.objects.components import Component, Kind
-from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of
+from simfoundry.cousins.objects.geometry import Edit, Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
-from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.cousins.objects.stuff import PAINTS, STUFFS, Color, Stuff, sort_of
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import LatheShape, Material
+from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.base import Material
 
 JITTER = 0.035
 """Colours differ by up to this much from those of the tables, so that no two paints are the same."""
-
-PAINT, SLEEVE = 0.0003, 0.0006
-"""How far paint stands out of a wall, and how far within the wall it ends [m]."""
-
-DIPPED = "painted"
-"""The part that is paint."""
 
 
 def recolor(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
@@ -43,34 +36,6 @@ def restuff(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     )
     made = recolored(spec, component, color)
     return _remade(made, old, name, stuff), f"of {name}, {_shown(color)}"
-
-
-def dip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
-    """The lower part of a vessel dipped in paint: a sleeve that is seen, and neither felt nor weighed."""
-    key = lathe_of(spec, component)
-    if key is None or (key[0], DIPPED) in parts_of(spec):
-        return None
-    part = parts_of(spec)[key]
-    assert isinstance(part.shape, LatheShape)
-    profile = Profile.of(part.shape)
-    floor = float(profile.inner[-1, 1]) if len(profile.inner) else profile.rim
-    top = profile.foot + rng.uniform(0.3, 0.7) * profile.height
-    if not profile.is_hollow or profile.wall < 2 * SLEEVE or profile.height < 0.035 or top < floor + 0.005:
-        return None
-    sort = sort_of(spec.category or spec.name)
-    color = varied(_other(color_of(spec, key), sort.colors if sort is not None else PAINTS, rng), rng)
-    painted = Part(shape=_sleeve(profile, top, (profile.foot + floor) / 2), pose=part.pose, color=color, use="visual")
-    return with_parts(spec, parts_of(spec) | {(key[0], DIPPED): painted}), f"dipped in paint, {_shown(color)}"
-
-
-def _sleeve(profile: Profile, top: float, floor: float) -> LatheShape:
-    """A hollow body around the wall up to ``top`` [m]: it stands out by :data:`PAINT`, its inside lies in the wall."""
-    below = profile.outer[1:][profile.outer[1:, 1] < top - 1e-4]
-    outside = [(float(r) + PAINT, float(h)) for r, h in below] + [(float(profile.radius(top)) + PAINT, top)]
-    inside = [(r - PAINT - SLEEVE, h) for r, h in reversed(outside) if h > floor + 1e-4]
-    last = (float(profile.radius(floor)) - SLEEVE, floor)
-    rings = [(0.0, outside[0][1]), *outside, *inside, last, (0.0, floor)]
-    return LatheShape.model_validate({"lathe": {"profile": tuple((round(r, 6), round(h, 6)) for r, h in rings)}})
 
 
 def recolored(spec: AssetSpec, component: Component, color: Color) -> AssetSpec:
@@ -164,6 +129,5 @@ APPEARANCE = (
     (recolor, (Kind.VESSEL, Kind.TURNED, Kind.CRATE, Kind.STACK, Kind.BUNCH, Kind.BODY)),
     (recolor, (Kind.HANDLE, Kind.KNOB, Kind.LID, Kind.DRAWER, Kind.CAP, Kind.BAND)),
     (restuff, (Kind.VESSEL, Kind.CRATE, Kind.BODY)),
-    (dip, (Kind.VESSEL,)),
 )
 """What can be done to which components."""

@@ -96,7 +96,7 @@ def _rests(call: Call, item: SceneObject, needs: Needs) -> Outcome:
 def _open_meshes(item: SceneObject) -> Iterator[Reason]:
     """Every surface, seen or touched, is closed and encloses a volume."""
     for link in item.links:
-        pieces: list[Collider | Visual] = [*link.colliders, *(v for v in link.visuals if not _is_paint(v.name))]
+        pieces: list[Collider | Visual] = [*link.colliders, *link.visuals]
         for piece in pieces:
             mesh = tessellate(piece.geometry, 12)
             vertices, faces = weld(mesh.vertices, mesh.faces)
@@ -106,10 +106,6 @@ def _open_meshes(item: SceneObject) -> Iterator[Reason]:
                 text = f"`{piece.name}` of `{link.name}` has {gaps} open edges and a volume of {volume:.3g} m^3"
                 yield Reason("mesh", text, {"gaps": float(gaps), "volume": volume})
                 return
-
-
-def _is_paint(name: str) -> bool:
-    return name.startswith("painted")
 
 
 def _size(item: SceneObject, twin: SceneObject, sort: Sort | None) -> Iterator[Reason]:

@@ -29,8 +29,8 @@ Edit = tuple[AssetSpec, str]
 
 Rng = np.random.Generator
 
-LEAST, MOST = 0.86, 1.18
-"""Factors of a stretch: beyond them a cup becomes another kind of thing."""
+LEAST, MOST = 0.74, 1.36
+"""Factors of a stretch along each axis; what then is no longer of its kind is refused by its size and mass."""
 
 ATTACHED = 0.6
 """What is farther from the axis than this share of the body's radius hangs on its wall."""
@@ -49,14 +49,14 @@ def stretch(spec: AssetSpec, _component: Component, rng: Rng) -> Edit | None:
 
 def taper(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """A wall that leans more or less; where a lid or a part must fit the rim, the rim stays."""
-    foot, rim = rng.uniform(0.82, 1.1), rng.uniform(0.94, 1.1)
+    foot, rim = rng.uniform(0.74, 1.12), rng.uniform(0.9, 1.14)
     grow = np.array([foot, 1.0 if len(spec.links) > 1 else rim])
     return _reprofiled(spec, component, lambda p: swelled(p, grow), f"tapered: foot x {foot:.2f}, rim x {grow[1]:.2f}")
 
 
 def belly(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     """A wall that swells or is waisted between foot and rim."""
-    by = rng.choice([-1.0, 1.0]) * rng.uniform(0.04, 0.12)
+    by = rng.choice([-1.0, 1.0]) * rng.uniform(0.06, 0.2)
     curve = 1.0 + by * np.sin(np.linspace(0.0, np.pi, 7))
     words = f"{'swelled' if by > 0 else 'waisted'} by {abs(by):.0%}"
     return _reprofiled(spec, component, lambda p: swelled(p, curve), words)

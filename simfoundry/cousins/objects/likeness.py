@@ -13,13 +13,16 @@ import numpy as np
 
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import SceneObject
+from simfoundry.scene.model import Mesh, SceneObject
 from simfoundry.scene.tessellate import tessellate
 
 PAIRS, BINS = 16_384, 24
 """Pairs of surface points, and bins of their distances: the noise of the shape distance then is below 0.02."""
 
 SEGMENTS = 32
+
+LEVELS = 12
+"""Levels of each channel of a texture that are told apart: finer ones make the colours too many to match."""
 
 SIZE, SHAPE, COLOR = 0.06, 0.06, 12.0
 """Two things are distinct if their sides differ by 6 %, their shapes by 0.06 (share of the pairs of points that fall
@@ -55,9 +58,14 @@ class Apart:
     color: float
 
     @property
+    def form(self) -> float:
+        """The larger of size and shape in units of what makes things distinct: what differs whatever the colour."""
+        return max(self.size / math.log1p(SIZE), self.shape / SHAPE)
+
+    @property
     def distance(self) -> float:
         """The largest of the three in units of what makes things distinct: from 1 on they are."""
-        return max(self.size / math.log1p(SIZE), self.shape / SHAPE, self.color / COLOR)
+        return max(self.form, self.color / COLOR)
 
     def __str__(self) -> str:
         return f"size {math.expm1(self.size):.1%}, shape {self.shape:.3f}, colour {self.color:.1f}"
@@ -123,17 +131,20 @@ def _surface(item: SceneObject) -> tuple[Array, Array]:
             mesh = tessellate(visual.geometry, SEGMENTS)
             corners = (X_OL[link.name] @ visual.X_LG).apply(mesh.vertices)[mesh.faces]
             triangles.append(corners)
-            colors.append(np.tile(visual.rgba[:3] * _tint(mesh.texture), (len(corners), 1)))
+            colors.append(visual.rgba[:3] * _tints(mesh))
     return np.concatenate(triangles), np.concatenate(colors)
 
 
-def _tint(texture: bytes | None) -> Array:
-    """The mean colour of a texture, white where there is none, shape (3,)."""
-    if texture is None:
-        return np.ones(3)
+def _tints(mesh: Mesh) -> Array:
+    """The colour of the texture in the middle of each triangle, in few levels; white without one, shape (n, 3)."""
+    if mesh.texture is None or mesh.uv is None:
+        return np.ones((len(mesh.faces), 3))
     import io
 
     from PIL import Image
 
-    with Image.open(io.BytesIO(texture)) as image:
-        return np.asarray(image.convert("RGB").resize((1, 1), Image.Resampling.BOX), dtype=np.float64).reshape(3) / 255
+    with Image.open(io.BytesIO(mesh.texture)) as image:
+        small = image.convert("RGB").resize((64, 64), Image.Resampling.BOX)
+        pixels = np.round(np.asarray(small, dtype=np.float64) / 255 * LEVELS) / LEVELS
+    u, v = np.moveaxis(mesh.uv[mesh.faces].mean(axis=1) % 1.0, 1, 0)
+    return np.asarray(pixels[((1 - v) * 63).round().astype(int), (u * 63).round().astype(int)])

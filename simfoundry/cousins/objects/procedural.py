@@ -12,20 +12,29 @@ import numpy as np
 from simfoundry.cousins.objects.appearance import APPEARANCE
 from simfoundry.cousins.objects.components import Component, Kind, components
 from simfoundry.cousins.objects.geometry import GEOMETRY, Edit, Rng
+from simfoundry.cousins.objects.handles import swept
 from simfoundry.cousins.objects.item import Item
 from simfoundry.cousins.objects.meshes import deformed
 from simfoundry.cousins.objects.parts import parts_of
+from simfoundry.cousins.objects.silhouettes import reshape
+from simfoundry.cousins.objects.skins import skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY
 from simfoundry.spec.asset import AssetSpec
 
 Rule = Callable[[AssetSpec, Component, Rng], Edit | None]
 
 RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
-    {"geometry": GEOMETRY, "topology": TOPOLOGY, "appearance": APPEARANCE}
+    {"geometry": ((reshape, (Kind.VESSEL,)), *GEOMETRY), "topology": TOPOLOGY, "appearance": APPEARANCE}
 )
 
-SHARES = MappingProxyType({"geometry": 0.85, "topology": 0.5, "appearance": 0.75})
-"""How often a variant differs in each way that is allowed; in one it does always."""
+SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
+"""How often a variant differs in each way that is allowed: in shape always, or it would be a recoloured copy."""
+
+WEIGHTS: Mapping[Rule, float] = MappingProxyType({reshape: 16.0})
+"""How often a rule is drawn beside the others, which count 1: three vessels of four have another silhouette."""
+
+SKINNED = 0.7
+"""Share of the variants whose looks may differ that carry a pattern; shops sell plain things too."""
 
 ALIKE = (Kind.HANDLE, Kind.KNOB, Kind.DRAWER)
 """Of these a thing has several that are the same, and stay so: what is done to one is done to all."""
@@ -60,7 +69,7 @@ def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> 
         kept, said = {}, [words]
     for change in wanted:
         done = set[Rule]()
-        for _ in range(2 if change == "geometry" and rng.random() < 0.5 else 1):
+        for _ in range(2 if change != "topology" and rng.random() < 0.5 else 1):
             edit = _edit(spec, [pair for pair in RULES[change] if pair[0] not in done], only, rng)
             if edit is not None:
                 spec, words, rule = edit
@@ -71,7 +80,23 @@ def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> 
         if edit is not None:
             spec, words, _ = edit
             said.append(words)
-    return Draft(spec, tuple(said), MappingProxyType(files), MappingProxyType(kept))
+    spec, made, more = _finished(spec, changes, only, rng)
+    return Draft(spec, (*said, *more), MappingProxyType({**files, **made}), MappingProxyType(kept))
+
+
+def _finished(
+    spec: AssetSpec, changes: Sequence[str], only: Sequence[str], rng: Rng
+) -> tuple[AssetSpec, dict[str, bytes], list[str]]:
+    """The asset with what no rule can change afterwards: handles as tubes, and patterns; the new files, and words."""
+    files: dict[str, bytes] = {}
+    said: list[str] = []
+    if "geometry" in changes or "topology" in changes:
+        spec, made, words = swept(spec, only, rng)
+        files, said = files | made, said + [words] * bool(words)
+    if "appearance" in changes and rng.random() < SKINNED:
+        spec, made, words = skinned(spec, only, rng)
+        files, said = files | made, said + [words] * bool(words)
+    return spec, files, said
 
 
 def _edit(
@@ -80,7 +105,10 @@ def _edit(
     """One rule applied to one component, both drawn, and to those that are like it; None where none drawn applies."""
     found = [c for c in components(spec) if not only or c.name in only]
     choices = [(rule, c) for rule, kinds in rules for c in found if c.kind in kinds]
-    order = rng.permutation(len(choices))[:TRIES]
+    weights = np.array([WEIGHTS.get(rule, 1.0) for rule, _ in choices])
+    order = (
+        rng.choice(len(choices), min(TRIES, len(choices)), replace=False, p=weights / weights.sum()) if choices else ()
+    )
     for k in order:
         rule, component = choices[int(k)]
         seed = int(rng.integers(0, 2**62))

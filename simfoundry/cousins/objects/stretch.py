@@ -33,7 +33,7 @@ def allowed(spec: AssetSpec, factor: Array) -> Array:
     """The factor that the shapes of an asset allow, shape (3,)."""
     f = np.array(factor, dtype=np.float64)
     turned = any(not pose(joint.pose).is_identity and _turns(joint) for joint in spec.joints.values())
-    if turned or _is_ball(spec) or any(p.mesh is not None for p in parts_of(spec).values()):
+    if turned or is_ball(spec) or any(p.mesh is not None for p in parts_of(spec).values()):
         return np.full(3, float(np.cbrt(f.prod())))
     if any(_round_about_z(part) for part in parts_of(spec).values()):
         f[:2] = np.sqrt(f[0] * f[1])
@@ -104,7 +104,8 @@ def _turns(joint: JointSpec) -> bool:
     return not _is_square(pose(joint.pose).rotation) or pose(joint.pose).rotation.trace() < 3 - SQUARE
 
 
-def _is_ball(spec: AssetSpec) -> bool:
+def is_ball(spec: AssetSpec) -> bool:
+    """Whether an asset is nothing but one ball."""
     every = list(parts_of(spec).values())
     return len(every) == 1 and isinstance(every[0].shape, SphereShape)
 

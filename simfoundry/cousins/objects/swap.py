@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.write import to_yaml
 
-VERSION = "variants/2"
+VERSION = "variants/3"
 """Changes where the same twin, axis and seed would give other variants."""
 
 REPLACED = (*Body.model_fields, "shape", "scale", "visual")
@@ -93,6 +94,51 @@ def made_for(
             text = f"`{name}` has no variant among {tried} candidates: {why}; the first: {example}"
             raise ImpossibleError((Reason("variants", text, {"candidates": float(tried)}),))
     return {name: tuple(folder / one["asset"] for one in record["accepted"]) for name, record in records.items()}
+
+
+@dataclass(frozen=True)
+class VariantCount:
+    """How many variants of an object were ``asked`` for and ``made``, from how many ``candidates``.
+
+    ``reasons`` says how often each reason was given against the rest, ``examples`` the text of the first of each.
+    """
+
+    name: str
+    asked: int
+    made: int
+    candidates: int
+    reasons: Mapping[str, int]
+    examples: Mapping[str, str]
+
+    @property
+    def is_short(self) -> bool:
+        """Whether there are fewer than were asked for."""
+        return self.made < self.asked
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping for manifests."""
+        return {"asked": self.asked, "made": self.made, "candidates": self.candidates, "reasons": dict(self.reasons)}
+
+    def __str__(self) -> str:
+        text = f"variants of `{self.name}`: {self.made} of {self.asked} made from {self.candidates} candidates"
+        if not self.reasons:
+            return text
+        rest = "; ".join(f"{count} refused: {code}" for code, count in self.reasons.items())
+        code = next(iter(self.reasons))
+        return f"{text}; {rest} (such as: {self.examples[code]})" if self.is_short else f"{text}; {rest}"
+
+
+def counts(axis: ObjectAxis | None, folder: Path) -> tuple[VariantCount, ...]:
+    """What came of each object of an axis, from the records in the folder of its variants."""
+    found = []
+    for name, wanted in axis.objects.items() if axis is not None else ():
+        record = json.loads((folder / f"{name}.variants.json").read_bytes())
+        examples: dict[str, str] = {}
+        for reason in (reason for one in record["refused"] for reason in one["reasons"]):
+            examples.setdefault(reason["code"], reason["text"])
+        made, refused = len(record["accepted"]), len(record["refused"])
+        found.append(VariantCount(name, wanted.count, made, made + refused, record["reasons"], examples))
+    return tuple(found)
 
 
 def record_of(made: Variants) -> dict[str, Any]:

@@ -36,9 +36,7 @@ SHALLOW = 0.6
 
 
 def remove(spec: AssetSpec, component: Component, _rng: Rng) -> Edit | None:
-    """A handle, divider, band or stem less; of two handles none goes alone."""
-    if component.kind is Kind.HANDLE and sum(c.kind is Kind.HANDLE for c in components(spec)) > 1:
-        return None
+    """A divider, band or stem less. A handle stays: a mug without one is a cup."""
     parts = {key: part for key, part in parts_of(spec).items() if key not in component.parts}
     return with_parts(spec, parts), f"without its {component.name}"
 
@@ -297,7 +295,7 @@ def clip(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
 UP = np.array([0.0, 0.0, 1.0])
 
 TOPOLOGY = (
-    (remove, (Kind.HANDLE, Kind.DIVIDER, Kind.BAND, Kind.STEM)),
+    (remove, (Kind.DIVIDER, Kind.BAND, Kind.STEM)),
     (mirror, (Kind.HANDLE,)),
     (loop_handle, (Kind.VESSEL,)),
     (lugs, (Kind.VESSEL,)),

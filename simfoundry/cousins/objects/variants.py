@@ -11,6 +11,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -20,10 +21,11 @@ from simfoundry.assets.cache import Cache
 from simfoundry.assets.faults import MeshError
 from simfoundry.cousins.objects.checks import Twin, faults
 from simfoundry.cousins.objects.item import Item, lay, lowered
-from simfoundry.cousins.objects.likeness import Likeness, likeness
+from simfoundry.cousins.objects.likeness import Apart, Likeness, likeness
 from simfoundry.cousins.objects.needs import Needs
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
+from simfoundry.cousins.objects.stretch import is_ball
 from simfoundry.cousins.objects.weigh import mesh_volume, weighed
 from simfoundry.cousins.reasons import Reason
 from simfoundry.files import write_atomically
@@ -140,6 +142,8 @@ def variants(
         lay(item.files, folder)
         base = lowered(_checked(item.spec, item), folder, item.name, cache)
         twin, first = Twin.of(base, needs), likeness(base)
+        # What rules make must not be the twin in another colour; a library holds what it holds, a ball has one shape.
+        form = "geometry" in axis.changes and not axis.components and not is_ball(item.spec)
         for k in range(MOST_TRIES * axis.count):
             if len(accepted) == axis.count:
                 break
@@ -148,9 +152,9 @@ def variants(
             if isinstance(made, Reason):
                 refused.append(Refused(k, name, (), (made,)))
                 continue
-            result = _examined(item, twin, made, k, name, seed, folder, cache)
-            if isinstance(result, Variant):
-                result = _distinct(result, [first, *(v.likeness for v in accepted)])
+            others = [first, *(v.likeness for v in accepted)]
+            distinct = partial(_distinct, others=others, form=form and name == "procedural")
+            result = _examined(item, twin, made, k, name, seed, folder, cache, distinct)
             if isinstance(result, Variant):
                 accepted.append(result)
             else:
@@ -173,9 +177,17 @@ def write(variant: Variant, folder: Path) -> Path:
 
 
 def _examined(
-    item: Item, twin: Twin, made: Draft, k: int, source: str, seed: int, folder: Path, cache: Cache | None
+    item: Item,
+    twin: Twin,
+    made: Draft,
+    k: int,
+    source: str,
+    seed: int,
+    folder: Path,
+    cache: Cache | None,
+    distinct: Callable[[Variant], Variant | Refused],
 ) -> Variant | Refused:
-    """A draft weighed, named, lowered and checked."""
+    """A draft weighed, named, lowered, seen to be ``distinct``, and checked, the dearest checks last."""
     for name, data in made.files.items():
         write_atomically(folder / name, data)
     lay(made.kept, folder)
@@ -185,32 +197,32 @@ def _examined(
         spec = _named(weighed(made.spec, item.spec, volumes, before), item, made, k, source, seed)
         thing = lowered(spec, folder, item.name, cache)
     except SpecError as error:
-        found = error.diagnostics[0]
-        return Refused(k, source, made.changed, (Reason("document", f"{found.code} {found.message}"),))
+        first = error.diagnostics[0]
+        return Refused(k, source, made.changed, (Reason("document", f"{first.code} {first.message}"),))
     except MeshError as error:
         return Refused(k, source, made.changed, (Reason("mesh", str(error)),))
-    reason = next(faults(thing, twin, item.category), None)
-    if reason is not None:
-        return Refused(k, source, made.changed, (reason,))
     named = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
     kept = {name: path.read_bytes() for name, path in made.kept.items() if name in named}
-    return Variant(
-        spec.name,
-        k,
-        source,
-        spec,
-        MappingProxyType({**made.files, **kept}),
-        made.changed,
-        thing,
-        likeness(thing),
-        0.0,
-    )
+    files = MappingProxyType({**made.files, **kept})
+    found = Variant(spec.name, k, source, spec, files, made.changed, thing, likeness(thing), 0.0)
+    result = distinct(found)
+    if isinstance(result, Variant):
+        reason = next(faults(thing, twin, item.category), None)
+        result = result if reason is None else Refused(k, source, made.changed, (reason,))
+    return result
 
 
-def _distinct(variant: Variant, others: list[Likeness]) -> Variant | Refused:
-    """The variant with its distance from the nearest of the others, or why it is too near."""
-    nearest = min((variant.likeness.apart(other) for other in others), key=lambda apart: apart.distance)
-    if nearest.distance >= 1:
+def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Refused:
+    """The variant with its distance from the nearest of the others, or why it is too near.
+
+    With ``form``, size or shape must differ, whatever the colour.
+    """
+
+    def away(apart: Apart) -> float:
+        return apart.form if form else apart.distance
+
+    nearest = min((variant.likeness.apart(other) for other in others), key=away)
+    if away(nearest) >= 1:
         return replace(variant, distance=nearest.distance)
     numbers = {"size": nearest.size, "shape": nearest.shape, "color": nearest.color}
     reason = Reason("alike", f"it is too like another: {nearest}", numbers)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import ValidationError
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.spec.base import Body
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.checks.joints import check_joints, check_pair
@@ -17,7 +18,12 @@ from simfoundry.spec.variants import variant_of
 OF_LINKS = ("scale", "visual", *Body.model_fields)
 """Fields of an object that an asset document decides for its links."""
 
-ROBOT_SUFFIXES = {"mjcf": (".xml", ".mjcf"), "urdf": (".urdf",), "usd": (".usd", ".usda", ".usdc", ".usdz")}
+ROBOT_SUFFIXES = {
+    "file": (".yaml", ".yml"),
+    "mjcf": (".xml", ".mjcf"),
+    "urdf": (".urdf",),
+    "usd": (".usd", ".usda", ".usdc", ".usdz"),
+}
 
 
 def check_scene(c: Checker, spec: SceneSpec) -> None:
@@ -111,8 +117,8 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
     if isinstance(robot.model, RobotFiles):
         for key, suffixes in ROBOT_SUFFIXES.items():
             file: str | None = getattr(robot.model, key)
-            if file is not None and packaged_model(file) is None:
-                c.file(file, (*path, "model", key), suffixes)
+            if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
+                _robot_file(c, key, file, (*path, "model", key))
         return
     known = robot.known()
     if known is None:
@@ -120,6 +126,18 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
     elif isinstance(robot.joints, dict):
         for joint in robot.joints:
             c.name(joint, known.home, (*path, "joints", joint), f"joint of `{robot.model}`")
+
+
+def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
+    """Whether a robot file is one, which is read as the language is: without any model."""
+    if key == "file":
+        from simfoundry.spec.robot_model import read_models
+
+        file = c.loaded.file(reference)
+        try:
+            read_models(file)
+        except SimfoundryError as error:
+            c.add("SF107", path, str(error).replace(str(file), reference))
 
 
 def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:

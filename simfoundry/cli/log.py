@@ -1,0 +1,50 @@
+"""``simfoundry log``."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simfoundry.cli.diff import plain
+from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.spec.diagnostics import printable
+
+if TYPE_CHECKING:
+    from simfoundry.review.history import Step
+
+
+@click.command()
+@click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
+@click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
+@click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
+@json_option
+@reporting
+def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
+    """Say what each commit changed about a document, in the words of the scene; the latest comes first.
+
+    What the document extends, and what it refers to, counts too, each time as it was then. The history is that of HEAD,
+    of a revision, or of a range as `main..feature`.
+    """
+    from simfoundry.review.arguments import document_history
+
+    steps = islice(document_history(what, verbose), max_count)
+    if as_json:
+        print_json({"commits": [_plain(step) for step in steps]})
+        return
+    shown = 0
+    for step in steps:
+        shown += 1
+        about = step.commit
+        click.echo(printable(f"{about.id[:10]} {about.date[:10]} {about.author}: {about.subject}"))
+        for line in step.comparison.lines():
+            click.echo(f"  {printable(line)}")
+    if not shown:
+        raise CannotError(f"no commit there changes {what[-1]}")
+
+
+def _plain(step: Step) -> dict[str, Any]:
+    about = step.commit
+    head = {"commit": about.id, "date": about.date, "author": about.author, "subject": about.subject}
+    return {**head, **plain(step.comparison)}

@@ -1,0 +1,411 @@
+"""Skins: patterns baked into textures, laid on the parts of a component as meshes that are seen and nothing else."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.cousins.objects.appearance import color_of, varied
+from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
+from simfoundry.cousins.objects.geometry import Rng
+from simfoundry.cousins.objects.meshes import FOLDER
+from simfoundry.cousins.objects.parts import Key, parts_of, rod, with_parts
+from simfoundry.cousins.objects.profiles import Profile
+from simfoundry.cousins.objects.silhouettes import FLAT, LOW
+from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
+from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.scene.meshfile import obj_with_material
+from simfoundry.scene.model import Mesh
+from simfoundry.spec.asset import AssetSpec, Part
+from simfoundry.spec.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
+
+PIXELS = 192
+"""Pixels along a side of a pattern: 1.3 mm each around a mug, and 20 to 60 kB as PNG."""
+
+AROUND = 64
+"""Sides of what is turned; its chords then depart from the circle by 0.1 % of the radius."""
+
+MILLIMETRE = 0.001
+
+Field = NDArray[np.float64]
+"""Values in [0, 1], shape (PIXELS, PIXELS), from the top down: of a pattern the share of the second colour."""
+
+Pattern = Callable[[Field, Field, Rng], Field]
+"""A field at u (around) and v (up), both in [0, 1]; it closes around."""
+
+
+def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
+    """The asset with a pattern on one of its main components: the spec, the new files, and what the pattern is.
+
+    The parts stay what collides and weighs. Where no part can carry a picture, the asset is as it was and the text is
+    empty.
+    """
+    found = [c for c in components(spec) if c.kind in SKINNED and (not only or c.name in only)]
+    found = [c for c in found if not _is_chain([parts_of(spec)[key] for key in c.parts])]
+    if not found:
+        return spec, {}, ""
+    component = found[int(rng.integers(len(found)))]
+    sort = sort_of(spec.category or spec.name)
+    parts = parts_of(spec)
+    base = color_of(spec, component.parts[0]) or WHITE
+    names = _patterns(spec, parts[component.parts[0]], component)
+    name = names[int(rng.integers(len(names)))]
+    second = _second(base, name, sort.colors if sort is not None else PAINTS, rng)
+    if name not in NATURAL and rng.random() < 0.5:
+        base, second = second, base
+    image = _painted(PATTERNS[name], base, second, rng)
+    files: dict[str, bytes] = {}
+    changed = dict(parts)
+    own = color_of(spec, component.parts[0])
+    for k, key in enumerate(key for key in component.parts if color_of(spec, key) == own):
+        part = parts[key]
+        mesh = _meshed(part.shape, image, name in AROUND_AXIS) if part.use == "both" else None
+        if mesh is None:
+            continue
+        written = obj_with_material(mesh)
+        files |= {f"{FOLDER}/{file}": data for file, data in written.items()}
+        changed[key] = part.model_copy(update={"use": "collision", "color": None})
+        look = Part(mesh=f"{FOLDER}/{next(iter(written))}", pose=part.pose, color=(1.0, 1.0, 1.0), use="visual")
+        changed[_free(changed, key[0], f"skin_{k}")] = look.model_copy(update={"material": part.material})
+    return (with_parts(spec, changed), files, f"{component.name} with {name}") if files else (spec, {}, "")
+
+
+SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kind not in (Kind.BUNCH, Kind.STACK))
+"""Kinds of components that carry a pattern; berries and the layers of a burger do not."""
+
+
+def _is_chain(parts: list[Part]) -> bool:
+    """Whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
+    return len(parts) > 1 and all(rod(part) is not None for part in parts)
+
+
+def _patterns(spec: AssetSpec, part: Part, component: Component) -> tuple[str, ...]:
+    """What things of a kind and material are decorated with."""
+    material = part.material or spec.links[component.link].material or ""
+    category = spec.category or spec.name
+    for words, names in STYLES:
+        if any(word in f"{material} {category}" for word in words):
+            return names
+    return DECORATION
+
+
+def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Color:
+    """The other colour of a pattern: of a natural one a shade of the first, else one that stands out from it."""
+    if name in NATURAL:
+        share = rng.uniform(0.45, 0.75)
+        r, g, b = (round(v * share, 3) for v in base)
+        return r, g, b
+    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [WHITE]
+    return varied(far[int(rng.integers(len(far)))], rng)
+
+
+def _painted(pattern: Pattern, base: Color, second: Color, rng: Rng) -> bytes:
+    """A PNG: its lower two thirds a pattern, the rest plain for insides and edges."""
+    from PIL import Image
+
+    u, v = np.meshgrid((np.arange(PIXELS) + 0.5) / PIXELS, 1 - (np.arange(PIXELS) + 0.5) / PIXELS)
+    share = np.clip(pattern(u, np.clip(v / PAINTED, 0.0, 1.0), rng), 0.0, 1.0)
+    share[v > PAINTED] = 0.0
+    rgb = (1 - share[..., None]) * np.array(base) + share[..., None] * np.array(second)
+    stream = io.BytesIO()
+    Image.fromarray(np.round(255 * rgb).astype(np.uint8)).save(stream, format="PNG")
+    return stream.getvalue()
+
+
+PAINTED = 0.66
+"""Share of the height of a texture that the pattern takes."""
+
+PLAIN = 0.83
+"""Height in a texture at which it is plain."""
+
+
+# -- surfaces ---------------------------------------------------------------------------------------------------------
+
+
+def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
+    """A shape as a closed mesh that carries a picture where one sees it; None of a shape that has no such mesh.
+
+    ``around`` says whether the picture is made to go around an axis, also on what is flat, as a plate.
+    """
+    match shape:
+        case LatheShape():
+            return _turned(Profile.of(shape), image, around)
+        case SphereShape():
+            r = shape.sphere
+            arc = np.linspace(-np.pi / 2, np.pi / 2, 25)
+            return _turned(Profile(np.column_stack([r * np.cos(arc), r * np.sin(arc)]), np.zeros((0, 2))), image)
+        case BoxShape():
+            return _box(np.array(shape.box), image)
+        case PrismShape():
+            return _prism(np.array(shape.prism.outline), shape.prism.height, image)
+    if shape is not None and (size := rod(Part(shape=shape))) is not None:
+        r, half = size[0], size[1] / 2
+        bend = np.linspace(0.0, np.pi / 2, 9) if "capsule" in type(shape).model_fields else np.zeros(1)
+        cap = np.column_stack([r * np.cos(bend), half + r * np.sin(bend)])
+        wall = np.concatenate([cap[::-1] * [1.0, -1.0], cap])
+        ends = np.array([[0.0, wall[0, 1]]]), np.array([[0.0, wall[-1, 1]]])
+        return _turned(Profile(np.concatenate([ends[0], wall]), ends[1]), image)
+    return None
+
+
+def _turned(profile: Profile, image: bytes, around: bool = True) -> Mesh:
+    """A profile turned about z. A low vessel carries the picture inside, from its middle to its rim, a bowl and what is
+    higher outside, from its bottom to its rim; the rest is plain. Inside, a picture that is not made to go ``around``
+    lies flat, as seen from above.
+    """
+    outer, inner = profile.outer, profile.inner
+    widest = float(outer[:, 0].max())
+    slender = profile.height / widest if profile.is_hollow else np.inf
+    back = np.concatenate([outer[-1:], inner]) if len(inner) else np.zeros((0, 2))
+    rings = np.concatenate([outer, back])
+    angle = np.linspace(0.0, 2 * np.pi, AROUND + 1)
+    x, y = rings[:, :1] * np.cos(angle), rings[:, :1] * np.sin(angle)
+    vertices = np.stack([x, y, np.repeat(rings[:, 1:], AROUND + 1, axis=1)], axis=2)
+    vertices[:, -1] = vertices[:, 0]
+    skip = int(outer[0, 0] < 1e-9 and outer[1, 1] - outer[0, 1] < 1e-6)  # a level bottom is not seen
+    up = np.full(len(outer), PLAIN) if slender < FLAT else PAINTED * _shares(outer, skip)
+    down = PAINTED * (1 - _shares(back, 0)) if slender < LOW else np.full(len(back), PLAIN)
+    uv = np.stack(np.broadcast_arrays(angle / (2 * np.pi), np.concatenate([up, down])[:, None]), axis=2).copy()
+    if slender < LOW and not around:
+        uv[len(outer) :] = (np.stack([x, y], axis=2)[len(outer) :] / (2 * widest) + 0.5) * [1.0, PAINTED]
+    here = np.arange(AROUND)
+    faces = []
+    for k in range(len(rings) - 1):
+        low, high = k * (AROUND + 1) + here, (k + 1) * (AROUND + 1) + here
+        if rings[k, 0] > 1e-9:
+            faces.append(np.column_stack([low, low + 1, high + (rings[k + 1, 0] > 1e-9)]))
+        if rings[k + 1, 0] > 1e-9:
+            faces.append(np.column_stack([low, high + 1, high]))
+    every = np.concatenate([f for f in faces if len(f)]).astype(np.int32)
+    return Mesh(frozen_array(vertices.reshape(-1, 3)), every, frozen_array(uv.reshape(-1, 2)), image)
+
+
+def _shares(chain: Array, skip: int) -> Array:
+    """How far along a chain its points are, from 0 at the point ``skip`` to 1, shape (k,)."""
+    if not len(chain):
+        return np.zeros(0)
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
+    return np.asarray(np.clip((length - length[skip]) / (length[-1] - length[skip]), 0.0, 1.0))
+
+
+def _box(size: Array, image: bytes) -> Mesh:
+    """A box; each of its faces carries the picture."""
+    vertices: list[Array] = []
+    uv: list[Array] = []
+    faces: list[tuple[int, int, int]] = []
+    for axis in range(3):
+        left, up = (axis + 1) % 3, (axis + 2) % 3
+        turn = ((0, 0), (0, 1), (1, 1), (1, 0)) if size[left] < size[up] else ((0, 0), (1, 0), (1, 1), (0, 1))
+        for sign in (-1.0, 1.0):
+            corners = np.zeros((4, 3))
+            corners[:, axis] = sign * size[axis] / 2
+            corners[:, left] = np.array([-1, 1, 1, -1]) * size[left] / 2
+            corners[:, up] = np.array([-1, -1, 1, 1]) * size[up] / 2
+            start = 4 * len(vertices)
+            vertices.append(corners)
+            uv.append(np.array(turn, dtype=np.float64) * [1.0, PAINTED])
+            order = ((0, 1, 2), (0, 2, 3)) if sign > 0 else ((0, 2, 1), (0, 3, 2))
+            faces += [(start + a, start + b, start + c) for a, b, c in order]
+    return Mesh(
+        frozen_array(np.concatenate(vertices)), np.array(faces, np.int32), frozen_array(np.concatenate(uv)), image
+    )
+
+
+def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
+    """A convex prism; its sides carry the picture, its ends are plain."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    after = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
+    if (turns < -1e-12).any() and (turns > 1e-12).any():
+        return None
+    ring = outline if turns.sum() > 0 else outline[::-1]
+    n = len(ring)
+    closed = np.concatenate([ring, ring[:1]])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    levels = (-height / 2, height / 2)
+    walls = np.concatenate([np.column_stack([closed, np.full(n + 1, z)]) for z in levels])
+    around = np.concatenate([np.column_stack([way / way[-1], np.full(n + 1, v)]) for v in (0.0, PAINTED)])
+    ends = np.concatenate([np.column_stack([ring, np.full(n, z)]) for z in levels])
+    here = np.arange(n)
+    faces = [
+        np.column_stack([here, here + 1, here + n + 2]),
+        np.column_stack([here, here + n + 2, here + n + 1]),
+    ]
+    fan = np.arange(1, n - 1)
+    low, high = 2 * (n + 1), 2 * (n + 1) + n
+    faces += [np.column_stack([np.full(n - 2, low), low + fan + 1, low + fan])]
+    faces += [np.column_stack([np.full(n - 2, high), high + fan, high + fan + 1])]
+    uv = np.concatenate([around, np.full((2 * n, 2), PLAIN)])
+    vertices = np.concatenate([walls, ends])
+    return Mesh(frozen_array(vertices), np.concatenate(faces).astype(np.int32), frozen_array(uv), image)
+
+
+def _free(parts: dict[Key, Part], link: str, name: str) -> Key:
+    n, key = 1, (link, name)
+    while key in parts:
+        n, key = n + 1, (link, f"{name}_{n + 1}")
+    return key
+
+
+# -- patterns ---------------------------------------------------------------------------------------------------------
+
+
+def _bands(_: Field, v: Field, rng: Rng) -> Field:
+    """Level stripes."""
+    return _soft(np.sin(2 * np.pi * (rng.integers(2, 7) * v + rng.random())), rng.uniform(-0.4, 0.4))
+
+
+def _stripes(u: Field, _: Field, rng: Rng) -> Field:
+    """Upright stripes."""
+    return _soft(np.sin(2 * np.pi * int(rng.integers(6, 18)) * u), rng.uniform(-0.3, 0.6))
+
+
+def _spiral(u: Field, v: Field, rng: Rng) -> Field:
+    """Stripes that wind around."""
+    return _soft(np.sin(2 * np.pi * (int(rng.integers(4, 10)) * u + rng.uniform(1, 4) * v)), rng.uniform(-0.3, 0.4))
+
+
+def _dots(u: Field, v: Field, rng: Rng) -> Field:
+    n, m = int(rng.integers(7, 15)), int(rng.integers(4, 8))
+    row = np.floor(v * m)
+    x, y = (u * n + 0.5 * (row % 2)) % 1 - 0.5, (v * m) % 1 - 0.5
+    return _soft(rng.uniform(0.2, 0.34) - np.hypot(x, y), 0.0, 12.0)
+
+
+def _checks(u: Field, v: Field, rng: Rng) -> Field:
+    n, m = int(rng.integers(5, 11)), int(rng.integers(3, 7))
+    return _soft(np.sin(2 * np.pi * n * u) * np.sin(np.pi * m * v), 0.0, 20.0)
+
+
+def _rim(_: Field, v: Field, rng: Rng) -> Field:
+    """One band below the rim, and a thin line under it."""
+    low = rng.uniform(0.7, 0.85)
+    return np.asarray((v > low) | (np.abs(v - low + 0.06) < 0.014), dtype=np.float64)
+
+
+def _dipped(u: Field, v: Field, rng: Rng) -> Field:
+    """The lower part in another glaze, with an uneven edge."""
+    edge = rng.uniform(0.3, 0.6) + 0.04 * _wave(u, rng)
+    return _soft(edge - v, 0.0, 60.0)
+
+
+def _drips(u: Field, v: Field, rng: Rng) -> Field:
+    """Glaze that ran down from the rim."""
+    run = 0.25 + 0.18 * np.abs(_wave(u, rng)) + 0.1 * np.abs(np.sin(np.pi * int(rng.integers(5, 9)) * u))
+    return _soft(v - 1 + run, 0.0, 60.0)
+
+
+def _zigzag(u: Field, v: Field, rng: Rng) -> Field:
+    n, at = int(rng.integers(6, 14)), rng.uniform(0.4, 0.65)
+    wave = np.abs((u * n) % 1 - 0.5)
+    return _soft(np.sin(2 * np.pi * (v - at + 0.28 * wave) * rng.integers(3, 6)), 0.1)
+
+
+def _speckles(u: Field, v: Field, rng: Rng) -> Field:
+    """Many small flecks, as of stoneware or a ripe fruit."""
+    return _flecks(u, v, rng, int(rng.integers(120, 260)), 0.008)
+
+
+def _terrazzo(u: Field, v: Field, rng: Rng) -> Field:
+    return _flecks(u, v, rng, int(rng.integers(40, 80)), 0.028)
+
+
+def _streaks(u: Field, v: Field, rng: Rng) -> Field:
+    """Fine upright streaks that fade, as on an apple."""
+    field = sum(np.cos(2 * np.pi * (int(k) * u + rng.random())) for k in rng.integers(5, 60, 9)) / 5
+    return np.asarray(np.clip(0.3 + 0.5 * field, 0.0, 0.7) * np.clip(0.3 + v, 0.0, 1.0))
+
+
+def _gradient(_: Field, v: Field, rng: Rng) -> Field:
+    """One colour that passes into the other."""
+    at, soft = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.25)
+    return np.asarray(1 / (1 + np.exp((v - at) / soft)))
+
+
+def _grain(u: Field, v: Field, rng: Rng) -> Field:
+    """Wood: lines along u that bend."""
+    bend = 0.06 * _wave(u, rng) + 0.03 * np.sin(2 * np.pi * (u + 2 * v))
+    rings = np.sin(2 * np.pi * rng.uniform(7, 14) * (v + bend))
+    fine = np.sin(2 * np.pi * rng.uniform(40, 60) * (v + bend))
+    return np.asarray(np.clip(0.42 + 0.38 * rings + 0.15 * fine, 0.0, 1.0))
+
+
+def _planks(u: Field, v: Field, rng: Rng) -> Field:
+    """Boards side by side."""
+    n = int(rng.integers(3, 6))
+    tone = rng.uniform(0.0, 0.55, n)[np.minimum((v * n).astype(int), n - 1)]
+    lines = 0.12 * np.sin(2 * np.pi * 9 * (v + 0.05 * _wave(u, rng)))
+    return np.asarray(np.where((v * n) % 1 < 0.05, 1.0, tone + lines))
+
+
+def _print(u: Field, v: Field, rng: Rng) -> Field:
+    """A label and lines, as printed on a carton."""
+    x, y = rng.uniform(0.25, 0.6), rng.uniform(0.35, 0.6)
+    label = (np.abs(u - x) < 0.16) & (np.abs(v - y) < 0.2)
+    lines = (u > 0.72) & (u < 0.93) & ((v * 14) % 1 < 0.4) & (v > 0.25) & (v < 0.75)
+    return np.asarray(label | lines, dtype=np.float64)
+
+
+def _tape(_: Field, v: Field, rng: Rng) -> Field:
+    """A strip of tape along the middle."""
+    return np.asarray(np.abs(v - rng.uniform(0.4, 0.6)) < 0.09, dtype=np.float64)
+
+
+def _soft(value: Field, threshold: float, sharp: float = 9.0) -> Field:
+    """1 where a value is above a threshold, with a soft edge."""
+    return np.asarray(np.clip(0.5 + sharp * (value - threshold), 0.0, 1.0))
+
+
+def _wave(u: Field, rng: Rng) -> Field:
+    """A smooth closed curve in [-1, 1]."""
+    return np.asarray(sum(np.sin(2 * np.pi * (k * u + rng.random())) / k for k in (1, 2, 3, 5)) / 2.0)
+
+
+def _flecks(u: Field, v: Field, rng: Rng, count: int, size: float) -> Field:
+    out = np.zeros_like(u)
+    for x, y, r in zip(rng.random(count), rng.random(count), size * rng.uniform(0.5, 1.5, count), strict=True):
+        across = np.abs(u - x)
+        out = np.maximum(out, np.hypot(np.minimum(across, 1 - across), v - y) < r)
+    return out
+
+
+PATTERNS: dict[str, Pattern] = {
+    "bands": _bands,
+    "stripes": _stripes,
+    "a spiral": _spiral,
+    "dots": _dots,
+    "checks": _checks,
+    "a painted rim": _rim,
+    "a dipped foot": _dipped,
+    "drips of glaze": _drips,
+    "zigzags": _zigzag,
+    "speckles": _speckles,
+    "terrazzo": _terrazzo,
+    "streaks": _streaks,
+    "a gradient": _gradient,
+    "wood grain": _grain,
+    "planks": _planks,
+    "print": _print,
+    "tape": _tape,
+}
+
+DECORATION = (
+    "bands", "stripes", "a spiral", "dots", "checks", "a painted rim", "a dipped foot", "drips of glaze", "zigzags",
+    "speckles", "terrazzo", "a gradient",
+)  # fmt: skip
+AROUND_AXIS = ("bands", "a painted rim", "a dipped foot", "drips of glaze", "zigzags", "streaks", "a gradient")
+"""Patterns that go around an axis also where they are seen from above."""
+
+NATURAL = ("streaks", "speckles", "wood grain", "planks")
+"""Patterns in two shades of one colour."""
+
+STYLES: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
+    (("fruit", "apple", "banana", "grapes"), ("streaks", "speckles", "a gradient")),
+    (("bamboo", "wood", "board"), ("wood grain", "planks", "wood grain", "bands")),
+    (("carton",), ("print", "tape", "stripes", "wood grain")),
+    (("steel", "aluminium", "enamel"), ("a painted rim", "a dipped foot", "bands", "speckles", "dots", "checks")),
+)
+"""Patterns by words of the material or category; of anything else :data:`DECORATION`."""

@@ -1,0 +1,219 @@
+"""Where plumb lines meet the convex parts of things: what is over a point, and what is under it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.predicates.batch import Poses, rotate
+from simfoundry.predicates.shapes import Form, Thing
+from simfoundry.predicates.view import View
+from simfoundry.scene.frames import Array
+from simfoundry.scene.hulls import Index
+
+SEAM = 1e-6
+"""A line that passes a part at no more than this [m] meets it: parts of one thing touch with gaps of rounding only."""
+
+STEEP = 1e-9
+"""A face whose normal has less than this cosine with up stands: a plumb line passes along it."""
+
+
+class Meeting(NamedTuple):
+    """How deep the plumb lines through the middle of one thing are in what another has over and under it [m], (n,) each.
+
+    Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
+    the end of the one on that line; negative where nothing is met.
+    """
+
+    over: Array
+    under: Array
+
+
+def meet(view: View, a: Thing, b: Thing) -> Meeting:
+    """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
+    points = view.boxes(a).middle
+    over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
+    low, high = np.zeros(view.n), np.zeros(view.n)
+    for state, within, bottom, top in _chords_of(view, points, a):
+        met = within > 0
+        np.minimum.at(low, state[met], bottom[met])
+        np.maximum.at(high, state[met], top[met])
+    for state, within, bottom, top in _chords_of(view, points, b):
+        np.maximum.at(over, state, np.minimum(within, top - high[state]))
+        np.maximum.at(under, state, np.minimum(within, low[state] - bottom))
+    return Meeting(*(np.where(np.isfinite(v), v, -_beside(view, points, b)) for v in (over, under)))
+
+
+def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
+    """By link: the states in which plumb lines may meet parts of it, and what :func:`_chords` says of them."""
+    for k, form in view.forms(thing):
+        X_WL = view.link(thing.owner, k)
+        local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
+        up = X_WL.R[:, 2]
+        low, high, _, _ = form.pieces
+        state, part = np.nonzero(_beside_box(local, up, (low + high) / 2, (high - low) / 2) <= SEAM)
+        if len(state):
+            yield state, *_chords(form, part, local[state], up[state])
+
+
+def _beside(view: View, points: Array, b: Thing) -> Array:
+    """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
+    return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
+
+
+def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
+    """How far lines along ``up`` through points, (n, 3), pass boxes of ``middle`` and ``half``, (k, 3): (n, k) [m].
+
+    No more than the truth: only the directions square to ``up`` and to an axis of the box are looked along.
+    """
+    out = np.full((len(points), len(middle)), -np.inf)
+    for axis in np.eye(3):
+        way = np.cross(up, axis)
+        size = np.linalg.norm(way, axis=1, keepdims=True)
+        way = np.divide(way, size, out=np.zeros_like(way), where=size > STEEP)
+        off = np.abs(np.einsum("ni,ni->n", points, way)[:, None] - way @ middle.T)
+        out = np.maximum(out, off - np.abs(way) @ half.T)
+    return out
+
+
+class _Faces(NamedTuple):
+    """The faces and edges of each part of a form, filled up to one length with what never decides.
+
+    ``planes`` are outward unit normals and offsets [m], (k, f, 4); ``ends`` and ``ways`` [m] a corner and the direction
+    of each edge, (k, e, 3); ``beside`` the normals at it, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
+    (k, 2, 3), and ``radius`` [m], (k,), is above zero.
+    """
+
+    planes: Array
+    ends: Array
+    ways: Array
+    beside: Array
+    axis: Array
+    radius: Array
+
+
+@lru_cache(maxsize=256)
+def _faces(form: Form) -> _Faces:
+    parts = form.parts
+    k = len(parts.radius)
+    planes: list[Array] = []
+    edges: list[Index] = []
+    of_triangle = parts.part[parts.triangles[:, 0]] if len(parts.triangles) else np.zeros(0, np.int64)
+    of_edge = parts.part[parts.edges[:, 0]] if len(parts.edges) else np.zeros(0, np.int64)
+    flat = np.linalg.norm(parts.normals, axis=1) > 0.5  # a triangle without area has no normal
+    offset = (
+        np.einsum("ij,ij->i", parts.normals, parts.corners[parts.triangles[:, 0]]) if len(parts.triangles) else flat
+    )
+    sharp = (parts.beside >= 0).all(axis=1)
+    for number in range(k):
+        rows = np.flatnonzero((of_triangle == number) & flat)
+        every = np.column_stack([parts.normals[rows], offset[rows]])
+        planes.append(np.unique(np.round(every, 9), axis=0))
+        own = np.flatnonzero((of_edge == number) & sharp)
+        edges.append(own[flat[parts.beside[own]].all(axis=1)])
+    most = [max((len(v) for v in every), default=0) for every in (planes, edges)]
+    out = _Faces(
+        np.zeros((k, most[0], 4)),
+        np.zeros((k, most[1], 3)),
+        np.zeros((k, most[1], 3)),
+        np.zeros((k, most[1], 2, 3)),
+        np.zeros((k, 2, 3)),
+        parts.radius.copy(),
+    )
+    for number in range(k):
+        out.planes[number, : len(planes[number])] = planes[number]
+        own = edges[number]
+        first, last = parts.corners[parts.edges[own, 0]], parts.corners[parts.edges[own, 1]]
+        out.ends[number, : len(own)], out.ways[number, : len(own)] = first, last - first
+        out.beside[number, : len(own)] = parts.normals[parts.beside[own]]
+        corners = parts.corners[parts.part == number]
+        if len(corners):
+            out.axis[number] = corners[[0, -1]]
+    return out
+
+
+def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
+    """How far within the outlines of parts lines along ``up`` through points, (m, 3), pass [m], (m,).
+
+    Also how far over the points they enter and leave them [m], (m,) each.
+    """
+    faces = _faces(form)
+    round_ = faces.radius[part] > 0
+    out = np.empty((3, len(part)))
+    for rows, measure in ((~round_, _sharp_chords), (round_, _round_chords)):
+        if rows.any():
+            out[:, rows] = measure(faces, part[rows], points[rows], up[rows])
+    return out[0] + SEAM, out[1], out[2]
+
+
+def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
+    normals, offset = faces.planes[part, :, :3], faces.planes[part, :, 3]
+    rising = np.einsum("mfi,mi->mf", normals, up)
+    room = offset - np.einsum("mfi,mi->mf", normals, points)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = room / rising
+    top = np.where(rising > STEEP, at, np.inf).min(axis=1)
+    bottom = np.where(rising < -STEEP, at, -np.inf).max(axis=1)
+    # The outline is bounded by the edges between a face that looks up and one that looks down.
+    beside = faces.beside[part]
+    looks = np.einsum("mesi,mi->mes", beside, up)
+    across = np.cross(faces.ways[part], up[:, None])
+    size = np.linalg.norm(across, axis=2)
+    seen = (looks[..., 0] * looks[..., 1] <= 0) & (size > STEEP)
+    side = np.sign(np.einsum("mei,mei->me", across, beside.sum(axis=2)))
+    off = np.einsum("mei,mei->me", across, points[:, None] - faces.ends[part]) * side
+    within = -np.where(seen, off / np.where(size > STEEP, size, 1.0), -np.inf).max(axis=1, initial=-np.inf)
+    return within, bottom, top
+
+
+def _round_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
+    """Of balls and capsules."""
+    first, last, radius = faces.axis[part, 0], faces.axis[part, 1], faces.radius[part]
+    along = last - first
+    level = along - np.einsum("mi,mi->m", along, up)[:, None] * up
+    away = points - first
+    away_level = away - np.einsum("mi,mi->m", away, up)[:, None] * up
+    square = np.einsum("mi,mi->m", level, level)
+    share = np.clip(np.einsum("mi,mi->m", away_level, level) / np.where(square > 0, square, 1.0), 0.0, 1.0)
+    within = radius - np.linalg.norm(away_level - share[:, None] * level, axis=1)
+    low, high = np.full(len(part), np.inf), np.full(len(part), -np.inf)
+    for centre in (first, last):
+        found = _ball_chord(points - centre, up, radius)
+        low, high = np.fmin(low, found[0]), np.fmax(high, found[1])
+    length = np.linalg.norm(along, axis=1)
+    way = along / np.where(length > 0, length, 1.0)[:, None]
+    flat_up = up - np.einsum("mi,mi->m", up, way)[:, None] * way
+    flat = away - np.einsum("mi,mi->m", away, way)[:, None] * way
+    a, b = np.einsum("mi,mi->m", flat_up, flat_up), np.einsum("mi,mi->m", flat_up, flat)
+    inner = b * b - a * (np.einsum("mi,mi->m", flat, flat) - radius**2)
+    for sign in (-1.0, 1.0):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = (-b + sign * np.sqrt(inner)) / a
+            height = np.einsum("mi,mi->m", away + at[:, None] * up, way)
+            met = (height >= 0) & (height <= length) & (length > 0)
+        low, high = np.fmin(low, np.where(met, at, np.inf)), np.fmax(high, np.where(met, at, -np.inf))
+    return within, low, high
+
+
+def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
+    """Where lines through points enter and leave balls; NaN where they do not."""
+    middle = np.einsum("mi,mi->m", away, up)
+    with np.errstate(invalid="ignore"):
+        half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)
+    return -middle - half, -middle + half
+
+
+def centre_of_mass(view: View, a: Thing) -> Array:
+    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
+    links = view.bodies[a.owner].item.links
+    masses = [links[k].mass for k in a.links]
+    if sum(masses) <= 0:
+        return view.boxes(a).middle
+    total = np.zeros((view.n, 3))
+    for k, mass in zip(a.links, masses, strict=True):
+        X_WL: Poses = view.link(a.owner, k)
+        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
+    return total

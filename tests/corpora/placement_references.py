@@ -1,0 +1,239 @@
+"""What simulators and ray casts say of a state, without any of our predicates: contact forces, and BEHAVIOR's rays."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from simfoundry.scene.frames import Array
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.pybullet_world import PybulletWorld
+
+Pushes = dict[tuple[str, str], Array]
+"""Mean force of the second object on the first [N], shape (3,), in the world."""
+
+SECONDS = 1.0
+"""How long the simulators run."""
+
+MEAN = 0.1
+"""Forces are means over so long [s] at the end: PyBullet's change from step to step."""
+
+CARRIED_SHARE = 0.5
+"""What carries a thing pushes it up by more than this share of all upward pushes on it."""
+
+CARRIED_DEG = 45.0
+"""... and within this of straight up [deg], as Isaac Lab-Arena asks."""
+
+
+class Engine(Protocol):
+    """A simulator whose contact forces are read."""
+
+    world: Any
+
+    def pushes(self) -> Pushes:
+        """Forces between objects, now."""
+        ...
+
+
+class MujocoForces:
+    """MuJoCo's contact forces."""
+
+    def __init__(self, world: MujocoWorld) -> None:
+        import mujoco
+
+        self.world, self._mujoco = world, mujoco
+
+    def pushes(self) -> Pushes:
+        """Forces between objects, now."""
+        model, data = self.world.model, self.world.data
+        found: Pushes = defaultdict(lambda: np.zeros(3))
+        force = np.zeros(6)
+        for k in range(data.ncon):
+            contact = data.contact[k]
+            self._mujoco.mj_contactForce(model, data, k, force)
+            # The frame's first row points from the first geom to the second: so is the second pushed.
+            push = contact.frame.reshape(3, 3).T @ force[:3]
+            a, b = (model.body(model.body_rootid[model.geom_bodyid[g]]).name for g in contact.geom)
+            found[b, a] = found[b, a] + push
+            found[a, b] = found[a, b] - push
+        return found
+
+
+class PybulletForces:
+    """PyBullet's contact forces."""
+
+    def __init__(self, world: PybulletWorld) -> None:
+        import pybullet
+
+        self.world, self._bullet = world, pybullet
+        self._names = {body: name for name, body in world.bodies.items()}
+
+    def pushes(self) -> Pushes:
+        """Forces between objects, now."""
+        found: Pushes = defaultdict(lambda: np.zeros(3))
+        for point in self._bullet.getContactPoints(physicsClientId=self.world.client):
+            a, b = self._names[point[1]], self._names[point[2]]
+            push = point[9] * np.array(point[7])  # the normal points from the second to the first
+            push = push + point[10] * np.array(point[11]) + point[12] * np.array(point[13])
+            found[a, b] = found[a, b] + push
+            found[b, a] = found[b, a] - push
+        return found
+
+
+def run(engine: Engine) -> Pushes:
+    """Simulate :data:`SECONDS` and return the mean forces at the end."""
+    world = engine.world
+    steps = round(SECONDS / world.timestep)
+    last = max(1, round(MEAN / world.timestep))
+    world.step(steps - last)
+    total: Pushes = defaultdict(lambda: np.zeros(3))
+    for _ in range(last):
+        world.step(1)
+        for pair, push in engine.pushes().items():
+            total[pair] = total[pair] + push / last
+    return dict(total)
+
+
+def carriers(pushes: Pushes, weights: dict[str, float]) -> dict[str, set[str]]:
+    """By object: what carries it. ``weights`` [N] are those of the objects that can move."""
+    found: dict[str, set[str]] = {name: set() for name in weights}
+    for name, weight in weights.items():
+        ups = {b: push for (a, b), push in pushes.items() if a == name and push[2] > 0}
+        total = sum(float(push[2]) for push in ups.values())
+        for other, push in ups.items():
+            steep = push[2] >= math.cos(math.radians(CARRIED_DEG)) * float(np.linalg.norm(push))
+            if steep and push[2] > CARRIED_SHARE * max(total, weight / 2):
+                found[name].add(other)
+    return found
+
+
+def carried_by(name: str, other: str, direct: dict[str, set[str]], pushes: Pushes, weights: dict[str, float]) -> bool:
+    """Whether the weight of one object goes into another, directly or through what lies between."""
+    seen, todo = set[str](), [name]
+    while todo:
+        one = todo.pop()
+        for (a, b), push in pushes.items():
+            if a == one and b not in seen and push[2] > 0.1 * weights.get(one, math.inf):
+                if b == other:
+                    return True
+                seen.add(b)
+                if b in weights:
+                    todo.append(b)
+    return False
+
+
+# -- rays --------------------------------------------------------------------------------------------------------------
+
+PLANES = 5
+"""Pairs of level axes that BEHAVIOR tries."""
+
+FAR = 5.0
+"""How far BEHAVIOR's rays reach [m]."""
+
+
+class Adjacency(NamedTuple):
+    """Whether another object is met by the rays of one: up, down, and along pairs of level axes, both ways of each."""
+
+    up: bool
+    down: bool
+    level: tuple[tuple[tuple[bool, bool], tuple[bool, bool]], ...]
+    within: bool
+
+
+class Rays:
+    """BEHAVIOR's adjacencies by MuJoCo's ray casts at the colliders of one state."""
+
+    def __init__(self, world: MujocoWorld) -> None:
+        import mujoco
+
+        self._mujoco, self._model, self._data = mujoco, world.model, world.data
+        mujoco.mj_forward(world.model, world.data)
+        model = world.model
+        self._geoms: dict[str, list[int]] = defaultdict(list)
+        for g in range(model.ngeom):
+            if model.geom_contype[g] or model.geom_conaffinity[g]:
+                self._geoms[model.body(model.body_rootid[model.geom_bodyid[g]]).name].append(g)
+        self.bounds = {name: self._bound(geoms) for name, geoms in self._geoms.items()}
+
+    def _bound(self, geoms: list[int]) -> tuple[Array, Array]:
+        points = np.concatenate([self._extremes(g) for g in geoms])
+        return points.min(axis=0), points.max(axis=0)
+
+    def _extremes(self, g: int) -> Array:
+        """Points whose bounds along the world's axes are those of a geom."""
+        model, kinds = self._model, self._mujoco.mjtGeom
+        p, R = self._data.geom_xpos[g], self._data.geom_xmat[g].reshape(3, 3)
+        kind, size = model.geom_type[g], model.geom_size[g]
+        if kind == kinds.mjGEOM_MESH:
+            mesh = model.geom_dataid[g]
+            first = model.mesh_vertadr[mesh]
+            return np.asarray(p + model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ R.T)
+        if kind == kinds.mjGEOM_BOX:
+            reach = np.abs(R) @ size
+        elif kind == kinds.mjGEOM_SPHERE:
+            reach = np.full(3, size[0])
+        elif kind == kinds.mjGEOM_CAPSULE:
+            reach = np.abs(R[:, 2]) * size[1] + size[0]
+        elif kind == kinds.mjGEOM_CYLINDER:
+            reach = np.abs(R[:, 2]) * size[1] + np.sqrt(1 - R[:, 2] ** 2) * size[0]
+        else:
+            raise ValueError(f"no bounds of geoms of type {kind}")
+        return np.stack([p - reach, p + reach])
+
+    def _hit(self, name: str, start: Array, way: Array) -> float:
+        """How far a ray goes to an object [m]; -1 where it misses."""
+        model = self._model
+        model.geom_group[:] = 0
+        model.geom_group[self._geoms[name]] = 5
+        only = np.array([0, 0, 0, 0, 0, 1], dtype=np.uint8)
+        found = np.zeros(1, dtype=np.int32)
+        far = self._mujoco.mj_ray(model, self._data, start, way, only, 1, -1, found)
+        return float(far) if 0 <= far <= FAR else -1.0
+
+    def middle(self, name: str) -> Array:
+        """The middle of an object's bounds [m]."""
+        low, high = self.bounds[name]
+        return np.asarray((low + high) / 2)
+
+    def adjacency(self, a: str, b: str) -> Adjacency:
+        """What the rays of ``a`` meet of ``b``: level ones from its middle, upright ones from its own surface."""
+        low, high = self.bounds[a]
+        middle = (low + high) / 2
+        met = []
+        for sign in (1.0, -1.0):
+            way = np.array([0.0, 0.0, sign])
+            edge = middle + way * ((high - low)[2] / 2 + 0.01)
+            own = self._hit(a, edge, -way)  # BEHAVIOR shoots from where its own surface is met from beyond
+            start = edge - way * own if 0 <= own <= (high - low)[2] + 0.01 else middle
+            met.append(self._hit(b, start, way) >= 0)
+        level = []
+        for angle in np.linspace(0, math.pi / 2, PLANES):
+            first = np.array([math.cos(angle), math.sin(angle), 0.0])
+            second = np.array([-math.sin(angle), math.cos(angle), 0.0])
+            level.append(tuple((self._hit(b, middle, w) >= 0, self._hit(b, middle, -w) >= 0) for w in (first, second)))
+        low_b, high_b = self.bounds[b]
+        within = bool((middle >= low_b).all() and (middle <= high_b).all())
+        return Adjacency(met[0], met[1], tuple(level), within)  # type: ignore[arg-type]
+
+
+def is_under(seen: Adjacency) -> bool:
+    """BEHAVIOR's Under: a ray up meets the other, and a ray down does not."""
+    return seen.up and not seen.down
+
+
+def is_above(seen: Adjacency) -> bool:
+    """The mirror image of BEHAVIOR's Under."""
+    return seen.down and not seen.up
+
+
+def is_inside(seen: Adjacency) -> bool:
+    """BEHAVIOR's Inside: the other is on both sides along two of three axes at right angles."""
+    if not seen.within:
+        return False
+    both = [tuple(all(pair) for pair in plane) for plane in seen.level]
+    if seen.up and seen.down:
+        return any(any(plane) for plane in both)
+    return any(all(plane) for plane in both)
