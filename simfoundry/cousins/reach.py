@@ -69,7 +69,7 @@ class Reach:
         if not self._names:
             return "no robot acts here"
         if not any(robot.name in self._names for robot in self._scene.robots):
-            return f"no model of {', '.join(self._names)} is here; see docs/robots.md"
+            return f"no model of {', '.join(self._names)} is here; `simfoundry doctor` says what brings it"
         return ""
 
     def __call__(self, low: Array, high: Array) -> Reached:

@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -32,6 +32,7 @@ from simfoundry.evaluate.task import Task, load_task
 from simfoundry.extras import MissingExtraError, need_extra
 from simfoundry.files import staged, write_atomically, write_files
 from simfoundry.outputs import ensure_folder_replaceable
+from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.scene.crossings import solid
 from simfoundry.scene.frames import Array
 from simfoundry.scene.lower import lower_file
@@ -112,8 +113,8 @@ class _Idea:
     thing: str
     target: str
     inside: bool
-    base: Array
-    yaw: float
+    base: Array = field(default_factory=lambda: np.zeros(3))
+    yaw: float = 0.0
 
     @property
     def instruction(self) -> str:
@@ -175,7 +176,7 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
     robot = lower_robot("arm", RobotSpec(model=ARM), Path())
     fingers = jaws(robot)
     assert fingers is not None
-    state = SceneState.initial(scene)
+    state, judge = SceneState.initial(scene), Judge(scene)
     free = [item for item in scene.objects if not item.fixed]
     carriers = {relation.args[1] for relation in scene.relations if len(relation.args) == 2}
     size = {item.name: float(np.ptp(world_bounds(item, item.X_WO), axis=0).max()) for item in free}
@@ -191,9 +192,20 @@ def _ideas(scene: Scene) -> Iterator[_Idea]:
             for target in free:
                 if target.name == thing.name or not (inside or size[target.name] > size[thing.name]):
                     continue
-                if is_graspable(thing.name) and places(scene, state, thing.name, target.name, inside):
+                idea = _Idea(thing.name, target.name, inside)
+                if is_graspable(thing.name) and _can_hold(judge, idea, state):
                     for base, yaw in islice(_bases(scene, thing, target), 1):
-                        yield _Idea(thing.name, target.name, inside, base, yaw)
+                        yield replace(idea, base=base, yaw=yaw)
+
+
+def _can_hold(judge: Judge, idea: _Idea, state: SceneState) -> bool:
+    """Whether the thing has a place at which the goal would hold."""
+    found = places(judge.scene, state, idea.thing, idea.target, idea.inside)
+    states = [replace(state, poses=MappingProxyType({**state.poses, idea.thing: place.X_WO})) for place in found]
+    try:
+        return bool(states) and bool(judge.batch(idea.goal, StateBatch.of(judge.scene, states))[0].any())
+    except PredicateError:  # as of what has no cavity
+        return False
 
 
 def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tuple[Array, float]]:

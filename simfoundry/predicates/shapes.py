@@ -10,6 +10,7 @@ import numpy as np
 
 from simfoundry.backends.robot_object import RobotObject, as_object
 from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.errors import SimfoundryError
 from simfoundry.scene.frames import IDENTITY, Array
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
@@ -21,7 +22,7 @@ TURNED.setflags(write=False)
 """The axes along which a thing is boxed: its own, and those turned by 45 degrees about z; shape (5, 3)."""
 
 
-class PredicateError(ValueError):
+class PredicateError(SimfoundryError, ValueError):
     """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
 
 
@@ -192,7 +193,9 @@ class Bodies:
         if name in names:
             return self[name]
         if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
-            raise PredicateError(f"no model of robot `{name}` is found, so its shape is unknown; see docs/robots.md")
+            raise PredicateError(
+                f"no model of robot `{name}` is found, so its shape is unknown; `simfoundry doctor` says more"
+            )
         raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
 
 

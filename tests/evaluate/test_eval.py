@@ -252,3 +252,33 @@ def test_the_page_escapes_what_it_is_told() -> None:
     text = page([record])
     assert not re.search(r"<(script|b|i|u|s|q|z|v|k|r|a)>", text) and "a'b" not in text
     assert cells([record])[0].success.interval == pytest.approx(wilson(0, 1))
+
+
+def test_a_goal_that_cannot_be_judged_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.scene.yaml").write_text(
+        "simfoundry: scene/1\nname: a\nobjects:\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.04]}, pose: {xyz: [0.5, 0, -0.02]}}\n"
+        "  cube: {shape: {box: [0.04, 0.04, 0.04]}, mass: 0.1, place: {on: desk, xy: [0.5, 0]}}\n"
+        "robots: {arm: {model: demo_arm}}\n"
+    )
+    (tmp_path / "a.task.yaml").write_text(
+        "simfoundry: task/1\nname: a\nscene: a.scene.yaml\ninstruction: Put it in.\ngoal: Inside(cube, desk)\n"
+    )
+    done = run("eval", tmp_path / "a.task.yaml", "-p", "random", "-n", "1", "--no-video", "-o", tmp_path / "out")
+    assert (done.code, done.err) == (
+        2,
+        "Error: `desk` has no cavity, so nothing can be inside: its colliders enclose no hollow\n",
+    )
+
+
+def test_where_nothing_draws_an_evaluation_goes_without_videos(
+    push_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "none")  # as where there is no GL driver
+    arguments = ("eval", push_file, "-p", "random", "-n", "1", "-o", tmp_path / "out")
+    done = run(*arguments)
+    assert done.code == 0, done.err
+    assert "no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one" in done.err
+    assert not list((tmp_path / "out").rglob("*.webm")) and (tmp_path / "out" / "report.html").is_file()
+    asked = run(*arguments[:-1], tmp_path / "asked", "--video")
+    assert asked.code == 2 and "MuJoCo finds no GL driver: install libegl1" in asked.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,16 @@ def yam(own_models: Path) -> Scene:
 def lift(own_models: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The DROID arm, turned and moved, before a cube."""
     return lowered(lift_file(tmp_path_factory.mktemp("lift"), "franka_robotiq"), own_models)
+
+
+@pytest.fixture(scope="session")
+def demo_lift(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The project's own arm, which is always here, before a cube."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(OWN_MODELS, raising=False)
+        for package in ("mujoco_menagerie", "robot_descriptions"):
+            patch.setitem(sys.modules, package, None)
+        return lower_file(lift_file(tmp_path_factory.mktemp("demo_lift"), "demo_arm"))
 
 
 @pytest.fixture(scope="session")

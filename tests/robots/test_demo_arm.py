@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,12 +14,9 @@ from simfoundry.backends.robots import mujoco_model, read_robot
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
 from simfoundry.scene.frames import Pose
-from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.spec.robot import ROBOTS
 from simfoundry.worlds import open_world
-from tests.robots.conftest import lift_file
 from tests.robots.reach import grasp_and_lift
 
 KNOWN = ROBOTS["demo_arm"]
@@ -28,25 +24,16 @@ DOWN = [0.0, 1.0, 0.0, 0.0]
 """The gripper points down [quaternion, wxyz]."""
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.delenv(OWN_MODELS, raising=False)
-        for package in ("mujoco_menagerie", "robot_descriptions"):
-            patch.setitem(sys.modules, package, None)
-        return lower_file(lift_file(tmp_path_factory.mktemp("demo_arm"), "demo_arm"))
-
-
-def test_it_opens_as_wide_as_is_said_and_closes_fully(scene: Scene) -> None:
-    measured = jaws(scene.robot("arm"))
+def test_it_opens_as_wide_as_is_said_and_closes_fully(demo_lift: Scene) -> None:
+    measured = jaws(demo_lift.robot("arm"))
     assert measured is not None
     assert measured.opening == pytest.approx(KNOWN.opening, abs=1e-4)
     assert measured.width.min() < 1e-4
 
 
-def test_it_reaches_as_far_as_is_said_and_hardly_further(scene: Scene) -> None:
+def test_it_reaches_as_far_as_is_said_and_hardly_further(demo_lift: Scene) -> None:
     pytest.importorskip("mink", reason="the extra `expert` is not installed")
-    robot = scene.robot("arm")
+    robot = demo_lift.robot("arm")
     arm, fingers = Arm(robot), jaws(robot)
     assert fingers is not None
     height = 0.01 + float(fingers.tip[0])  # of the hand, whose pads are a centimetre above the ground
@@ -60,10 +47,10 @@ def test_it_reaches_as_far_as_is_said_and_hardly_further(scene: Scene) -> None:
     assert reached[-1] == pytest.approx(KNOWN.reach, abs=0.021)
 
 
-def test_only_hand_and_wrist_can_touch_the_foot_and_neighbours_never_do(scene: Scene) -> None:
-    native = mujoco_model(scene.robot("arm"))
+def test_only_hand_and_wrist_can_touch_the_foot_and_neighbours_never_do(demo_lift: Scene) -> None:
+    native = mujoco_model(demo_lift.robot("arm"))
     assert native is not None
-    read = read_robot(scene.robot("arm"), native, "arm.")
+    read = read_robot(demo_lift.robot("arm"), native, "arm.")
     model = read.model
     link = {model.body(f"arm.link{k}").id: k for k in range(8)}
     number = [next((link[b] for b in _upwards(model, int(body)) if b in link), 0) for body in model.geom_bodyid]
@@ -85,14 +72,14 @@ def _upwards(model: mujoco.MjModel, body: int) -> Iterator[int]:
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_it_holds_its_posture_and_lifts_a_cube(scene: Scene, engine: str) -> None:
+def test_it_holds_its_posture_and_lifts_a_cube(demo_lift: Scene, engine: str) -> None:
     pytest.importorskip(engine, reason=f"{engine} is not installed")
-    with open_world(scene, engine) as world:
+    with open_world(demo_lift, engine) as world:
         arm = world.robot("arm")
         world.step(round(0.5 / world.timestep))
         hung = [abs(arm.positions()[name] - home) for name, home in KNOWN.home.items()]
         assert max(hung) < 0.005  # rad: under its own weight
-        hand = scene.robot("arm").X_WB @ Pose.of([0.3819, 0.0, 0.4852], DOWN)
+        hand = demo_lift.robot("arm").X_WB @ Pose.of([0.3819, 0.0, 0.4852], DOWN)
         assert arm.frame("hand").p == pytest.approx(hand.p, abs=0.004)
         assert arm.frame("hand").angle_to(hand) < 0.02
         p, _ = grasp_and_lift(world, grasp=0.12, rise=0.12)
@@ -100,7 +87,7 @@ def test_it_holds_its_posture_and_lifts_a_cube(scene: Scene, engine: str) -> Non
         assert arm.gripper() == pytest.approx(1 - 0.04 / KNOWN.opening, abs=0.03)  # held open by the cube
 
 
-def test_it_is_in_the_package_and_names_no_other_file(scene: Scene) -> None:
-    native = mujoco_model(scene.robot("arm"))
+def test_it_is_in_the_package_and_names_no_other_file(demo_lift: Scene) -> None:
+    native = mujoco_model(demo_lift.robot("arm"))
     assert native is not None and native.file.parent == Path(simfoundry.__file__).parent / "robots"
     assert "file=" not in native.file.read_text(encoding="utf-8")

@@ -35,7 +35,7 @@ def built(scene: Scene, folder: Path) -> tuple[Any, Any]:
     return model, data
 
 
-@pytest.mark.parametrize(("name", "robot"), [("lift", "arm"), ("yam", "right")])
+@pytest.mark.parametrize(("name", "robot"), [("lift", "arm"), ("yam", "right"), ("demo_lift", "arm")])
 def test_a_robot_is_as_its_own_file_has_it(
     request: pytest.FixtureRequest, tmp_path: Path, name: str, robot: str
 ) -> None:

@@ -41,7 +41,7 @@ def written(scene: Scene, target: str, folder: Path) -> Path:
     return Path(shutil.move(folder / "built", folder / "moved"))
 
 
-@pytest.mark.parametrize("name", ["lift", "yam", "panda_lift"])
+@pytest.mark.parametrize("name", ["lift", "yam", "panda_lift", "demo_lift"])
 def test_a_converted_robot_moves_like_its_model(request: pytest.FixtureRequest, name: str) -> None:
     scene: Scene = request.getfixturevalue(name)
     for robot in scene.robots:
@@ -64,7 +64,7 @@ def test_a_converted_robot_moves_like_its_model(request: pytest.FixtureRequest, 
             assert total == pytest.approx(float(read.model.body_mass.sum()), rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["lift", "yam"])
+@pytest.mark.parametrize("name", ["lift", "yam", "demo_lift"])
 def test_a_stage_holds_a_converted_robot(request: pytest.FixtureRequest, tmp_path: Path, name: str) -> None:
     scene: Scene = request.getfixturevalue(name)
     stage = Usd.Stage.Open(str(written(scene, "usd", tmp_path) / "scene.usda"))
@@ -119,7 +119,9 @@ def test_a_stage_refers_to_a_robot_s_own_usd(robot_data: Path, tmp_path: Path) -
         assert "it has no model in" in reasons["hand"], target
 
 
-@pytest.mark.parametrize(("name", "robot"), [("panda_lift", "arm"), ("yam", "right"), ("lift", "arm")])
+@pytest.mark.parametrize(
+    ("name", "robot"), [("panda_lift", "arm"), ("yam", "right"), ("lift", "arm"), ("demo_lift", "arm")]
+)
 def test_a_folder_of_urdfs_holds_the_robot(
     request: pytest.FixtureRequest, tmp_path: Path, name: str, robot: str
 ) -> None:
