@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -24,6 +25,9 @@ from typing import IO, Any
 from simfoundry.errors import SimfoundryError
 
 _START = "from simfoundry.contain import serve; serve()"
+WAIT_S = 2.0
+"""How often somebody who waits is told that the call goes on [s]: soon enough to be believed."""
+
 _LENGTH = 8
 """Bytes before each message that say how long it is."""
 
@@ -55,16 +59,25 @@ class Worker:
         self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._log: IO[bytes] | None = None
 
-    def call(self, function: str, *arguments: Any, hear: Callable[[str], object] = lambda said: None) -> Any:
+    def call(
+        self,
+        function: str,
+        *arguments: Any,
+        hear: Callable[[str], object] = lambda said: None,
+        wait: Callable[[float], object] = lambda seconds: None,
+    ) -> Any:
         """What ``module:function`` gives for ``arguments``; ``hear`` gets what it says with :func:`say`.
+
+        ``wait`` is called every :data:`WAIT_S` seconds with how long the call takes already.
 
         Raises :class:`FailedError` where it raises anything, crashes, or exceeds the limits.
         """
         with self._busy:
             last = ""
+            started = time.monotonic()
             self._send(pickle.dumps((function, arguments)))
             while True:
-                kind, content = self._receive(last)
+                kind, content = self._receive(last, lambda: wait(time.monotonic() - started))
                 if kind == "done":
                     return content
                 if kind == "raised":
@@ -99,12 +112,18 @@ class Worker:
                 if attempt == 2:
                     raise FailedError("ended before it could be asked") from None
 
-    def _receive(self, last: str) -> tuple[str, Any]:
-        try:
-            message = self._answers.get(timeout=self.limits.seconds)
-        except queue.Empty:
-            self.close()
-            raise FailedError(f"gave no sign of life for {self.limits.seconds:g} s", last) from None
+    def _receive(self, last: str, wait: Callable[[], object]) -> tuple[str, Any]:
+        deadline = time.monotonic() + self.limits.seconds
+        while True:
+            left = deadline - time.monotonic()
+            try:
+                message = self._answers.get(timeout=max(0.0, min(WAIT_S, left)))
+                break
+            except queue.Empty:
+                if left <= WAIT_S:
+                    self.close()
+                    raise FailedError(f"gave no sign of life for {self.limits.seconds:g} s", last) from None
+                wait()
         if message is not None:
             kind, content = pickle.loads(message)
             return kind, content

@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+import simfoundry
+
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+PACKAGE = Path(simfoundry.__file__).resolve().parent
+"""The package under test: that of the checkout, or the one that a wheel installed."""
 
 # The default run is the same everywhere and each time; `make proofs` searches at random, and longer. Slow examples are
 # no failure: the machines that run this are shared.

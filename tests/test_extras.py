@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.extras import EXTRAS, MissingExtraError, how_to_install, install_line, need_extra
 from tests.cli.command import python, without
-from tests.conftest import REPOSITORY
+from tests.conftest import PACKAGE, REPOSITORY
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 NAME = re.compile(r"[A-Za-z0-9._-]+")
@@ -27,8 +27,7 @@ def test_the_extras_are_those_of_the_package() -> None:
 
 
 def test_every_message_takes_its_line_from_one_place() -> None:
-    package = REPOSITORY / "simfoundry"
-    own = {p.name for p in package.rglob("*.py") if re.search(r"install (?:-\S+ )*['\"]?simfoundry\[", p.read_text())}
+    own = {p.name for p in PACKAGE.rglob("*.py") if re.search(r"install (?:-\S+ )*['\"]?simfoundry\[", p.read_text())}
     assert own == {"extras.py"}
 
 

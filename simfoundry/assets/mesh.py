@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import math
 from dataclasses import dataclass
@@ -15,6 +16,12 @@ from simfoundry.assets.counts import check_counts
 from simfoundry.assets.faults import MAX_FACES, MeshError, implausible_size
 
 Array = NDArray[np.float64]
+
+MAX_ENCODED = 32
+"""Textures whose PNGs are kept: links of one model share them, and to compress one takes half a second."""
+
+_ENCODED: dict[bytes, bytes] = {}
+"""PNGs by the digest of their pixels."""
 
 MAX_PIXELS = 8192**2
 """More pixels of a texture take a GiB and a minute, and no simulator shows them."""
@@ -107,7 +114,7 @@ def _appearance(name: str, mesh: Any) -> tuple[Array | None, bytes | None, tuple
         factor = getattr(material, "baseColorFactor", None)
         if image is not None and uv is not None:
             tint = None if factor is None else _rgba(np.asarray(factor))
-            return np.array(uv, dtype=np.float64)[:, :2], _png(name, image), tint
+            return np.array(uv, dtype=np.float64)[:, :2], texture_png(name, image), tint
         color = getattr(material, "diffuse", None) if factor is None else factor
         return None, None, None if color is None else _rgba(np.asarray(color))
     if visual.kind in ("vertex", "face"):
@@ -122,15 +129,22 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
     return values[0], values[1], values[2], values[3]
 
 
-def _png(name: str, image: Any) -> bytes:
+def texture_png(name: str, image: Any) -> bytes:
+    """An image as a PNG; raises :class:`MeshError` where it is too large to be shown."""
     width, height = image.size
     if width * height > MAX_PIXELS:
         most = math.isqrt(MAX_PIXELS)
         message = f"{name} has a texture of {width} x {height} pixels; at most {most} x {most} are read"
         raise MeshError("SF301", message, "make the texture smaller")
-    stream = io.BytesIO()
-    image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB").save(stream, format="PNG")
-    return stream.getvalue()
+    image = image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB")
+    key = hashlib.sha256(f"{image.mode} {width} ".encode() + image.tobytes()).digest()
+    if key not in _ENCODED:
+        stream = io.BytesIO()
+        image.save(stream, format="PNG")
+        while len(_ENCODED) >= MAX_ENCODED:
+            _ENCODED.pop(next(iter(_ENCODED)), None)
+        _ENCODED[key] = stream.getvalue()
+    return _ENCODED[key]
 
 
 def _check_numbers(name: str, vertices: Array) -> None:

@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterable
 from weakref import WeakSet
 
+from simfoundry.errors import SimfoundryError
 from simfoundry.scene.model import Scene, SceneObject
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
-class InvalidSceneError(ValueError):
+class InvalidSceneError(SimfoundryError, ValueError):
     """A scene that no backend can write: a name that is not one, or two things with one name."""
 
 

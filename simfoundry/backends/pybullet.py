@@ -20,6 +20,7 @@ from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
 from simfoundry.backends.resistance import Resistance, resistance
 from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, Write, robot_urdf
+from simfoundry.backends.rotors import with_rotors
 from simfoundry.backends.stiffness import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
@@ -64,10 +65,20 @@ _SUN = {
     LightType.POINT: "PyBullet shines parallel rays from where it is to the origin, and they do not spread",
 }
 
+_GRIPS = {
+    False: "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's",
+    True: "grips the scene's surfaces as in MuJoCo, which takes the larger friction; where they differ, in the middle",
+}
+_MOTORS = {
+    False: "a motor of Bullet holds its joint with all its force, whatever the gains in the robot's file",
+    True: "an arm follows with the lag of its gains, but does not sag; rotors are discs in the links that they turn",
+}
+"""What is lost of a robot's surfaces and motors, by whether it was converted from its MJCF."""
+
 FEATURES: dict[str, Cell] = {
     "robots": approximated(ROBOT),
-    "robot_motors": approximated("a motor holds its joint with all its force, whatever the gains in the robot's file"),
-    "robot_contacts": approximated("as its file has them, multiplied with the roots of the scene's"),
+    "robot_motors": approximated("converted ones lag as in MuJoCo and do not sag; a URDF's hold with all their force"),
+    "robot_contacts": approximated("a converted one grips as in MuJoCo where the scene's frictions are equal"),
     "mounted_cameras": dropped("cameras in its files stand still"),
     **exact("gravity", "relations", "cameras", "background_mesh"),
     "distant_lights": approximated("one light a picture: the first; its brightness differs"),
@@ -105,7 +116,11 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
     check_names(scene)
     dialect = Dialect(shown=whole, felt=_under_skin(), ball="spherical")
     files = urdf_files(scene, dialect)
-    robots, lost = bullet_robots(scene, lambda item: urdf_files(replace(scene, objects=(item,)), dialect))
+
+    def write(item: SceneObject) -> Mapping[str, bytes]:
+        return urdf_files(replace(scene, objects=(with_rotors(item),)), dialect)
+
+    robots, lost = bullet_robots(scene, write)
     for robot in robots.values():
         files.update(robot.files)
     resistances = _resistances(scene)
@@ -119,7 +134,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         "relations": [str(relation) for relation in scene.relations],
     }
     if robots:
-        world["robots"] = {name: _robot(robot) for name, robot in robots.items()}
+        world["robots"] = {name: _robot(robot, scene, timestep) for name, robot in robots.items()}
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)
         world["background"] = BACKGROUND
@@ -141,20 +156,18 @@ def bullet_robots(scene: Scene, write: Write) -> tuple[dict[str, RobotUrdf], lis
             continue
         robots[robot.name] = found
         losses.extend(found.losses)
-        reason = "its surfaces are as its file has them, and Bullet multiplies them with the roots of the scene's"
-        losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
-        reason = "a motor of Bullet holds its joint with all its force, whatever the gains in the robot's file"
-        losses.append(Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason))
+        losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, _GRIPS[found.item is not None]))
+        losses.append(Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, _MOTORS[found.item is not None]))
     for mounted in scene.mounted:
         reason = f"it rides on `{mounted.carrier}`, and cameras in the files of PyBullet stand still"
         losses.append(Loss(mounted.camera.name, Fidelity.DROPPED, reason))
     return robots, losses
 
 
-def _robot(robot: RobotUrdf) -> dict[str, object]:
+def _robot(robot: RobotUrdf, scene: Scene, timestep: float) -> dict[str, object]:
     """A robot in ``world.json``: where it stands, what its motors hold, and which joints follow others."""
     motors = {
-        name: {"target": rounded(position), "force": rounded(robot.efforts[name])}
+        name: {"target": rounded(position), "force": rounded(robot.efforts[name])} | _servo(robot, name, timestep)
         for name, position in robot.positions.items()
         if name in robot.efforts and name not in robot.follow
     }
@@ -163,7 +176,7 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
         for name, leader in robot.follow.items()
     }
     links = robot.item.links if robot.item is not None else ()
-    surfaces = {k.name: {"lateral_friction": rounded(math.sqrt(link_friction(k))), "restitution": 0.0} for k in links}
+    surfaces = {k.name: {"lateral_friction": rounded(robot_friction(k, scene)), "restitution": 0.0} for k in links}
     return {
         "urdf": robot.path,
         "p": _numbers(robot.X_WB.p),
@@ -181,9 +194,36 @@ def _robot(robot: RobotUrdf) -> dict[str, object]:
     }
 
 
+def _servo(robot: RobotUrdf, joint: str, timestep: float) -> dict[str, float]:
+    """The gains of a servo for Bullet, whose motors are constraints on the speed; none where they are not known.
+
+    A spring with a damper moves a light joint at ``stiffness * error / damping``. Bullet's motor moves it by ``gain *
+    error`` in a step of ``timestep`` [s], with whatever force that needs. The joints of a gripper keep their stiffness:
+    the loader's ``press`` bounds their force with it. An arm's do not sag, so that bound would only let them swing.
+    """
+    if joint not in robot.servos:
+        return {}
+    stiffness, damping = robot.servos[joint]
+    lag = {"gain": rounded(min(stiffness * timestep / damping, 1.0))} if damping > 0 else {}
+    firm = {"stiffness": rounded(stiffness)} if joint in robot.gripper else {}
+    return lag | firm
+
+
 def link_friction(link: Link) -> float:
     """The one coefficient that stands for all colliders of a link: their geometric mean."""
     return _geometric_mean([collider.friction for collider in link.colliders])
+
+
+def robot_friction(link: Link, scene: Scene) -> float:
+    """Return what Bullet is told of a link of a converted robot, so that it grips the scene's objects as in MuJoCo.
+
+    MuJoCo takes the larger friction of the two, Bullet multiplies this with the square root of the object's: exact
+    where all objects have one friction, in the middle where they have several.
+    """
+    own = link_friction(link)
+    met = {link_friction(k) for item in scene.objects for k in item.links if k.colliders} - {0.0}
+    wanted = [max(own, other) / math.sqrt(other) for other in met]
+    return math.sqrt(min(wanted) * max(wanted)) if own and wanted else math.sqrt(own)
 
 
 def link_restitution(link: Link) -> float:

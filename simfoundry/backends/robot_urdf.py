@@ -32,8 +32,9 @@ _STRONG = 100.0
 class RobotUrdf:
     """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
 
-    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` are by the URDF's joints; ``joints`` maps the scene's
-    names onto them, ``frames`` the scene's frames onto its links. ``item`` is what it was converted from, if it was.
+    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` are by the URDF's joints, as are the ``servos`` whose
+    gains are known: stiffness [N m/rad or N/m] and damping, the joint's own included. ``joints`` maps the scene's names
+    onto them, ``frames`` the scene's frames onto its links. ``item`` is what it was converted from, if it was.
     """
 
     path: str
@@ -44,6 +45,7 @@ class RobotUrdf:
     joints: Mapping[str, str]
     gripper: Mapping[str, tuple[float, float]]
     follow: Mapping[str, Follow]
+    servos: Mapping[str, tuple[float, float]]
     frames: Mapping[str, LinkFrame]
     item: SceneObject | None
     losses: tuple[Loss, ...]
@@ -82,6 +84,7 @@ def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
         joints=native.joints or {name: name for name in names},
         gripper=native.gripper.joints if native.gripper is not None else {},
         follow=follow,
+        servos={},
         frames=native.links,
         item=None,
         losses=(),
@@ -139,6 +142,11 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
             j.name: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
             for j in made.item.joints
             if j.mimic is not None
+        },
+        servos={
+            j.name: (j.drive.stiffness, j.drive.damping + j.damping)
+            for j in made.item.joints
+            if j.drive is not None and j.drive.stiffness > 0
         },
         frames=frames,
         item=made.item,

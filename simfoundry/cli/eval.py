@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.run import Outcome, Plan
 
 
-TROUBLES = 10
-"""So many troubles are printed in words; a screen holds no more beside the table."""
+SENTENCES = 10
+"""So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
 
 
 def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
@@ -43,7 +43,10 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 )
 @click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
-@click.option("--world", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@click.option(
+    "--world", "worlds", multiple=True, type=click.Choice(["mujoco", "pybullet"]), default=["mujoco"],
+    show_default=True, help="The engine; two are compared from the same starts.",
+)  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
 @click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
 @click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
@@ -62,7 +65,7 @@ def command(
     out: Path,
     rollouts: int,
     seed: int,
-    world: str,
+    worlds: tuple[str, ...],
     onward: str | None,
     alone: str | None,
     subtasks: bool,
@@ -78,7 +81,8 @@ def command(
     TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
     cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
     was stopped goes on where it was, and shards that write to one folder are united there. OUT/results.json has the
-    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos.
+    figures (`simfoundry correlate` reads it), OUT/report.html the grid of starts and the videos. With `--world mujoco
+    --world pybullet` both engines begin from the same starts, and where they disagree is said.
 
     A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
     not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
@@ -96,10 +100,10 @@ def command(
         contenders=tuple(contenders(policies)),
         rollouts=rollouts,
         seed=seed,
-        engines=(world,),
+        engines=tuple(dict.fromkeys(worlds)),
         shard=shard,
         cameras=cameras or None,
-        video=_can_film(world) if video is None else video,
+        video=_can_film(worlds) if video is None else video,
     )
     troubles: list[str] = []
     with progress_bar(as_json) as progress, _interruptible(out):
@@ -108,6 +112,7 @@ def command(
 
         def seen(outcome: Outcome, done: int, of: int) -> None:
             label = outcome.job.contender.label
+            label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
             tally = won.setdefault(label, [0, 0])
             if outcome.answered:
                 tally[0] += outcome.record["success"]
@@ -121,11 +126,11 @@ def command(
     return _report(plan, troubles, require, as_json)
 
 
-def _can_film(world: str | Sequence[str]) -> bool:
+def _can_film(worlds: Sequence[str]) -> bool:
     """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
     from simfoundry.worlds.gl import Engine, choose_engine
 
-    if "mujoco" not in world or choose_engine() is not Engine.RAYCAST:
+    if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
     click.echo("no videos: MuJoCo finds no GL driver here, and `simfoundry doctor` says how to get one", err=True)
     return False
@@ -180,14 +185,15 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
         print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
     else:
         _print(records)
-        for trouble in troubles[:TROUBLES]:
+        for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
-        if len(troubles) > TROUBLES:
-            click.echo(f"and {len(troubles) - TROUBLES} more; all are in {plan.folder / 'results.json'}", err=True)
+        if len(troubles) > SENTENCES:
+            click.echo(f"and {len(troubles) - SENTENCES} more; all are in {plan.folder / 'results.json'}", err=True)
         if missing:
             click.echo(f"{missing} rollouts are missing; the same command goes on with them", err=True)
         for cell in low:
-            click.echo(f"{cell.title} with {cell.policy}: {cell.success.share:.0%} is below {require:.0%}", err=True)
+            where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
+            click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
         click.echo(f"{plan.folder / 'report.html'}")
     return FINDINGS if missing or low else DONE
 
@@ -196,7 +202,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import cells, titles
+    from simfoundry.evaluate.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -205,7 +211,9 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
         table.add_column(title, no_wrap=True)
     for name, here in titles(found).items():
         table.add_row(name, *(here[p].summary if p in here else "" for p in policies))
-        for step in dict.fromkeys(s for cell in here.values() for s in cell.subtasks):
+        for step in (
+            () if len(titles(found)) > MANY else dict.fromkeys(s for cell in here.values() for s in cell.subtasks)
+        ):
             each = (here[p].subtasks.get(step) if p in here else None for p in policies)
             table.add_row(
                 f"  {step}", *(f"{rate.done}/{rate.of}" if rate is not None else "" for rate in each), style="dim"
@@ -219,16 +227,28 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.strata import comparisons, pools
+    from simfoundry.evaluate.engines import compare_engines
+    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:
+        policies = list(dict.fromkeys(pool.policy for pool in found))
         table = Table(box=None, pad_edge=False)
-        for title in ("together", "policy", "tasks", "all rollouts alike", "all tasks alike"):
-            table.add_column(title, no_wrap=True)
-        for pool in found:
-            table.add_row(pool.title, pool.policy, str(len(pool.counts)), str(pool.rate), pool.stratified_text)
+        for title in ("together", *policies):
+            table.add_column(title, overflow="fold")
+        for name, here in pool_rows(found).items():
+            tasks = max(len(pool.counts) for pool in here.values())
+            table.add_row(f"{name} ({tasks})", *(str(here[p].rate) if p in here else "" for p in policies))
+            if not all(pool.is_balanced for pool in here.values()):
+                alike = (here[p].stratified_text if p in here else "" for p in policies)
+                table.add_row("  each task weighs the same", *alike, style="dim")
         console.print()
         console.print(table)
-    for one in comparisons(records):
+    pairs = comparisons(records)
+    for one in pairs[:SENTENCES]:
         console.print(one.sentence, markup=False, soft_wrap=True)
+    if len(pairs) > SENTENCES:
+        console.print(f"{len(pairs) - SENTENCES} more pairs of policies are in the report")
+    for other in compare_engines(records):
+        if other.disagrees:
+            console.print(other.sentence, markup=False, soft_wrap=True)

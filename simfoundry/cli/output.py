@@ -7,6 +7,7 @@ import json
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -124,11 +125,31 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
     return cameras[chosen]
 
 
+LINE_S = 10.0
+"""How long [s] a command may be silent in a log: a person who looks at one gets uneasy after about so long."""
+
+
+def _line_now_and_then() -> Callable[[str, float], None]:
+    """Print what is being done where nothing was said for :data:`LINE_S`."""
+    last = time.monotonic()
+
+    def say(stage: str, _share: float) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LINE_S:
+            last = time.monotonic()
+            click.echo(f"{stage} …", err=True)
+
+    return say
+
+
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error for steps that take longer than a moment; nothing where it is not a terminal."""
-    if quiet or not sys.stderr.isatty():  # without rich, which takes long to import
+    """A bar on standard error for steps that take long; where it is no terminal, now and then a line."""
+    if quiet:
         yield lambda stage, share: None
+        return
+    if not sys.stderr.isatty():  # without rich, which takes long to import
+        yield _line_now_and_then()
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn

@@ -199,17 +199,24 @@ class _Actor:
 
 
 def _connect(ray: Any, size: int | None) -> None:
-    """The cluster of ``RAY_ADDRESS``, or one of this machine whose processes import what this one does."""
+    """The cluster of ``RAY_ADDRESS``, or one of this machine whose processes import what this one does.
+
+    Ray lets processes import from the folder that the driver is in before all else: inside a checkout that would be the
+    checkout, whatever is installed. So it is called from an empty folder.
+    """
     import logging
     import sys
+    from contextlib import chdir
+    from tempfile import TemporaryDirectory
 
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False}
     paths = os.pathsep.join(str(Path(p).absolute()) for p in sys.path if p)
     environment = {"env_vars": {"PYTHONPATH": paths}}
-    if os.environ.get("RAY_ADDRESS"):
-        ray.init(log_to_driver=False, logging_level=logging.ERROR)
-    else:
-        ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
+    with TemporaryDirectory(prefix="simfoundry-ray-") as empty, chdir(empty):
+        if os.environ.get("RAY_ADDRESS"):
+            ray.init(log_to_driver=False, logging_level=logging.ERROR)
+        else:
+            ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
 
 
 def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> Pool:

@@ -13,6 +13,7 @@ from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.footing import is_ball
 from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.rest import is_confined, is_still
 
 LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
 """Physics runs at least so long [s], then on in steps of so much until nothing moved over one, and at most so long.
@@ -28,6 +29,10 @@ SLEEP = 5e-4
 
 STILL_M, STILL_DEG = 1e-4, 0.1
 """What moves or turns no farther in a step is at rest. A ball may turn."""
+
+CALM_S = 2.0
+"""Where then only balls roll on, their motion is taken out [s]: what is left of the time shows whether a hollow holds
+them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +59,28 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
     _let_sleep(world)
     world.reset(_without(world, state, gone))
     elapsed, last, restless = 0.0, state, tuple[str, ...]()
+    calmed: SceneState | None = None
     while elapsed < MOST_S:
         world.step(round(STEP_S / world.timestep))
         elapsed += STEP_S
         now = world.state()
-        restless = tuple(o.name for o in items if not _stayed(last.poses[o.name], now.poses[o.name], is_ball(o)))
+        restless = tuple(
+            o.name
+            for o in items
+            if not is_still(o, last.poses[o.name], now.poses[o.name], STILL_M, math.radians(STILL_DEG))
+        )
         last = now
+        if restless and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in restless):
+            world.halt()  # what then stays where it is lies in a hollow
+            calmed = now
         if _asleep(world) or (elapsed >= LEAST_S and not restless):
             restless = ()
             break
         if world.trouble():
             restless = restless or tuple(o.name for o in items)
             break
+    if calmed is not None:
+        restless = tuple(n for n in restless if not is_confined(world.scene.object(n), calmed.poses[n], now.poses[n]))
     deepest, between = 0.0, ("", "")
     for contact in world.contacts():
         if contact.depth > deepest and not gone & {contact.a, contact.b}:
@@ -99,11 +114,6 @@ def _let_sleep(world: MujocoWorld) -> None:
 def _asleep(world: MujocoWorld) -> bool:
     """Whether nothing is left that could move by itself."""
     return int(getattr(world.data, "ntree_awake", 1)) == 0
-
-
-def _stayed(before: Pose, after: Pose, ball: bool) -> bool:
-    still = float(np.linalg.norm(after.p - before.p)) <= STILL_M
-    return still and (ball or math.degrees(before.angle_to(after)) <= STILL_DEG)
 
 
 def tilt_deg(before: Pose, after: Pose) -> float:

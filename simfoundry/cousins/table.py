@@ -80,7 +80,7 @@ class Table:
                 twin.solids.put(item.name, self.poses[item.name])
                 self.solid.append(item.name)
                 self._enter(item.name, twin.shadows(item.name, self.poses[item.name]))
-        for item in twin.robot_items:
+        for item in twin.obstacles:
             self.solid.append(item.name)
             self._enter(item.name, twin.shadows(item.name, item.X_WO))
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.settling import ELSEWHERE
 from simfoundry.cousins.solids import Solids
@@ -19,10 +21,10 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
 from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import IDENTITY, Array, Pose, quat_from_rpy
+from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Joint, Scene, SceneObject
+from simfoundry.scene.model import Collider, Cylinder, Joint, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.expressions import Condition, parse_call, texts
@@ -42,6 +44,11 @@ if TYPE_CHECKING:
 
 UNDERFOOT = 0.3
 """What lies so much lower than a table top [m], and under it, is the floor: the lowest tables are about so high."""
+
+
+BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
+"""The column that keeps the base of a robot free whose model is not there [m]: the foot of a Panda reaches 0.155 m from
+its axis, those of smaller arms less; nothing that is placed hangs higher over a table."""
 
 
 class TwinError(SimfoundryError):
@@ -141,15 +148,22 @@ class Twin:
 
     @cached_property
     def robot_items(self) -> tuple[SceneObject, ...]:
-        """The robots at their start, as objects."""
+        """The robots whose models are there at their start, as objects."""
         bodies = Bodies(self.scene)
         return tuple(bodies[name].item for name in bodies.robots)
+
+    @cached_property
+    def obstacles(self) -> tuple[SceneObject, ...]:
+        """What is in the way beside objects: robots, and of those without a model a column where the base is."""
+        absent = [(left.path.partition(".")[2], left.X_WB) for left in self.scene.left_out if left.X_WB is not None]
+        there = {item.name for item in self.robot_items}
+        return (*self.robot_items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
 
     @cached_property
     def solids(self) -> Solids:
         """The convex parts of everything, robots included, as in :attr:`state`."""
         joints = {item.name: self.state.of_object(item) for item in self.scene.objects}
-        made = Solids((*self.scene.objects, *self.robot_items), joints)
+        made = Solids((*self.scene.objects, *self.obstacles), joints)
         for name, pose in self.state.poses.items():
             made.put(name, pose)
         return made
@@ -198,7 +212,7 @@ class Twin:
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
         """The shadow of each link of an object or a robot where it stands, in the world."""
         key = ("shadows", name)
-        robot = {item.name: item for item in self.robot_items}.get(name)
+        robot = {item.name: item for item in self.obstacles}.get(name)
         kept = robot is not None or X_WO is self.state.poses.get(name)
         if kept and key in self.kept:
             found: tuple[Outline, ...] = self.kept[key]
@@ -357,6 +371,15 @@ def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
     return isinstance(key, tuple) and key[0] == "surface" and key[1] not in new
 
 
+def _column(name: str, X_WB: Pose) -> SceneObject:
+    """What stands in for a robot without a model: nothing else may stand where its base is."""
+    none = frozen_array(np.zeros(3), (3,))
+    middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
+    collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
+    link = Link("base", 0.0, none, frozen_array(np.zeros((3, 3)), (3, 3)), (), (collider,))
+    return SceneObject(name, category="", fixed=True, X_WO=X_WB, links=(link,))
+
+
 def _away(item: SceneObject, k: int) -> Pose:
     """Where the k-th absent thing is, turned as it is written: engines begin there, and it must meet no other."""
     return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
@@ -382,8 +405,6 @@ def joined(shapes: Sequence[Hulls]) -> Hulls:
     """Several shapes as one, for its extents and its shadow; edges and faces are left out where there are several."""
     if len(shapes) == 1:
         return shapes[0]
-    import numpy as np
-
     none = shapes[0].triangles[:0]
     counts = np.cumsum([0, *(len(s.radius) for s in shapes[:-1])])
     return Hulls(

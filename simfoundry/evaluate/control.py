@@ -34,7 +34,7 @@ def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
     """What a policy answered as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
     size = action_size(robots)
     try:
-        array = np.array(actions, dtype=np.float64)
+        array = _numbers(actions)
     except (TypeError, ValueError) as error:
         raise InvalidAnswerError(
             f"actions must be an array of numbers, got {type(actions).__name__}: {error}"
@@ -51,7 +51,7 @@ def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
     """One action, shape (numbers of an action,), finite; raises :class:`SimfoundryError` for anything else."""
     size = action_size(robots)
     try:
-        array = np.array(action, dtype=np.float64)
+        array = _numbers(action)
     except (TypeError, ValueError) as error:
         raise SimfoundryError(f"an action must be numbers, not `{type(action).__name__}`: {error}") from None
     if array.shape != (size,):
@@ -60,6 +60,14 @@ def checked_action(action: object, robots: Mapping[str, WorldRobot]) -> Array:
         k = int(np.argmin(np.isfinite(array)))
         raise SimfoundryError(f"an action must be finite; number {k} of it is {array[k]}, and nothing was moved")
     return array
+
+
+def _numbers(value: object) -> Array:
+    """The value as real numbers; raises TypeError or ValueError for complex ones and texts, which NumPy converts."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiubO":
+        raise TypeError(f"an array of `{array.dtype}`")
+    return np.array(array, dtype=np.float64)
 
 
 def _words(robots: Mapping[str, WorldRobot]) -> str:

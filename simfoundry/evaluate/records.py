@@ -112,15 +112,20 @@ def read_record(path: Path) -> dict[str, Any]:
     return dict(record)
 
 
+def check_layout(folder: Path) -> None:
+    """Raise :class:`OutputError` where an earlier version wrote rollouts, which would neither be read nor replaced."""
+    for path in (folder / "rollouts").glob("*/*/*.json"):
+        raise OutputError(
+            f"{path} was written by an earlier version, which kept no folder for each engine; write to another folder"
+        )
+
+
 def read_all(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Every rollout of an evaluation with its file, in the order of the names: the missing ones too, by their ``end``.
 
     Raises :class:`OutputError` for a file that is none of ours, or that an earlier version laid out differently.
     """
-    for path in (folder / "rollouts").glob("*/*/*.json"):
-        raise OutputError(
-            f"{path} was written by an earlier version, which kept no folder for each engine; write to another folder"
-        )
+    check_layout(folder)
     for path in sorted((folder / "rollouts").glob("*/*/*/*.json")):
         if not path.name.endswith(_MISSING) or not path.with_name(path.name.replace(_MISSING, ".json")).exists():
             yield path, read_record(path)

@@ -12,12 +12,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from simfoundry import __version__
+from simfoundry.evaluate.engines import compare_engines
 from simfoundry.evaluate.metrics import Rate
 from simfoundry.evaluate.records import is_result
 from simfoundry.evaluate.rollout import End
 from simfoundry.evaluate.strata import comparisons, pools
 
 VERSION = "results/2"
+
+MANY = 12
+"""Of more tasks than this, as of a folder of cousins, tables show no steps: four rows each would fill no screen."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,7 @@ def results(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "version": __version__,
         "scores": [cell.to_json() for cell in cells(records)],
         "pooled": [pool.to_json() for pool in pools(records)],
+        "engines": [one.to_json() for one in compare_engines(records)],
         "comparisons": [one.to_json() for one in comparisons(records)],
         "rollouts": [r for r in kept if is_result(r)],
         "unanswered": [r for r in kept if not is_result(r)],

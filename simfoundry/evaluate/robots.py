@@ -31,9 +31,8 @@ def check_can_act(robot: Robot) -> None:
     for joint in native.joints.values() or _moving(read):
         if joint not in driven:
             raise RobotModelError(
-                f"robot `{robot.name}` cannot be moved to positions: no position actuator of {native.file.name} drives its "
-                f"joint `{joint}`; give it one, or list the arm's own joints under `joints` of a robot file; "
-                f"{_FORM}"
+                f"robot `{robot.name}` cannot be moved to positions: no position actuator of {native.file.name} drives "
+                f"its joint `{joint}`; give it one, or list the arm's own under `joints` of a robot file; {_FORM}"
             )
 
 

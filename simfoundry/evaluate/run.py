@@ -17,7 +17,7 @@ from simfoundry.evaluate.entries import Contender, Entry, Part
 from simfoundry.evaluate.observe import check_cameras
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
 from simfoundry.evaluate.policies.choose import Expert, open_policy
-from simfoundry.evaluate.records import Slot, is_result
+from simfoundry.evaluate.records import Slot, check_layout, is_result
 from simfoundry.evaluate.rollout import End, Rollout, Video, rollout
 from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.strata import cousin_of
@@ -107,6 +107,7 @@ def jobs(plan: Plan) -> list[Job]:
 
 def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Load every task and find its starts, so that what is wrong is said before the first rollout."""
+    check_layout(plan.folder)
     if any(isinstance(contender.choice(), Expert) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
     cache, keys = Cache.default(), set()
@@ -157,7 +158,7 @@ def _carried_out(
     from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_close_at_exit) as pool:
         queue, running = list(reversed(waiting)), dict[Future[Outcome], Job]()
         while queue or running:
             while queue and len(running) < workers:
@@ -180,6 +181,8 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
         return Outcome(job, slot.write_missing(str(error), about))
     video = _video(plan, setting.task)
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
+    if not result.success:
+        about["unmet"] = setting.judge(setting.task.goal, result.final).why
     if video is not None and result.frames:
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
         _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
@@ -301,6 +304,17 @@ def _policy(job: Job, setting: _Setting) -> Policy:
         else:
             _open[key] = open_policy(choice)
     return _open[key]
+
+
+def _close_at_exit() -> None:
+    """Let a process of a pool close policies and worlds while the GL driver is there.
+
+    MuJoCo ends the driver by `atexit`, before anything that was registered earlier; what `multiprocessing` finalizes
+    comes first.
+    """
+    from multiprocessing.util import Finalize
+
+    Finalize(None, _close, exitpriority=1)
 
 
 def _close() -> None:

@@ -11,6 +11,7 @@ from simfoundry.evaluate.metrics import Rate, holm, mcnemar, sign_flip, stratifi
 from simfoundry.evaluate.records import is_result
 from simfoundry.evaluate.task import Task
 from simfoundry.spec.load import load
+from simfoundry.spec.text import read
 
 Record = Mapping[str, Any]
 
@@ -24,7 +25,7 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
     if origin is None or origin.cousin is None:
         return None
     scene = task.setup.scene
-    own = scene.document.data.get("objects", {}) if scene.document is not None and scene.bases else {}
+    own = (read(scene.path).data.get("objects") or {}) if scene.bases else {}  # what it says itself, composed with none
     known = getattr(load(scene.bases[0]).spec, "objects", {}) if own else {}
     axes = set()
     for name, fields in own.items():
@@ -44,8 +45,8 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
 class Pool:
     """The results of a policy over several tasks in one engine.
 
-    ``counts`` are successes and rollouts of each task. ``rate`` counts every rollout the same; stratified, every task
-    weighs the same.
+    ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step of that name. ``rate`` counts
+    every rollout the same; stratified, every task weighs the same.
     """
 
     policy: str
@@ -53,6 +54,7 @@ class Pool:
     part: str
     stratum: str
     counts: tuple[tuple[int, int], ...]
+    subtasks: Mapping[str, Rate]
     invalid: int
 
     @property
@@ -65,6 +67,11 @@ class Pool:
         """The stratum in words."""
         parts = {"whole": "", "alone": ", single steps", "onward": ", from a step on"}
         return f"{self.stratum}{parts[self.part]}"
+
+    @property
+    def is_balanced(self) -> bool:
+        """Whether all tasks have as many rollouts, so that the stratified rate is the pooled one."""
+        return len({of for _, of in self.counts}) == 1
 
     @property
     def stratified_text(self) -> str:
@@ -84,6 +91,7 @@ class Pool:
             "successes": self.rate.done,
             "rollouts": self.rate.of,
             "invalid": self.invalid,
+            "subtasks": {name: {"done": rate.done, "of": rate.of} for name, rate in self.subtasks.items()},
             "rate": round(self.rate.share, 6),
             "interval": [round(v, 6) for v in self.rate.interval],
             "stratified_rate": round(rate, 6),
@@ -113,15 +121,30 @@ def pools(records: Iterable[Record]) -> list[Pool]:
         tasks = groups[part, name, engine, policy]
         counts = tuple((sum(r["success"] for r in each), len(each)) for each in tasks.values())
         invalid = sum(r["end"] == "invalid answer" for each in tasks.values() for r in each)
-        found.append(Pool(policy, engine, part, name, counts, invalid))
+        every = [r for each in tasks.values() for r in each]
+        named = dict.fromkeys(step for r in every for step in r["subtasks"])
+        steps = {step: _rate_of_step([r["subtasks"][step] for r in every if step in r["subtasks"]]) for step in named}
+        found.append(Pool(policy, engine, part, name, counts, steps, invalid))
     several = {(p.part, p.stratum) for p in found if len(p.counts) > 1 or p.stratum != "all"}
     return [pool for pool in found if (pool.part, pool.stratum) in several]
+
+
+def _rate_of_step(done: Sequence[int | None]) -> Rate:
+    return Rate(sum(step is not None for step in done), len(done))
+
+
+def pool_rows(found: Sequence[Pool]) -> dict[str, dict[str, Pool]]:
+    """The pools by title and policy; the title names the engine where there are several."""
+    several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, Pool]]()
+    for pool in found:
+        rows.setdefault(f"{pool.title} in {pool.engine}" if several else pool.title, {})[pool.policy] = pool
+    return rows
 
 
 def stratum_of(record: Record) -> str:
     """The stratum of a rollout: the recipe and the axes of the cousin that it took place in."""
     cousin = record.get("cousin")
-    return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousin"
+    return f"{cousin['recipe']}: {' + '.join(cousin['axes']) or 'as the twin'}" if cousin else "no cousins"
 
 
 @dataclass(frozen=True)

@@ -273,9 +273,8 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     data: dict[str, Any] = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": objects}
     if draft.gravity is not None:
         data["gravity"] = draft.gravity
-    robots = Names("robot")
     data["robots"] = {
-        robots.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB), **r.changed} for r in draft.robots
+        names.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB), **r.changed} for r in draft.robots
     }
     data["cameras"] = _cameras(draft, bodies, assets)
     data["no_contact"] = _no_contact(draft, bodies, assets)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.faults import MeshError
-from simfoundry.assets.mesh import MeshPart
+from simfoundry.assets.mesh import MeshPart, texture_png
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array
@@ -219,12 +219,11 @@ class _Collada:
         file = self.path.parent / Path(source.text.strip()).name if source is not None else None
         if file is None or not file.is_file():
             return None
-        import io
-
-        stream = io.BytesIO()
-        with Image.open(file) as picture:
-            picture.convert("RGB").save(stream, format="PNG")
-        return stream.getvalue()
+        try:
+            with Image.open(file) as picture:
+                return texture_png(file.name, picture.convert("RGB"))
+        except OSError:  # no picture that can be read
+            return None
 
 
 def _transform(element: Element) -> Array:

@@ -20,7 +20,7 @@ is: MuJoCo takes such inertias, and models use them to keep a thing from turning
 FEATHER_SHARE = 1e-7
 """Mass of a link that only joins two joints, as a share of what it carries: less than single precision sees."""
 
-LIGHTEST_FEATHER = 1e-9
+LIGHTEST_FEATHER = 1e-12
 """The least mass [kg] of such a link: MuJoCo refuses bodies below 1e-15 kg or kg m^2, others divide by it."""
 
 LEAST_INERTIA = 1e-14
@@ -230,8 +230,9 @@ def _mend_inertia(draft: Draft, body: BodyDraft, link: LinkDraft) -> None:
         if not any(part.use != "visual" for part in link.parts):
             _as_ball(draft, link, "none is given")
         return
-    link.inertia = (link.inertia + link.inertia.T) / 2
-    moments = np.linalg.eigvalsh(link.inertia)
+    link.inertia = link.inertia / 2 + link.inertia.T / 2
+    is_finite = bool(np.isfinite(link.inertia).all())  # numbers of 1e308 overflow where they are turned
+    moments = np.linalg.eigvalsh(link.inertia) if is_finite else np.full(3, np.nan)
     missing = float(moments[2] - moments[0] - moments[1])
     shown = ", ".join(f"{m:.3g}" for m in moments)
     if moments[0] > 0 and missing <= moments[2] * 1e-9:

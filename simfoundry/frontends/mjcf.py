@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,23 @@ FAR = 1000.0
 
 MAX_INCLUDES = 100
 
+_NUMBERS = (
+    "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
+    "geom_size", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos", "mesh_quat",
+    "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring", "key_qpos",
+    "key_ctrl",
+    "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange",
+    "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
+    "light_diffuse", "light_cutoff",
+)  # fmt: skip
+"""What of a model is read, and has to be finite: MuJoCo takes NaN for most of it."""
+
+_KINDS = {"jnt": "joint", "mat": "material", "cam": "camera"}
+"""Kinds of elements by the prefixes of fields of a model, where these are not the same."""
+
+NO_LENGTH = 1e-9
+"""Vectors shorter than this have no direction; MuJoCo normalizes all others."""
+
 
 def read_mjcf(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
     """The scene of an MJCF file; raises :class:`ImportRefusedError` with MuJoCo's own reason where it is none."""
@@ -44,6 +62,7 @@ def read_mjcf(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
     except ValueError as error:
         reason = " ".join(str(error).removeprefix("Error: ").split())
         raise ImportRefusedError(path, f"MuJoCo refuses it: {reason[:300]}") from None
+    _check_numbers(path, mujoco, model, roots)
     return _Mjcf(path, mujoco, model, roots).read()
 
 
@@ -73,6 +92,30 @@ def _checked(path: Path, packages: Mapping[str, Path]) -> list[Element]:
             elif element.tag == "plugin":
                 raise element.refused("it asks for a plugin, which is code", "remove it")
     return roots
+
+
+def _check_numbers(path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
+    """Refuse a model with numbers that are not finite, and rotations and axes without a length."""
+    for field in _NUMBERS:
+        rows = np.asarray(getattr(model, field), dtype=np.float64)
+        rows = rows.reshape(len(rows), math.prod(rows.shape[1:]))
+        bad = ~np.isfinite(rows).all(axis=1)
+        problem = "is not finite"
+        if field.endswith("_quat"):
+            bad, problem = bad | (np.linalg.norm(rows, axis=1) < NO_LENGTH), "is no rotation"
+        elif field == "jnt_axis":
+            turns = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)))
+            bad, problem = bad | (turns & (np.linalg.norm(rows, axis=1) < NO_LENGTH)), "is no direction"
+        if bad.any():
+            number = int(np.argmax(bad))
+            prefix, _, word = field.partition("_")
+            kind = getattr(mujoco.mjtObj, f"mjOBJ_{_KINDS.get(prefix, prefix).upper()}", None)
+            name = None if kind is None else mujoco.mj_id2name(model, kind, number)
+            line = next((e.line for root in roots for e in root.walk() if name and e.get("name") == name), 0)
+            what = f"`{name}`" if name else f"number {number + 1}"
+            shown = " ".join(f"{v:g}" for v in rows[number, :4])
+            message = f"the {word or 'value'} of {_KINDS.get(prefix, prefix)} {what} {problem}: {shown}"
+            raise ImportRefusedError(path, message, line, "check its numbers")
 
 
 def _check_file(search: Search, path: Path, element: Element, folders: list[Path]) -> None:

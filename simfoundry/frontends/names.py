@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import unicodedata
 
+from simfoundry.spec.base import WORLD
+
 LONGEST = 64
 
 
@@ -19,11 +21,14 @@ def plain_name(text: str, otherwise: str = "thing") -> str:
 
 
 class Names:
-    """Gives each thing of one kind a name of its own; ``renamed`` says which names had to change."""
+    """Gives each thing of one kind a name of its own; ``renamed`` says which names had to change.
+
+    None is called ``world``, which formats keep for what does not move.
+    """
 
     def __init__(self, otherwise: str = "thing") -> None:
         self.otherwise = otherwise
-        self.taken: set[str] = set()
+        self.taken: set[str] = {WORLD}
         self.renamed: dict[str, str] = {}
 
     def name(self, text: str) -> str:

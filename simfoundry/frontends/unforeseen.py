@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from pydantic import ValidationError
+
 import simfoundry
 from simfoundry.assets.faults import MeshError
 from simfoundry.errors import SimfoundryError
@@ -29,11 +32,17 @@ def refusing_faults(file: Path) -> Iterator[None]:
     Errors that say what is wrong by themselves pass, and so do those of the operating system.
     """
     try:
-        yield
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers that overflow are refused where they are used
+            yield
     except (SimfoundryError, SpecError, ModuleNotFoundError):
         raise
     except MeshError as error:
         raise ImportRefusedError(file, str(error), _line(file, error), error.hint) from error
+    except ValidationError as error:  # what the file says is written into documents as it is, and they refuse it
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot say that: {first['msg']}"
+        raise ImportRefusedError(file, message, _line(file, error), "check its numbers and names") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise

@@ -19,6 +19,7 @@ from simfoundry.frontends.usd_geoms import Geoms, is_collider
 from simfoundry.frontends.usd_joints import UsdJoint, read_joint
 from simfoundry.frontends.usd_masses import Body, weigh
 from simfoundry.frontends.usd_rest import add_cameras, add_lights
+from simfoundry.frontends.usd_spec.stage import error_text
 from simfoundry.scene.frames import Array, Pose
 
 WORLD = ""
@@ -48,7 +49,7 @@ def read_usd(path: Path, density: float | None = None) -> Draft:
     try:
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reasons = [line.partition(" : '")[2] for line in str(error).splitlines() if " : '" in line]
+        reasons = [line.partition(" : '")[2] for line in error_text(error).splitlines() if " : '" in line]
         reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
         raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
     _check_layers(path, stage)
@@ -150,7 +151,10 @@ class _Usd:
 
     def matrix(self, prim: Any) -> Array:
         """From the units and frame of a prim into metres in the world, z up, shape (4, 4)."""
-        return np.asarray(self.W @ np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T)
+        X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
+        if not np.isfinite(X_SP).all():
+            raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")
+        return np.asarray(self.W @ X_SP)
 
     def frame(self, prim: Any) -> tuple[Pose, Array]:
         """The frame of a prim without its scale, and the scale [m per unit]; mirrored frames lose the mirror."""

@@ -43,11 +43,16 @@ def _lints(loaded: Loaded) -> Iterator[Diagnostic]:
 
 def _of_shapes(loaded: Loaded) -> Iterator[Diagnostic]:
     """Of a scene or an asset: what lowering refuses, and of a scene without that what will not work."""
+    from simfoundry.assets.textures import document_faults
     from simfoundry.lint.meshes import mesh_faults
+    from simfoundry.lint.report import warning
     from simfoundry.spec.scene import SceneSpec
 
     faults = list(mesh_faults(loaded, loaded.spec))  # type: ignore[arg-type]
     yield from faults
+    for path, wrong in document_faults(loaded, loaded.spec):  # type: ignore[arg-type]
+        hint = "put the file there, or remove its name from the mesh; the surface is shown plain"
+        yield warning(loaded, "SF412", path, wrong, hint)
     if not isinstance(loaded.spec, SceneSpec) or any(d.severity is Severity.ERROR for d in faults):
         return
     from simfoundry.lint.contacts import overlaps, unsupported

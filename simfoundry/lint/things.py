@@ -11,9 +11,7 @@ from typing import NamedTuple
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
 from simfoundry.lint.frames import WORLD, Frame, Vec
 from simfoundry.lint.solids import Solid, posed
-
-FARTHEST = 1e6
-"""What lies farther from the origin than this [m], or is larger, is not judged: numbers lose their meaning there."""
+from simfoundry.spec.base import FARTHEST
 
 
 class Limb(NamedTuple):

@@ -19,7 +19,7 @@ from simfoundry.spec.expressions import Call, parse_call, parts
 FAR_OFF = 0.03
 """What is this far [m] over another thing does not rest on it, whatever the tolerance is."""
 
-RESTING = 0.003
+RESTING = 0.001
 """What is no farther than this [m] over another thing rests on it."""
 
 BESIDE = 0.01

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simfoundry.predicates.batch import Index, Poses, rotate
 from simfoundry.predicates.boxfield import BoxField, box_field
-from simfoundry.predicates.exact import Candidates, Exact
+from simfoundry.predicates.exact import LIFT, Candidates, Exact
 from simfoundry.predicates.shapes import Bodies, Form, Thing
 from simfoundry.predicates.thresholds import TOUCH
 from simfoundry.predicates.view import UP, View
@@ -22,12 +22,6 @@ FAR = 0.05
 
 FEW = 16
 """Of so many states the distance is always measured."""
-
-LIFT = 0.001
-"""How far a thing is raised to see which way it is pushed [m]: more than a distance is off, less than what is round."""
-
-RAISED = LIFT * np.array([[0.0, 0.0, 1.0]])
-ALONG = LIFT * np.eye(3)
 
 FLATTEST = math.cos(math.radians(80.0))
 """A wall that pushes up by less than this cosine does not help to hold a thing."""
@@ -73,15 +67,15 @@ class Distances:
     def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
         """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.
 
-        The second is the greatest cosine between up and the way in which a part of ``b`` no farther than ``limit`` [m]
-        pushes a part of ``a``, by how much raising that by :data:`LIFT` brings it away; -1 where none is so near. Where
-        several parts push together, as the walls of a funnel do, it is that of the steepest way in which they can.
-        Of more than :data:`FEW` states only the sides of ``limit`` and of ``steepest`` are exact.
+        The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
+        part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is
+        that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
+        ``steepest`` are exact.
         """
         many = view.n > FEW
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
         cosine = np.full(view.n, -1.0)
-        pushes: list[tuple[Index, _Pair]] = []
+        pushes: list[tuple[Index, Array, Array]] = []
         for i, one in view.forms(a):
             for j, other in view.forms(b):
                 if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
@@ -98,42 +92,32 @@ class Distances:
                 if len(open_):
                     some = pair.at(open_)
                     most = np.full(len(open_), np.nextafter(limit, np.inf))
-                    enough = steepest * LIFT if many else np.inf
-                    state, near, grown = self._exact.lifted(
-                        some.a, some.b, some.X_WA, some.X_WB, candidates(some, most), RAISED, limit, enough
+                    state, near, way = self._exact.pushes(
+                        some.a,
+                        some.b,
+                        some.X_WA,
+                        some.X_WB,
+                        candidates(some, most),
+                        limit,
+                        steepest if many else np.inf,
                     )
                     apart[open_], up[open_] = np.inf, -1.0
                     np.minimum.at(apart, open_[state], near)
-                    np.maximum.at(up, open_[state], grown[:, 0] / LIFT)
-                    pushes.append((close[open_], some))
+                    np.maximum.at(up, open_[state], way[:, 2])
+                    pushes.append((close[open_][state], near, way))
                 gap[close] = np.minimum(gap[close], apart)
                 cosine[close] = np.maximum(cosine[close], up)
         left = np.flatnonzero((cosine < steepest) & (gap <= limit))
-        if len(left):
-            cosine[left] = np.maximum(cosine[left], self._together(pushes, left, view.n))
+        if len(left) and pushes:
+            states, near, ways = (np.concatenate(column) for column in zip(*pushes, strict=True))
+            helps = (np.abs(near) <= TOUCH) & (
+                ways[:, 2] > FLATTEST
+            )  # of what overlaps deeply the direction is a guess
+            for k in left.tolist():
+                together = ways[helps & (states == k)]
+                if len(together) > 1:
+                    cosine[k] = max(cosine[k], steepest_together(together))
         return gap, cosine
-
-    def _together(self, pushes: list[tuple[Index, _Pair]], left: Index, n: int) -> Array:
-        """The greatest cosine between up and a way in which several parts can push together, of some states."""
-        from scipy.optimize import nnls
-
-        normals: dict[int, list[Array]] = {int(k): [] for k in left}
-        wanted = np.zeros(n, bool)
-        wanted[left] = True
-        for states, pair in pushes:
-            index = np.flatnonzero(wanted[states])
-            some = pair.at(index)
-            near = candidates(some, np.full(len(index), np.nextafter(TOUCH, np.inf)))
-            state, _, grown = self._exact.lifted(some.a, some.b, some.X_WA, some.X_WB, near, ALONG, TOUCH, least=-TOUCH)
-            for k, way in zip(states[index][state].tolist(), grown / LIFT, strict=True):
-                if way[2] > FLATTEST:
-                    normals[k].append(way / np.linalg.norm(way))
-        found = []
-        for k in left.tolist():
-            ways = np.array(normals[k])
-            # The nearest push to up is the projection of up on their cone: its length is the cosine.
-            found.append(float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2))) if len(ways) > 1 else -1.0)
-        return np.array(found)
 
     def _measured(self, pair: _Pair, most: Array) -> Array:
         """The distances [m] of two links, where they are below ``most`` [m]."""
@@ -148,6 +132,14 @@ class Distances:
             near = candidates(some, most)
             found[open_] = self._exact.distance(some.a, some.b, some.X_WA, some.X_WB, near, most, threshold)
         return found
+
+
+def steepest_together(ways: Array) -> float:
+    """The greatest cosine with up of a push that is a sum of pushes along unit vectors, (k, 3)."""
+    from scipy.optimize import nnls
+
+    # The push nearest to up is the projection of up on the cone of all of them: its length is the cosine.
+    return float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2)))
 
 
 class _Pair:

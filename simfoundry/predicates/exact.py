@@ -13,6 +13,16 @@ from simfoundry.predicates.shapes import Bodies
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 
+LIFT = 0.001
+"""How far a thing is raised to see which way it is pushed [m]: more than engines let things overlap, less than what
+is round."""
+
+VANISHING = 1e-5
+"""Parts that are nearer than this [m], or overlap by less, have no direction between them: distances are good to
+1e-6."""
+
+UP = np.array([0.0, 0.0, 1.0])
+
 
 class Candidates(NamedTuple):
     """Pairs of parts, (m,): the state, the index of a part in either link, and a least distance [m] of the two."""
@@ -76,56 +86,58 @@ class Exact:
             out[state] = min(best, measure(model, data, first + i, second + j, max(best, 1e-3), None))
         return np.array(out)
 
-    def lifted(
+    def pushes(
         self,
         a: tuple[str, int],
         b: tuple[str, int],
         X_WA: Poses,
         X_WB: Poses,
         near: Candidates,
-        offsets: Array,
         limit: float,
         enough: float = np.inf,
-        least: float = -np.inf,
-    ) -> tuple[Array, Array, Array]:
-        """How pairs of parts from ``least`` to ``limit`` [m] apart come apart where the first link is moved.
+    ) -> tuple[Index, Array, Array]:
+        """Which way the parts of one link push those of another that are no farther than ``limit`` [m].
 
-        ``offsets`` [m], (k, 3), are those of the first link in the world, one after another. Returns the state of each
-        such pair, (m,), its distance [m], (m,), and by how much it grows with each offset [m], (m, k). A pair that
-        grows by ``enough`` [m] with the first offset ends the search in its state.
+        Returns the state of each such pair, (m,), its distance [m], (m,), and the unit vector from the second to the
+        first, (m, 3). A push whose cosine with up is ``enough`` ends the search in its state.
+
+        The first link is raised by :data:`LIFT` meanwhile: where parts just touch, there is no vector between them.
         """
         geoms_a, geoms_b = self._geoms[a], self._geoms[b]
-        at_a, at_b = self._poses(geoms_a, X_WA), self._poses(geoms_b, X_WB)
+        at_a, at_b = self._poses(geoms_a, Poses(X_WA.p + LIFT * UP, X_WA.R)), self._poses(geoms_b, X_WB)
         first, second = int(geoms_a[0]), int(geoms_b[0])  # the geoms of a link follow one another
         rows_a, rows_b = slice(first, first + len(geoms_a)), slice(second, second + len(geoms_b))
         xpos, xmat = self._data.geom_xpos, self._data.geom_xmat
-        measure, model, data = self._distance, self._model, self._data
-        reach = limit + float(np.linalg.norm(offsets, axis=1).max()) + 1e-3  # a distance beyond it is cut off
+        measure, model, data, ends = self._distance, self._model, self._data, np.zeros(6)
+        reach = limit + 2 * LIFT
         states: list[int] = []
         gaps: list[float] = []
-        grown: list[list[float]] = []
+        ways: list[list[float]] = []
         last = done = -1
-        for state, i, j, bound in zip(*(column.tolist() for column in near), strict=True):
-            if state == done or bound > limit:
+        for state, i, j in zip(near.state.tolist(), near.one.tolist(), near.other.tolist(), strict=True):
+            if state == done:
                 continue
             if state != last:
                 xpos[rows_a], xmat[rows_a], xpos[rows_b], xmat[rows_b] = (x[state] for x in (*at_a, *at_b))
                 last = state
-            gap = measure(model, data, first + i, second + j, reach, None)
-            if not least <= gap <= limit:
+            raised = measure(model, data, first + i, second + j, reach, ends)
+            if raised > limit + LIFT:
                 continue
-            at = at_a[0][state, i]
-            moved = []
-            for offset in offsets:
-                xpos[first + i] = at + offset
-                moved.append(measure(model, data, first + i, second + j, reach, None) - gap)
-            xpos[first + i] = at
+            if abs(raised) < VANISHING:  # raised until it just touches: a little more
+                xpos[first + i, 2] += VANISHING
+                raised = measure(model, data, first + i, second + j, reach, ends)
+                xpos[first + i, 2] -= VANISHING
+            fx, fy, fz, tx, ty, tz = ends.tolist()
+            way = [(fx - tx) / raised, (fy - ty) / raised, (fz - tz) / raised] if raised else [0.0, 0.0, 0.0]
+            gap = raised - LIFT * way[2]
+            if gap > limit:
+                continue
             states.append(state)
             gaps.append(gap)
-            grown.append(moved)
-            if moved[0] >= enough:
+            ways.append(way)
+            if way[2] >= enough:
                 done = state
-        return np.array(states, dtype=np.int64), np.array(gaps), np.array(grown).reshape(-1, len(offsets))
+        return np.array(states, dtype=np.int64), np.array(gaps), np.array(ways).reshape(-1, 3)
 
     def _poses(self, geoms: Index, X_WL: Poses) -> tuple[Array, Array]:
         """Where the geoms of a link are: (n, geoms, 3) and (n, geoms, 9)."""

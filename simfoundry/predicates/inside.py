@@ -4,24 +4,56 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.predicates.batch import rotate
+from simfoundry.predicates.batch import Index, rotate
 from simfoundry.predicates.samples import volume_samples
-from simfoundry.predicates.shapes import PredicateError, Thing
+from simfoundry.predicates.shapes import Form, PredicateError, Thing
 from simfoundry.predicates.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.view import View
-from simfoundry.predicates.voxels import Cavity, cavity
+from simfoundry.predicates.voxels import UPWARD, Cavity, cavity, cavity_upward
 from simfoundry.scene.frames import Array
 
 SAMPLES = 64
 """Points of a thing whose depth is measured."""
 
 
-def cavities(view: View, b: Thing) -> list[tuple[int, Cavity]]:
-    """The cavities of the links of a thing, by index of the link; a :class:`PredicateError` where there is none."""
-    found = [(k, hole) for k, form in view.forms(b) if (hole := cavity(form)) is not None]
+def hollow_links(view: View, b: Thing) -> list[tuple[int, Form]]:
+    """The links of a thing that have a cavity, by index; a :class:`PredicateError` where there is none."""
+    found = [(k, form) for k, form in view.forms(b) if cavity(form) is not None]
     if not found:
         raise PredicateError(f"`{b.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow")
     return found
+
+
+def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
+    """The cavities that links of a thing have as they are turned: the index of the link, and in which states it is so.
+
+    Up is the nearest of the axes of a link.
+    """
+    found = []
+    for k, form in hollow_links(view, b):
+        up = view.link(b.owner, k).R[:, 2]
+        nearest = np.abs(up).argmax(axis=1)
+        positive = np.take_along_axis(up, nearest[:, None], axis=1)[:, 0] > 0
+        for axis, sign in UPWARD:
+            states = np.flatnonzero((nearest == axis) & (positive == (sign > 0)))
+            if len(states) and (hole := cavity_upward(form, axis, sign)) is not None:
+                found.append((k, hole, states))
+    return found
+
+
+def held_depth(view: View, a: Thing, b: Thing) -> Array:
+    """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
+
+    -inf where ``b`` is turned so that it holds nothing.
+    """
+    out = np.full(view.n, -np.inf)
+    for k, hole, states in held_upward(view, b):
+        some = view if len(states) == view.n else view.at(states)
+        depth = depth_in(some, a, k, b.owner, hole)
+        if hole.out.any():
+            depth = np.minimum(depth, 10 * facing(some, k, b.owner, hole))
+        out[states] = np.maximum(out[states], depth)
+    return out
 
 
 def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
@@ -67,5 +99,5 @@ def _counts(view: View, a: Thing) -> list[int]:
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
     """How far the way out of a cavity is from being turned down too far [m], (n,), measured on its depth."""
     X_WB = view.link(owner, k)
-    up = rotate(X_WB.R, np.broadcast_to(hole.up, (view.n, 3)))[:, 2]
+    up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
     return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))

@@ -15,9 +15,9 @@ _SETTLED = f"it moves no faster than {at.SETTLED * 100:g} cm/s, no robot holds i
 _SIDE = "its middle is beyond the edge of the other, and the other's beyond its own, along the level direction"
 MEANING = {
     "OnTop": (
-        f"`b` carries `a`: it is at most {at.RESTING * 1000:g} mm from it and pushes it within {at.SUPPORT_DEG:g} deg "
-        f"of straight up; the centre of mass of `a` is over the outline of `b`; {_SETTLED}. What lies in a bowl rests "
-        "on it too, and so does what hangs on a hook",
+        f"`b` carries `a`: it is at most {at.TOUCH * 1000:g} mm from it and pushes it within {at.SUPPORT_DEG:g} deg "
+        f"of straight up; the centre of mass of `a` is over the outline of `b`, or another object touches it too; "
+        f"{_SETTLED}. What lies in a bowl rests on it, and so does what hangs on a hook or leans on an edge",
         "m",
     ),
     "Inside": (

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.predicates.batch import Poses, rotate
 from simfoundry.predicates.shapes import Form, Thing
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Index
+from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.scene.hulls import Index, hulls
+from simfoundry.scene.model import Box, Collider, SceneObject
 
 SEAM = 1e-6
 """A line that passes a part at no more than this [m] meets it: parts of one thing touch with gaps of rounding only."""
@@ -21,8 +24,12 @@ STEEP = 1e-9
 """A face whose normal has less than this cosine with up stands: a plumb line passes along it."""
 
 
+AT_ONCE = 400_000
+"""So many edges are looked at together, about 100 MB: a round table top has hundreds."""
+
+
 class Meeting(NamedTuple):
-    """How deep the plumb lines through the middle of one thing are in what another has over and under it [m], (n,) each.
+    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
 
     Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
     the end of the one on that line; negative where nothing is met.
@@ -36,27 +43,55 @@ def meet(view: View, a: Thing, b: Thing) -> Meeting:
     """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
-    low, high = np.zeros(view.n), np.zeros(view.n)
+    found = list(_chords_of(view, points, b))
+    for state, within, _, _ in found:
+        np.maximum.at(over, state, within)
+    met = np.flatnonzero(over > 0)
+    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
+    if len(met):
+        low, high = _own_ends(view.at(met), points[met], a)
+        row = np.full(view.n, -1)
+        row[met] = np.arange(len(met))
+        over[met] = under[met] = -np.inf
+        for state, within, bottom, top in found:
+            some = np.flatnonzero(row[state] >= 0)
+            at = row[state[some]]
+            np.maximum.at(over, state[some], np.minimum(within[some], top[some] - high[at]))
+            np.maximum.at(under, state[some], np.minimum(within[some], low[at] - bottom[some]))
+    return Meeting(over, under)
+
+
+def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
+    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
+    low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
         np.minimum.at(low, state[met], bottom[met])
         np.maximum.at(high, state[met], top[met])
-    for state, within, bottom, top in _chords_of(view, points, b):
-        np.maximum.at(over, state, np.minimum(within, top - high[state]))
-        np.maximum.at(under, state, np.minimum(within, low[state] - bottom))
-    return Meeting(*(np.where(np.isfinite(v), v, -_beside(view, points, b)) for v in (over, under)))
+    return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
 
 
 def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
     """By link: the states in which plumb lines may meet parts of it, and what :func:`_chords` says of them."""
-    for k, form in view.forms(thing):
-        X_WL = view.link(thing.owner, k)
+    for k, own in view.forms(thing):
+        form, X_WL = _convex(own), view.link(thing.owner, k)
         local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
         up = X_WL.R[:, 2]
         low, high, _, _ = form.pieces
         state, part = np.nonzero(_beside_box(local, up, (low + high) / 2, (high - low) / 2) <= SEAM)
         if len(state):
             yield state, *_chords(form, part, local[state], up[state])
+
+
+@lru_cache(maxsize=256)
+def _convex(form: Form) -> Form:
+    """The form itself, or the box around one that is only seen: its meshes may have any shape and number of faces."""
+    if form.solid:
+        return form
+    low, high = form.low[:3], form.high[:3]
+    box = Collider("box", Box(frozen_array(np.maximum(high - low, SEAM))), 0.0, 0.0, Pose.of((low + high) / 2))
+    link = replace(form.link, visuals=(), colliders=(box,))
+    return Form(link, hulls(SceneObject(link.name, "", True, IDENTITY, (link,))))
 
 
 def _beside(view: View, points: Array, b: Thing) -> Array:
@@ -82,17 +117,24 @@ def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
 class _Faces(NamedTuple):
     """The faces and edges of each part of a form, filled up to one length with what never decides.
 
-    ``planes`` are outward unit normals and offsets [m], (k, f, 4); ``ends`` and ``ways`` [m] a corner and the direction
-    of each edge, (k, e, 3); ``beside`` the normals at it, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
+    ``planes`` are outward unit normals and offsets [m], (k, f, 4). Of each edge: ``lines``, the unit vector along it
+    and its moment about the origin [m], (k, e, 6); ``sides``, the sum of the normals beside it crossed with that
+    vector, (k, e, 3); ``beside``, the two normals, (k, e, 2, 3). Of a round part, ``axis`` are its two ends [m],
     (k, 2, 3), and ``radius`` [m], (k,), is above zero.
+    ``small`` says which have few faces and edges.
     """
 
     planes: Array
-    ends: Array
-    ways: Array
+    lines: Array
+    sides: Array
     beside: Array
     axis: Array
     radius: Array
+    small: NDArray[np.bool_]
+
+
+SMALL_FACES, SMALL_EDGES = 16, 24
+"""A part of no more faces and edges is small: few have more, and the rest need not be filled up to those."""
 
 
 @lru_cache(maxsize=256)
@@ -117,18 +159,21 @@ def _faces(form: Form) -> _Faces:
     most = [max((len(v) for v in every), default=0) for every in (planes, edges)]
     out = _Faces(
         np.zeros((k, most[0], 4)),
+        np.zeros((k, most[1], 6)),
         np.zeros((k, most[1], 3)),
-        np.zeros((k, most[1], 3)),
-        np.zeros((k, most[1], 2, 3)),
+        np.full((k, most[1], 2, 3), np.nan),  # what is filled up looks nowhere, and bounds no outline
         np.zeros((k, 2, 3)),
         parts.radius.copy(),
+        np.array([len(f) <= SMALL_FACES and len(e) <= SMALL_EDGES for f, e in zip(planes, edges, strict=True)]),
     )
     for number in range(k):
         out.planes[number, : len(planes[number])] = planes[number]
         own = edges[number]
         first, last = parts.corners[parts.edges[own, 0]], parts.corners[parts.edges[own, 1]]
-        out.ends[number, : len(own)], out.ways[number, : len(own)] = first, last - first
+        way = (last - first) / np.linalg.norm(last - first, axis=1, keepdims=True)
+        out.lines[number, : len(own)] = np.concatenate([way, np.cross(first, way)], axis=1)
         out.beside[number, : len(own)] = parts.normals[parts.beside[own]]
+        out.sides[number, : len(own)] = np.cross(parts.normals[parts.beside[own]].sum(axis=1), way)
         corners = parts.corners[parts.part == number]
         if len(corners):
             out.axis[number] = corners[[0, -1]]
@@ -142,30 +187,40 @@ def _chords(form: Form, part: Index, points: Array, up: Array) -> tuple[Array, A
     """
     faces = _faces(form)
     round_ = faces.radius[part] > 0
+    small = faces.small[part]
+    few = faces._replace(**{name: getattr(faces, name)[:, :SMALL_EDGES] for name in ("lines", "sides", "beside")})
+    few = few._replace(planes=faces.planes[:, :SMALL_FACES])
     out = np.empty((3, len(part)))
-    for rows, measure in ((~round_, _sharp_chords), (round_, _round_chords)):
-        if rows.any():
-            out[:, rows] = measure(faces, part[rows], points[rows], up[rows])
+    ways = (
+        (~round_ & small, _sharp_chords, few),
+        (~round_ & ~small, _sharp_chords, faces),
+        (round_, _round_chords, faces),
+    )
+    for rows, measure, kept in ways:
+        index = np.flatnonzero(rows)
+        for some in np.array_split(index, len(index) * kept.lines.shape[1] // AT_ONCE + 1) if len(index) else ():
+            out[:, some] = measure(kept, part[some], points[some], up[some])
     return out[0] + SEAM, out[1], out[2]
 
 
 def _sharp_chords(faces: _Faces, part: Index, points: Array, up: Array) -> tuple[Array, Array, Array]:
     normals, offset = faces.planes[part, :, :3], faces.planes[part, :, 3]
-    rising = np.einsum("mfi,mi->mf", normals, up)
-    room = offset - np.einsum("mfi,mi->mf", normals, points)
+    rising = (normals @ up[:, :, None])[..., 0]
+    room = offset - (normals @ points[:, :, None])[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         at = room / rising
     top = np.where(rising > STEEP, at, np.inf).min(axis=1)
     bottom = np.where(rising < -STEEP, at, -np.inf).max(axis=1)
-    # The outline is bounded by the edges between a face that looks up and one that looks down.
-    beside = faces.beside[part]
-    looks = np.einsum("mesi,mi->mes", beside, up)
-    across = np.cross(faces.ways[part], up[:, None])
-    size = np.linalg.norm(across, axis=2)
-    seen = (looks[..., 0] * looks[..., 1] <= 0) & (size > STEEP)
-    side = np.sign(np.einsum("mei,mei->me", across, beside.sum(axis=2)))
-    off = np.einsum("mei,mei->me", across, points[:, None] - faces.ends[part]) * side
-    within = -np.where(seen, off / np.where(size > STEEP, size, 1.0), -np.inf).max(axis=1, initial=-np.inf)
+    # The outline is bounded by the edges between a face that looks up and one that looks down. How far a line along
+    # `up` passes an edge, and on which side, are triple products, of which all but `up` and the point are prepared.
+    lines = faces.lines[part]
+    looks = (faces.beside[part].reshape(len(part), -1, 3) @ up[:, :, None]).reshape(len(part), -1, 2)
+    across = np.sqrt(np.maximum(0.0, 1 - (lines[..., :3] @ up[:, :, None])[..., 0] ** 2))
+    seen = (looks[..., 0] * looks[..., 1] <= 0) & (across > STEEP)
+    apart = (lines @ np.concatenate([np.cross(up, points), -up], axis=1)[:, :, None])[..., 0]
+    side = (faces.sides[part] @ up[:, :, None])[..., 0]
+    off = np.where(seen, np.copysign(apart, apart * side) / np.maximum(across, STEEP), -np.inf)
+    within = -off.max(axis=1, initial=-np.inf)
     return within, bottom, top
 
 

@@ -13,7 +13,7 @@ from simfoundry.lint.report import length
 from simfoundry.predicates import thresholds as at
 from simfoundry.predicates.distance import FAR, Distances
 from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
-from simfoundry.predicates.inside import cavities, depth_in, facing
+from simfoundry.predicates.inside import held_depth
 from simfoundry.predicates.plumb import Meeting, centre_of_mass, meet
 from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
 from simfoundry.predicates.terms import Terms
@@ -23,6 +23,10 @@ from simfoundry.spec.expressions import Call
 
 STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
 """The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""
+
+
+STEEP_SCALE = 0.01
+"""What a cosine of 1 more or less counts as in a margin [m]: the middle of the margins of things that rest."""
 
 
 class Context:
@@ -59,44 +63,62 @@ Rule = Callable[[Context, View, Call], Terms]
 
 
 def on_top(context: Context, view: View, call: Call) -> Terms:
-    """OnTop(a, b): ``b`` carries ``a``, also within it; nothing holds or moves ``a``."""
+    """OnTop(a, b): ``b`` carries ``a``, also within it, alone or with others; nothing holds or moves ``a``."""
     a, b = _two(context, call)
     terms = Terms(view)
     _settled(terms, a)
-    beside = over(centre_of_mass(view, a), view.boxes(b))
-    terms.must(beside, beside, lambda v, ok: _over(a, b, v))
     pushed: list[Array] = []
 
     def gap(some: View) -> Array:
-        found, up = context.distances.support(some, a, b, at.RESTING, STEEPEST)
-        pushed.append(up[found < at.RESTING])
+        found, up = context.distances.support(some, a, b, at.TOUCH, STEEPEST)
+        pushed.append(up[found < at.TOUCH])
         return found
 
-    terms.must_also(gap, lambda v: at.RESTING - v, lambda v, ok: _apart(a, b, v))
+    terms.must_also(gap, lambda v: at.TOUCH - v, lambda v, ok: _apart(a, b, v))
     terms.must_also(
-        lambda _: pushed[-1], lambda v: at.RESTING * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
+        lambda _: pushed[-1], lambda v: STEEP_SCALE * (v - STEEPEST), lambda v, ok: "" if ok else _pushed(a, b, v)
     )
+    terms.must_also(partial(_balance, context, a, b), lambda v: v, lambda v, ok: _balanced(a, b, v))
     _not_held(context, terms, a)
     return terms
 
 
-def inside(context: Context, view: View, call: Call) -> Terms:
-    """Inside(a, b): most of ``a`` is in the cavity of ``b``, whose opening does not face down; nothing holds or moves
-    ``a``."""
-    a, b = _two(context, call)
-    holes = cavities(view, b)
-    terms = Terms(view)
-    depths = np.stack(
-        [np.minimum(depth_in(view, a, k, b.owner, h), 10 * facing(view, k, b.owner, h)) for k, h in holes]
+def _balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
+    """How far the centre of mass of ``a`` is within the outline of ``b`` [m], (n,).
+
+    Where it is beside, and another object holds ``a`` too, by how much that is nearer than what touches.
+    """
+    within = over(centre_of_mass(view, a), view.boxes(b))
+    for name in context.bodies.objects:
+        left = np.flatnonzero(within <= 0)
+        if len(left) and name not in (a.owner, b.owner) and _has_shape(context, name):
+            gap = context.distances.between(view.at(left), a, context.bodies.thing(name), at.TOUCH)
+            within[left] = np.where(gap < at.TOUCH, at.TOUCH - gap, within[left])
+    return within
+
+
+def _balanced(a: Thing, b: Thing, value: float) -> str:
+    if value > 0:
+        return f"it carries `{a.name}`"
+    return (
+        f"`{a.name}` would fall: its centre of mass is {length(-value)} beside `{b.name}`, and nothing else touches it"
     )
-    deep = depths.max(axis=0)
+
+
+def inside(context: Context, view: View, call: Call) -> Terms:
+    """Inside(a, b): half of ``a`` is in the cavity of ``b``, which is not turned down; nothing holds or moves ``a``."""
+    a, b = _two(context, call)
+    terms = Terms(view)
+    deep = held_depth(view, a, b)
     share = f"{at.ENCLOSED:.0%} of `{a.name}`"
 
     def words(v: float, ok: bool) -> str:
+        if not np.isfinite(v):
+            return f"`{b.name}` is turned so that it holds nothing"
         where = "deep in the cavity" if ok else "outside of the cavity"
         return f"{share} is {'at least ' if ok else ''}{length(abs(v))} {where} of `{b.name}`"
 
-    terms.must(deep, deep, words)
+    terms.must(deep, np.where(np.isfinite(deep), deep, -FAR), words)
     _settled(terms, a)
     _not_held(context, terms, a)
     return terms
@@ -311,7 +333,11 @@ def _load(
     if not len(asked):
         return load
     some = view.at(asked)
-    carried = {name: _rests(context, some, b, a) & touched[name][asked] for name, b in others.items()}
+    carried = {name: np.zeros(some.n, bool) for name in others}
+    for name, b in others.items():
+        met = np.flatnonzero(touched[name][asked])
+        if len(met):
+            carried[name][met] = _rests(context, some.at(met), b, a)
     news = [name for name, found in carried.items() if found.any()]
     while news:
         below = news.pop()
@@ -321,8 +347,8 @@ def _load(
                 found = left[_rests(context, some.at(left), b, others[below])]
                 carried[name][found] = True
                 news += [name] if len(found) else []
-    for name, found in carried.items():
-        load[name][asked] = found
+    for name, values in carried.items():
+        load[name][asked] = values
     return load
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 TOUCH = 0.001
-"""Surfaces no farther apart than this [m] touch; as :data:`simfoundry.worlds.base.CONTACT_GAP`."""
-
-RESTING = 0.003
-"""A thing rests on another from which it is no farther than this [m]: engines keep small gaps and overlaps."""
+"""Surfaces no farther apart than this [m] touch; as :data:`simfoundry.worlds.base.CONTACT_GAP`. Of 515 pairs of which
+one carried the other in MuJoCo and PyBullet none was apart at all (``python -m tests.corpora.placements``)."""
 
 SUPPORT_DEG = 45.0
 """What a thing rests on pushes it within this of straight up [deg] (Isaac Lab-Arena's rule); what pushes it more to the

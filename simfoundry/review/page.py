@@ -7,19 +7,23 @@ the same documents give the same bytes.
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
 from simfoundry.outputs import MARK
 from simfoundry.review.compare import Comparison, Side
+from simfoundry.review.labels import Label, place_labels
 from simfoundry.review.style import STYLE
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.diff.poses import motion, words
 from simfoundry.spec.diff.words import Entry, summary
 from simfoundry.spec.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.review.pictures import Picture
+    from simfoundry.review.pictures import Picture, Tint
     from simfoundry.scene.model import Camera, Scene
 
 COLORS = {
@@ -30,6 +34,10 @@ COLORS = {
 }
 """What a mark looks like in pictures and in the list (sRGB bytes)."""
 
+SEEN_M, SEEN_DEG = 5e-4, 0.1
+"""A move along with something else counts from half a millimetre and a tenth of a degree on: less is how a thing lies
+on a surface that is reckoned anew."""
+
 _MEANING = {"moved": "moved or turned", "changed": "changed or renamed", "added": "added", "removed": "removed"}
 
 
@@ -37,7 +45,9 @@ def page(comparisons: Sequence[Comparison]) -> str:
     """The page of some documents."""
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     colors = "".join(f".{mark}{{--mark:#{r:02x}{g:02x}{b:02x}}}" for mark, (r, g, b) in COLORS.items())
-    body = "\n".join("\n".join(_document(c, f"d{k}")) for k, c in enumerate(comparisons))
+    lowered = [_lowered_sides(c) for c in comparisons]
+    comparisons = [_with_moves(c, scenes) for c, scenes in zip(comparisons, lowered, strict=True)]
+    body = "\n".join("\n".join(_document(c, lowered[k], f"d{k}")) for k, c in enumerate(comparisons))
     empty = "<article><p>No document differs.</p></article>"
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -69,13 +79,13 @@ def _hover(comparison: Comparison, key: str) -> str:
     return "".join(f"body:has(.{key}-{k}:hover) .{key}-{k}{{outline:2px solid var(--mark)}}\n" for k in named)
 
 
-def _document(comparison: Comparison, key: str) -> Iterator[str]:
+def _document(comparison: Comparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
     yield "<article>"
     yield f"<h1>{escape(comparison.name)}</h1>"
     yield f'<p class="sides"><code>{_label(comparison.old)}</code> → <code>{_label(comparison.new)}</code></p>'
     if comparison.entries:
         yield f'<p class="summary">{escape(summary(comparison.entries))}</p>'
-    yield from _pictures(comparison, key)
+    yield from _pictures(comparison, lowered, key)
     if comparison.entries:
         yield '<ul class="changes">'
         yield from (_entry(entry, f"{key}-{k}") for k, entry in enumerate(comparison.entries))
@@ -84,6 +94,31 @@ def _document(comparison: Comparison, key: str) -> Iterator[str]:
         yield from (f"<p>{escape(line)}</p>" for line in comparison.lines())
     yield from _findings(comparison)
     yield "</article>"
+
+
+def _with_moves(comparison: Comparison, lowered: Sequence[Scene | str]) -> Comparison:
+    """The comparison with the moves that no text says: of what stands on or beside something that changed."""
+    old, new = lowered if lowered else ("", "")
+    if isinstance(old, str) or isinstance(new, str):
+        return comparison
+    entries = list(comparison.entries)
+    known = {entry.name: k for k, entry in enumerate(entries) if entry.section == "objects"}
+    before = {item.name: item for item in old.objects}
+    for item in new.objects:
+        entry = entries[known[item.name]] if item.name in known else None
+        there = before.get((entry.was if entry is not None else "") or item.name)
+        if there is None or (entry is not None and "moved" in entry.marks):
+            continue
+        found = motion(*({"xyz": tuple(X.p), "quat_wxyz": tuple(X.q)} for X in (there.X_WO, item.X_WO)))
+        if math.hypot(*found.shift) < SEEN_M and found.angle < SEEN_DEG:
+            continue
+        told = words(found)
+        if entry is None:
+            entries.append(Entry("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
+        else:
+            marks = ("moved", *entry.marks)
+            entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))
+    return replace(comparison, entries=tuple(entries))
 
 
 def _label(side: Side | None) -> str:
@@ -112,12 +147,19 @@ def _findings(comparison: Comparison) -> Iterator[str]:
 # -- pictures -------------------------------------------------------------------------------------------------------
 
 
-def _pictures(comparison: Comparison, key: str) -> Iterator[str]:
-    """Both scenes side by side, or the reason why one is not shown; nothing for documents of other kinds."""
+def _lowered_sides(comparison: Comparison) -> tuple[Scene | str, ...]:
+    """Both scenes, or why one cannot be shown; nothing for documents of other kinds."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
+        return ()
+    return tuple(_lowered(side) for side in sides)
+
+
+def _pictures(comparison: Comparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
+    """Both scenes side by side, or the reason why one is not shown; nothing for documents of other kinds."""
+    if not lowered:
         return
-    lowered = [_lowered(side) for side in sides]
+    sides = (comparison.old, comparison.new)
     scenes = [scene for scene in lowered if not isinstance(scene, str)]
     yield '<div class="pair">'
     if scenes:
@@ -125,8 +167,9 @@ def _pictures(comparison: Comparison, key: str) -> Iterator[str]:
 
         views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
         camera = common_camera(scenes, reversed(views))  # as the new document sees it
-        for side, scene, new in zip(sides, lowered, (False, True), strict=True):
-            shown = scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new))
+        tints = _tints(comparison, lowered)
+        for side, scene, tint, new in zip(sides, lowered, tints, (False, True), strict=True):
+            shown = scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
             yield _figure(side, shown, _keys(comparison, key, new), "after" if new else "before")
     else:
         for side, scene, name in zip(sides, lowered, ("before", "after"), strict=True):
@@ -135,6 +178,17 @@ def _pictures(comparison: Comparison, key: str) -> Iterator[str]:
     if scenes and comparison.entries:
         swatches = (f'<span class="{mark}">{meaning}</span>' for mark, meaning in _MEANING.items())
         yield f'<p class="legend">{"".join(swatches)}</p>'
+
+
+def _tints(comparison: Comparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
+    """The tints of both scenes; an object has one tint, also under a new name."""
+    from simfoundry.review.pictures import tints_of
+
+    was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
+    now = {old: new for new, old in was.items()}
+    names = [[] if isinstance(scene, str) else [item.name for item in scene.objects] for scene in lowered]
+    tints = tints_of([*(now.get(name, name) for name in names[0]), *names[1]])
+    return {name: tints[now.get(name, name)] for name in names[0]}, tints
 
 
 def _lowered(side: Side | None) -> Scene | str:
@@ -182,10 +236,18 @@ def _figure(side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, 
     if isinstance(shown, str):
         return f'<figure><div class="none">{escape(shown)}</div><figcaption>{label}</figcaption></figure>'
     data = base64.b64encode(shown.png).decode()
-    tags = "".join(
-        f'<span class="tag {mark_of(keys[t.name][1])} {keys[t.name][0]}" '
-        f'style="left:{100 * t.x:.2f}%;top:{100 * t.y:.2f}%">{escape(t.name)}</span>'
-        for t in shown.tags
-    )
+    tags = "".join(_tag(label, *keys[label.name]) for label in place_labels(shown.tags, shown.width / shown.height))
     image = f'<img src="data:image/png;base64,{data}" width="{shown.width}" height="{shown.height}" alt="{caption}">'
     return f'<figure><div class="view">{image}{tags}</div><figcaption>{label}</figcaption></figure>'
+
+
+def _tag(label: Label, key: str, entry: Entry) -> str:
+    """A label, and the line from it to what it names."""
+    mark = mark_of(entry)
+    top, height = min(label.y, label.thing_y), abs(label.thing_y - label.y)
+    stem = f"left:{100 * label.thing_x:.2f}%;top:{100 * top:.2f}%;height:{100 * height:.2f}%"
+    place = f"left:{100 * label.x:.2f}%;top:{100 * label.y:.2f}%"
+    return (
+        f'<span class="stem {mark}" style="{stem}"></span>'
+        f'<span class="tag {mark} {key}" style="{place}" title="{escape(label.name)}">{escape(label.text)}</span>'
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -9,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, look_at
-from simfoundry.scene.model import Camera, Scene
+from simfoundry.scene.bodies import GREY
+from simfoundry.scene.frames import Array, frozen_array, look_at
+from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.raycast import raycast
 from simfoundry.scene.surface import scene_surface
 
@@ -29,6 +31,10 @@ MARGIN = 1.08
 RIM = 4
 """How wide the outline of a changed thing is [px]."""
 
+GOLDEN = (5**0.5 - 1) / 2
+"""Hues a golden section apart are far from each other, however many there are."""
+
+Tint = tuple[float, float, float]
 Image = NDArray[np.uint8]
 
 
@@ -51,9 +57,15 @@ class Picture:
     tags: tuple[Tag, ...]
 
 
-def picture(scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]]) -> Picture:
-    """What ``camera`` sees of ``scene``, with the things named in ``colors`` outlined in their colour (sRGB bytes)."""
-    seen = raycast(scene, camera, samples=2)
+def picture(
+    scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, int]], tints: Mapping[str, Tint] | None = None
+) -> Picture:
+    """What ``camera`` sees of ``scene``, with the things named in ``colors`` outlined in their colour (sRGB bytes).
+
+    Things without a colour of their own are shown in their tint (sRGB, 0 to 1).
+    """
+    painted = tuple(_tinted(item, (tints or {}).get(item.name)) for item in scene.objects)
+    seen = raycast(replace(scene, objects=painted), camera, samples=2)
     image, tags = seen.color.copy(), []
     for index, item in enumerate(scene.objects):
         rows, columns = np.nonzero(seen.objects == index + 1)
@@ -61,6 +73,27 @@ def picture(scene: Scene, camera: Camera, colors: Mapping[str, tuple[int, int, i
             _outline(image, seen.objects, index + 1, colors[item.name])
             tags.append(Tag(item.name, float(columns.mean()) / camera.width, float(rows.min()) / camera.height))
     return Picture(_png(image), camera.width, camera.height, tuple(tags))
+
+
+def tints_of(names: Iterable[str]) -> dict[str, Tint]:
+    """A pale tint for each name, as far from the others as can be, in order; the same names give the same tints."""
+    hues = {name: k * GOLDEN % 1.0 for k, name in enumerate(dict.fromkeys(names))}
+    return {name: colorsys.hls_to_rgb(hue, 0.68, 0.42) for name, hue in hues.items()}
+
+
+def _tinted(item: SceneObject, tint: Tint | None) -> SceneObject:
+    """An object with what is grey, for want of a colour, in a tint; what is fixed stays grey, as a ground."""
+    if tint is None or item.fixed:
+        return item
+    rgba = frozen_array((*tint, 1.0))
+    links = [
+        replace(
+            link,
+            visuals=tuple(replace(v, rgba=rgba) if tuple(v.rgba) == GREY else v for v in link.visuals),
+        )
+        for link in item.links
+    ]
+    return replace(item, links=tuple(links))
 
 
 def common_camera(scenes: Iterable[Scene], chosen: Iterable[Camera | None]) -> Camera:

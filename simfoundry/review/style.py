@@ -11,15 +11,16 @@ h2 { font-size: 17px; margin: 24px 0 4px }
 code { font: 13px ui-monospace, monospace }
 .sides { color: var(--quiet); margin: 2px 0 0 }
 .summary { font-weight: 600; margin: 10px 0 14px }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 16px }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(420px, 100%), 1fr)); gap: 16px }
 figure { margin: 0 }
 figcaption { color: var(--quiet); margin-top: 4px }
-.view { position: relative }
+.view { position: relative; container-type: inline-size }
 .view img { display: block; width: 100%; height: auto; border-radius: 6px }
 .none { display: grid; place-content: center; min-height: 240px; padding: 24px; border: 1px dashed var(--line);
   border-radius: 6px; color: var(--quiet) }
-.tag { position: absolute; transform: translate(-50%, calc(-100% - 5px)); padding: 0 6px; border-radius: 4px;
-  background: var(--mark); color: #fff; font-size: 12px; white-space: nowrap }
+.tag { position: absolute; transform: translate(-50%, -100%); padding: 0 .5em; border-radius: .3em;
+  background: var(--mark); color: #fff; font-size: 2.4cqw; line-height: 1.5; white-space: nowrap; z-index: 1 }
+.stem { position: absolute; width: 1px; background: var(--mark) }
 .legend { display: flex; flex-wrap: wrap; gap: 18px; margin: 10px 0; color: var(--quiet); font-size: 13px }
 .legend span::before { content: ""; display: inline-block; width: 10px; height: 10px; border-radius: 2px;
   margin-right: 6px; background: var(--mark) }

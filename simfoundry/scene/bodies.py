@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import Faces, convex_parts, hull
+from simfoundry.assets.convex import Faces, hull, mesh_colliders
 from simfoundry.assets.faults import LEAST_VOLUME, MeshError, no_volume, not_closed
 from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, lathe_parts
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.frames import frozen_array as frozen
@@ -67,6 +69,7 @@ class BodyBuilder:
     colliders: list[Collider] = field(default_factory=list)
     solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
     collision_error: float = 0.0
+    report: Callable[[str], object] = lambda said: None
 
     def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
         """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
@@ -98,8 +101,12 @@ class BodyBuilder:
             self._weigh(name, solid, X_LG, part)
         elif mass.mesh(vertices, faces).volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
-        parts = convex_parts(vertices, faces, self.body.collision, self.cache, path.name)
-        for label, (corners, sides) in zip(_piece_names(name, len(parts), part), parts, strict=True):
+        found = mesh_colliders(vertices, faces, self.body.collision, self.cache, path.name, self.report)
+        self.collision_error = max(self.collision_error, found.error)
+        if found.primitive is not None:
+            geometry, X_GP = _fitted(found.primitive)
+            self._collide(_piece_names(name, 1, part)[0], geometry, X_LG @ X_GP, part)
+        for label, (corners, sides) in zip(_piece_names(name, len(found.parts), part), found.parts, strict=True):
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
@@ -201,6 +208,20 @@ def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
     """The colour that a mesh brings along; a texture shows as it is."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
+
+
+def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
+    """A primitive that stands for a mesh, and its pose in that."""
+    turn = np.eye(4)
+    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
+    X_GP = Pose.from_matrix(turn)
+    match primitive.kind:
+        case "box":
+            return Box(frozen(primitive.size)), X_GP
+        case "cylinder":
+            return Cylinder(*primitive.size), X_GP
+        case "sphere":
+            return Sphere(*primitive.size), Pose.of(primitive.centre)
 
 
 def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry], float]:

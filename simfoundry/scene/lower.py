@@ -66,12 +66,12 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         raise SpecError(loaded.errors)
     assert isinstance(loaded.spec, SceneSpec)
     spec = loaded.spec
-    lowering = _Lowering(loaded, cache)
+    lowering = _Lowering(loaded, cache, progress, len(spec.objects))
     objects = []
-    for done, (name, item) in enumerate(spec.objects.items()):
-        if progress is not None:
-            progress(name, done, len(spec.objects))
+    for name, item in spec.objects.items():
+        lowering.report(name)
         objects.append(lowering.object(name, item, spec))
+        lowering.done += 1
     if lowering.findings:
         raise SpecError(lowering.findings)
     robots, no_models = _robots(loaded, spec, fetch)
@@ -85,7 +85,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         cameras=tuple(camera(n, c) for n, c in spec.cameras.items() if c.mount is None),
         lights=tuple(_light(n, s) for n, s in spec.lights.items()),
         relations=tuple(_relation(text) for text in spec.relations),
-        left_out=(*no_models, *lost),
+        left_out=(*no_models, *lost, *_plain(loaded, spec)),
         robots=robots,
         mounted=tuple(mounted),
         background=None if spec.background is None else _background(loaded, spec.background),
@@ -154,10 +154,23 @@ def _robots(loaded: Loaded, spec: SceneSpec, fetch: bool) -> tuple[tuple[Robot, 
         try:
             found.append(lower_robot(name, item, loaded.path, fetch))
         except NoModelError as error:
-            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}"))
+            lost.append(LeftOut(f"robots.{name}", f"no model found: {error}", pose(item.pose)))
             carried = [n for n, c in spec.cameras.items() if (c.mount or "").partition(".")[0] == name]
             lost += [LeftOut(f"cameras.{n}", f"it rides on `{name}`, of which no model is found") for n in carried]
     return tuple(found), lost
+
+
+def _plain(loaded: Loaded, spec: SceneSpec) -> Iterator[LeftOut]:
+    """The textures of objects that cannot be shown."""
+    from simfoundry.assets.textures import document_faults
+
+    for (_, name, _), fault in document_faults(loaded, spec):
+        yield LeftOut(f"objects.{name}.texture", fault)
+    for name, item in spec.objects.items():
+        asset = loaded.used(item.asset) if item.asset is not None and is_document(item.asset) else None
+        if asset is not None and isinstance(asset.spec, AssetSpec):
+            for _, fault in document_faults(asset, asset.spec):
+                yield LeftOut(f"objects.{name}.texture", fault)
 
 
 def _carried(
@@ -212,7 +225,25 @@ class _Lowering:
 
     loaded: Loaded
     cache: Cache | None
+    progress: Progress | None = None
+    count: int = 0
+    done: int = 0
     findings: list[Diagnostic] = field(default_factory=list)
+
+    def report(self, said: str) -> None:
+        """Say what is being done, and of how many objects how many are done."""
+        if self.progress is not None:
+            self.progress(said, self.done, self.count)
+
+    def builder(
+        self, owner: str, name: str, body: base.Body, materials: dict[str, base.Material], weighed: bool
+    ) -> BodyBuilder:
+        """A builder of a link of the object ``owner``, which reports what takes long."""
+
+        def report(said: str) -> None:
+            self.report(f"{owner}: {said}")
+
+        return BodyBuilder(name, body, materials, self.cache, weighed, report=report)
 
     def object(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
         """The object as the chosen one of its variants, with the others beside it."""
@@ -235,18 +266,18 @@ class _Lowering:
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
-            links, joints = self.articulated(asset, asset.spec, item)
+            links, joints = self.articulated(asset, asset.spec, item, name)
             silent = asset.spec.no_contact
         else:
-            links = self.rigid(item, spec, place)
+            links = self.rigid(item, spec, place, name)
         if len(self.findings) > before:
             return None
         return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
 
-    def rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...]) -> list[Link]:
+    def rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...], owner: str) -> list[Link]:
         """The one link of a primitive or of a mesh."""
         before = len(self.findings)
-        builder = BodyBuilder("base", item, spec.materials, self.cache)
+        builder = self.builder(owner, "base", item, spec.materials, False)
         with _At(self, self.loaded, (*place, "shape" if item.shape is not None else "asset")):
             if item.shape is not None:
                 builder.add_shape("shape", item.shape, IDENTITY, None, show=item.visual is None)
@@ -258,13 +289,15 @@ class _Lowering:
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
         return self._built(builder, None, self.loaded, place, item.fixed, before)
 
-    def articulated(self, asset: Loaded, spec: AssetSpec, item: ObjectSpec) -> tuple[list[Link], tuple[Joint, ...]]:
+    def articulated(
+        self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
+    ) -> tuple[list[Link], tuple[Joint, ...]]:
         """The links of an asset document in topological order, and its joints at the positions the object asks for."""
         links: list[Link] = []
         for name in _topological(spec):
             before = len(self.findings)
             link = spec.links[name]
-            builder = BodyBuilder(name, link, spec.materials, self.cache, link.weighed)
+            builder = self.builder(owner, name, link, spec.materials, link.weighed)
             for part_name, part in link.parts.items():
                 with _At(self, asset, ("links", name, "parts", part_name)):
                     if part.shape is not None:

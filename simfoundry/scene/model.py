@@ -331,10 +331,11 @@ class Relation:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A part of the spec, by its path, that no target gets yet, and why."""
+    """A part of the spec, by its path, that no target gets yet, and why; ``X_WB`` is the base of a robot."""
 
     path: str
     reason: str
+    X_WB: Pose | None = None
 
 
 @dataclass(frozen=True, eq=False)

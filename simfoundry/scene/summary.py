@@ -89,6 +89,9 @@ def _line(name: str, item: dict[str, Any]) -> str:
     if item["mass_range"] and not item["fixed"]:
         weight += f" ({item['mass_range'][0]:.3g} to {item['mass_range'][1]:.3g}, {item['mass_by']})"
     parts = f"{item['colliders']} collider{'s' if item['colliders'] != 1 else ''}"
+    if item["collision_error"]:
+        kinds = f" ({', '.join(item['collider_shapes'])})"
+        parts += f"{kinds} within {1000 * item['collision_error']:.2g} mm"
     return f"{name}  {item['shape']} {size} cm  {weight}  {parts}"
 
 
@@ -114,9 +117,16 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
         "mass_by": estimate.by if estimate is not None else None,
         "xyz": [round(float(v), 4) for v in item.X_WO.p],
         "colliders": len(colliders),
+        "collider_shapes": sorted({_shape(c.geometry) for c in colliders}),
+        "collision_error": max((link.collision_error for link in item.links), default=0.0),
         "joints": joints,
         "on": on,
     }
+
+
+def _shape(geometry: Geometry) -> str:
+    """What a collider is, in a word."""
+    return "convex part" if isinstance(geometry, Mesh) else type(geometry).__name__.lower()
 
 
 def _kind(written: ObjectSpec, item: SceneObject) -> str:

@@ -1,5 +1,6 @@
 """``asset/1``: a thing with parts, links and joints, used by scenes."""
 
+import math
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -16,6 +17,7 @@ from simfoundry.spec.base import (
     NonNegative,
     Number,
     Origin,
+    Point3,
     Pose,
     Positive,
     Shape,
@@ -50,12 +52,42 @@ class Part(Model):
 class Inertial(Model):
     """A measured inertia, which replaces the one computed from the parts."""
 
-    com: Vec3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
+    com: Point3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
     inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
         None,
         description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
         "the parts about their own.",
     )
+
+    @model_validator(mode="after")
+    def _of_a_body(self) -> Self:
+        if self.inertia is not None and not _is_of_a_body(self.inertia):
+            message = (
+                "no body has this inertia: its principal moments must be positive, and none above the sum of the rest"
+            )
+            raise PydanticCustomError("sf104", "{message}", {"message": message, "at": "inertia"})
+        return self
+
+
+ROUNDING = 1e-6
+"""Share by which a principal moment may exceed the sum of the other two: files give six digits."""
+
+
+def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
+    """Whether the tensor is positive definite and its principal moments keep the triangle inequality."""
+    trace = sum(inertia[:3])
+    if not 0 < trace < math.inf:
+        return False
+    xx, yy, zz, xy, xz, yz = (value / trace for value in inertia)
+    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c where c < most.
+    most = (1 + ROUNDING) / (2 + ROUNDING)
+    return _is_positive(xx, yy, zz, xy, xz, yz) and _is_positive(most - xx, most - yy, most - zz, -xy, -xz, -yz)
+
+
+def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
+    """Whether a symmetric tensor is positive definite: whether its leading minors are positive (Sylvester)."""
+    minor = xx * yy - xy * xy
+    return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
 
 class LinkSpec(Body):

@@ -20,9 +20,19 @@ NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Code = Annotated[str, StringConstraints(pattern=r"^SF[0-9]{3}$")]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
+FARTHEST = 1e6
+"""No position [m] is farther out and no size [m] larger: there single precision, in which many simulators reckon, is
+6 cm coarse."""
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
+Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
 Vec2 = tuple[Number, Number]
 Vec3 = tuple[Number, Number, Number]
-Size3 = tuple[Positive, Positive, Positive]
+Point2 = tuple[Coordinate, Coordinate]
+Point3 = tuple[Coordinate, Coordinate, Coordinate]
+Size3 = tuple[Length, Length, Length]
+
+WORLD = "world"
+"""What formats keep for what does not move: MuJoCo calls its first body so, and readers of URDF a link."""
 Color = Annotated[
     Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
     | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
@@ -60,7 +70,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
 class Pose(Model):
     """Where a frame is in its parent; the rotation is given in at most one of three ways."""
 
-    xyz: Vec3 = Field((0.0, 0.0, 0.0), description="Position [m].")
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
@@ -78,8 +88,8 @@ class Pose(Model):
 class CameraPose(Model):
     """Where a camera is: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
 
-    xyz: Vec3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
-    look_at: Vec3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
+    look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
     quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(
         None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
     )
@@ -124,23 +134,23 @@ def quantity_value(quantity: float | Estimate | None) -> float | None:
 class Round(Model):
     """Radius and height of a cylinder or capsule, which stand along z."""
 
-    radius: Positive = Field(description="Radius [m].")
-    height: Positive = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
+    radius: Length = Field(description="Radius [m].")
+    height: Length = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
 
 
 class Prism(Model):
     """An outline extruded along z: table tops, trays, tiles."""
 
-    outline: tuple[Vec2, ...] = Field(
+    outline: tuple[Point2, ...] = Field(
         min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
     )
-    height: Positive = Field(description="Full height [m].")
+    height: Length = Field(description="Full height [m].")
 
 
 class Lathe(Model):
     """A profile turned about z: bowls, cups, bottles, plates, rings of any section that reaches the axis."""
 
-    profile: tuple[tuple[NonNegative, Number], ...] = Field(
+    profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
         max_length=256,
         description="Corners as (radius, height) [m] in order, from the axis around the solid back to the axis.",
@@ -156,7 +166,7 @@ class BoxShape(Model):
 class SphereShape(Model):
     """A sphere centred on its frame."""
 
-    sphere: Positive = Field(description="Radius [m].")
+    sphere: Length = Field(description="Radius [m].")
 
 
 class CylinderShape(Model):
@@ -255,8 +265,8 @@ class Body(Model):
     color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
     collision: Collision = Field(
         "auto",
-        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a hull where it is "
-        "nearly convex and parts where not, `none` no contact. A primitive collides as itself.",
+        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, cylinder, "
+        "sphere or hull where it is nearly convex and parts where not, `none` no contact. A primitive collides as one.",
     )
     solid: Solid = Field(
         "exact", description="What carries the mass of a mesh: its own volume (it must be closed), or its convex hull."

@@ -5,7 +5,7 @@ from typing import Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.base import Model, Name, NonNegative, Number, PartName, Vec2, Vec3, exclusive
+from simfoundry.spec.base import FARTHEST, Model, Name, NonNegative, Number, PartName, Point2, Vec3, exclusive
 
 SIDES = ("left_of", "right_of")
 DEPTHS = ("in_front_of", "behind")
@@ -22,13 +22,13 @@ class Place(Model):
     inside: PartName | None = Field(
         None, description="What it lies in: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
-    xy: Vec2 | None = Field(None, description="Position of its frame in the world [m].")
-    at: Vec2 | None = Field(None, description="Position of its frame in the frame of what carries it [m].")
+    xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
+    at: Point2 | None = Field(None, description="Position of its frame in the frame of what carries it [m].")
     left_of: Name | None = Field(None, description="The object that it stands left of.")
     right_of: Name | None = Field(None, description="The object that it stands right of.")
     in_front_of: Name | None = Field(None, description="The object that it stands in front of, nearer to the viewer.")
     behind: Name | None = Field(None, description="The object that it stands behind, farther from the viewer.")
-    gap: NonNegative = Field(0.03, description="Free space between it and the object beside it [m].")
+    gap: NonNegative = Field(0.03, le=FARTHEST, description="Free space between it and the object beside it [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."

@@ -19,6 +19,7 @@ from simfoundry.spec.base import (
     Number,
     Origin,
     PartName,
+    Point3,
     Pose,
     Positive,
     Shape,
@@ -147,7 +148,7 @@ class LightSpec(Model):
     intensity: NonNegative = Field(1.0, description="Relative: 1 lights a white surface that faces it fully.")
     color: Color = Field((1.0, 1.0, 1.0), description="sRGB colour, 0 to 1.")
     direction: Vec3 = Field((0.0, 0.0, -1.0), description="Where a distant light shines to.")
-    xyz: Vec3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
+    xyz: Point3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
 
     @model_validator(mode="after")
     def _shines_somewhere(self) -> Self:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.base import DocumentSpec, FileName, Model, Name, Number, Origin, Pose, Positive
+from simfoundry.spec.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, Pose, Positive
 from simfoundry.spec.expressions import Condition
 from simfoundry.spec.place import Place
 from simfoundry.spec.scene import JointPosition
@@ -48,8 +48,8 @@ class Subtask(Model):
 class ResetRegion(Model):
     """Where an object may start: its frame, at the height that the scene gives it."""
 
-    x: Range = Field(description="Lowest and highest x in the world [m].")
-    y: Range = Field(description="Lowest and highest y in the world [m].")
+    x: Point2 = Field(description="Lowest and highest x in the world [m].")
+    y: Point2 = Field(description="Lowest and highest y in the world [m].")
     yaw_deg: Range = Field((0.0, 0.0), description="Lowest and highest turn about z, on top of the scene's pose [deg].")
 
     @model_validator(mode="after")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.features import feature_of
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN
 from simfoundry.scene.model import Mesh, Scene
@@ -128,7 +129,7 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
             covered.append(Difference(**{**asdict(difference), "covered": reason}))
         else:
             mismatches.append(difference)
-    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo.path, engine, checker)]
+    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, scene, engine, checker)]
     return Comparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
 
 
@@ -374,8 +375,7 @@ def _one_for_all(difference: Difference, expected: Facts) -> bool:
     return bool(values) and min(values) - slack <= float(difference.got) <= max(values) + slack
 
 
-def _should_show(path: str, engine: Engine, checker: _Checker) -> bool:
+def _should_show(loss: Loss, scene: Scene, engine: Engine, checker: _Checker) -> bool:
     """Whether a loss is of something that was compared here, so that it should have been seen."""
-    quantity = path.rpartition(".")[2]
-    seen = path in checker.checked and path not in checker.untold
-    return "." in path and seen and quantity not in engine.by_loader
+    seen = loss.path in checker.checked and loss.path not in checker.untold
+    return "." in loss.path and seen and feature_of(loss, scene) not in engine.by_loader

@@ -29,7 +29,7 @@ class Engine:
 
     ``modules`` are what it needs, as ``module:distribution``, the engine itself first; ``family`` is what
     ``--python FAMILY=PATH`` may say for all engines of one package. What it is known not to keep, and what its loader
-    brings back of what the target's format drops, is in the profile of its family.
+    brings back of what the target's format drops, is in the ``profile`` of that name; default: of its family.
     """
 
     name: str
@@ -39,6 +39,7 @@ class Engine:
     install: str
     note: str
     steps: bool = True
+    profile: str = ""
 
     @property
     def module(self) -> str:
@@ -50,13 +51,13 @@ class Engine:
 
         The engine then has none of it, or, where there is a ``size``, one that is off by no more than that.
         """
-        profile = _profile(self.family)
+        profile = _profile(self.profile or self.family)
         return profile.gaps.get(_FEATURES.get(quantity, quantity)) if profile is not None else None
 
     @property
     def by_loader(self) -> frozenset[str]:
         """The features that the target's format drops and the loader for this engine brings back."""
-        profile = _profile(self.family)
+        profile = _profile(self.profile or self.family)
         if profile is None:
             return frozenset()
         combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
@@ -64,7 +65,7 @@ class Engine:
 
     def band(self, behaviour: str) -> Band | None:
         """What it is known to do instead of the right answer."""
-        profile = _profile(self.family)
+        profile = _profile(self.profile or self.family)
         return profile.behaviours.get(behaviour) if profile is not None else None
 
 
@@ -86,6 +87,7 @@ ENGINES: tuple[Engine, ...] = (
         (*_NEWTON, "pxr:usd-core"),
         "pip install 'newton[importers,sim]'",
         "SolverMuJoCo on the CPU",
+        profile="newton_usd",
     ),
     Engine(
         "newton-mjcf",

@@ -159,9 +159,10 @@ def _outcome(job: Job, state: str, artifacts: Sequence[Artifact]) -> Outcome:
 
 
 def _object(loaded: Loaded, name: str) -> str:
-    """An object by its name, and the file of its asset."""
+    """An object by its name, with the file of its asset, and after a colon what of it is being done."""
+    name, colon, doing = name.partition(":")
     asset = loaded.spec.objects[name].asset if isinstance(loaded.spec, SceneSpec) else None
-    return f"object `{name}`" + (f" ({asset})" if asset is not None else "")
+    return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing
 
 
 def _read_back(job: Job) -> Outcome:

@@ -53,6 +53,7 @@ _PACKAGES = (
     ("opencv-python-headless", "cv2", "working on pictures"),
     ("trimesh", "trimesh", "reading meshes"),
     ("coacd", "coacd", "convex parts"),
+    ("fast-simplification", "fast_simplification", "large meshes made smaller"),
     ("mapbox-earcut", "mapbox_earcut", "triangles of outlines"),
     ("scipy", "scipy", "hulls, spatial search"),
     ("shapely", "shapely", "outlines"),

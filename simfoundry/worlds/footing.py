@@ -76,7 +76,14 @@ def topples(world: World, state: SceneState, item: SceneObject) -> bool:
     return fell
 
 
+def ball_radius(item: SceneObject) -> float | None:
+    """The radius [m] of what is one sphere about its frame, and has no up side; None for anything else."""
+    parts = [c for link in item.links for c in link.colliders]
+    if len(parts) != 1 or not isinstance(parts[0].geometry, Sphere) or parts[0].X_LG.p.any():
+        return None
+    return parts[0].geometry.radius
+
+
 def is_ball(item: SceneObject) -> bool:
     """Whether it is one sphere about its frame, which has no up side."""
-    parts = [c for link in item.links for c in link.colliders]
-    return len(parts) == 1 and isinstance(parts[0].geometry, Sphere) and not parts[0].X_LG.p.any()
+    return ball_radius(item) is not None

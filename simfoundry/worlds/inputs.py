@@ -27,7 +27,18 @@ from simfoundry.spec.variants import variant_names, variant_of
 from simfoundry.spec.write import to_data
 from simfoundry.targets.find import Target
 
-LIBRARIES = ("coacd", "mapbox-earcut", "mujoco", "numpy", "pillow", "scipy", "shapely", "trimesh", "usd-core")
+LIBRARIES = (
+    "coacd",
+    "fast-simplification",
+    "mapbox-earcut",
+    "mujoco",
+    "numpy",
+    "pillow",
+    "scipy",
+    "shapely",
+    "trimesh",
+    "usd-core",
+)
 """Those whose results are in the files."""
 
 _PACKAGE = Path(simfoundry.__file__).parent

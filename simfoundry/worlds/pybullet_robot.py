@@ -11,7 +11,7 @@ from simfoundry.scene.robot import Gripper
 from simfoundry.worlds.robot import unknown_joint
 
 Call = Callable[..., Any]
-"""A function of PyBullet's by name, for one client; or the loader's that lets a motor hold a position."""
+"""A function of PyBullet's by name, for one client; or one of the loader's that command a motor."""
 
 
 class PybulletRobotHandle:
@@ -20,8 +20,11 @@ class PybulletRobotHandle:
     ``facts`` are the robot's in ``world.json``.
     """
 
-    def __init__(self, call: Call, hold: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
+    def __init__(self, call: Call, hold: Call, press: Call, name: str, body: int, facts: Mapping[str, Any]) -> None:
         self._call, self._hold, self._name, self._body, self._facts = call, hold, name, body, facts
+        self._press = press
+        self._targets = {joint: motor["target"] for joint, motor in facts["motors"].items()}
+        self._servos = [joint for joint, motor in facts["motors"].items() if "stiffness" in motor]
         infos = [call("getJointInfo", body, k) for k in range(call("getNumJoints", body))]
         self._index = {info[1].decode(): k for k, info in enumerate(infos)}
         self._limits = {info[1].decode(): (float(info[8]), float(info[9])) for info in infos}
@@ -57,7 +60,13 @@ class PybulletRobotHandle:
         low, high = self._limits[joint]
         if low <= high:
             target = min(max(target, low), high)
+        self._targets[joint] = target
         self._hold(self._body, self._index[joint], self._facts["motors"][joint], target)
+
+    def press(self) -> None:
+        """Before a step, let each servo of the gripper push no harder than its spring would."""
+        for joint in self._servos:
+            self._press(self._body, self._index[joint], self._facts["motors"][joint], self._targets[joint])
 
     def gripper(self) -> float:
         """How far the gripper is closed, from 0, open, to 1."""

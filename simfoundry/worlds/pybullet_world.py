@@ -57,8 +57,8 @@ class PybulletWorld:
                 facts = json.loads((folder / "world.json").read_text(encoding="utf-8")).get("robots", {})
         self._trees = {tree.name: tree for item in scene.objects for tree in trees(item)}
         self.bodies: dict[str, int] = {name: every[name] for name in self._trees}
-        hold = partial(self._loader.hold, self.client)
-        self._robots = {n: PybulletRobotHandle(self._call, hold, n, every[n], facts[n]) for n in facts}
+        hold, press = partial(self._loader.hold, self.client), partial(self._loader.press, self.client)
+        self._robots = {n: PybulletRobotHandle(self._call, hold, press, n, every[n], facts[n]) for n in facts}
         self._objects = {self.bodies[name]: tree.owner.name for name, tree in self._trees.items()}
         self._objects |= {every[name]: name for name in facts}
         self._bodies = {body: name for name, body in self.bodies.items()}
@@ -128,6 +128,8 @@ class PybulletWorld:
     def step(self, n: int = 1) -> None:
         """Advance ``n`` steps."""
         for _ in range(n):
+            for robot in self._robots.values():
+                robot.press()
             self._call("stepSimulation")
 
     def halt(self) -> None:

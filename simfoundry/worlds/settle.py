@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import SceneObject
+from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
 from simfoundry.worlds.base import Contact, World
 from simfoundry.worlds.footing import NUDGE_DEG, STEEP, has_foot, is_ball, supporters, topples
+from simfoundry.worlds.rest import is_confined, is_still
 
 Progress = Callable[[str, float], None]
 
@@ -119,7 +120,11 @@ def settle(
     if restless or _fallen(world, world.state()):
         world.reset(opened)
         _slowed(world, options.damped_s, options.rest_s, options.max_damped_s, options, _stage(progress, "calm"))
+        calmed = world.state()
         restless = _dynamic(world, options, progress)
+        balls = {o.name for o in world.scene.objects if o.name in restless and is_ball(o)}
+        now = world.state().poses
+        restless -= {n for n in balls if is_confined(world.scene.object(n), calmed.poses[n], now[n])}
     world.halt()
     end, contacts_after = world.state(), world.contacts()
     fallen = _fallen(world, end)
@@ -138,13 +143,12 @@ def settle(
     return Settled(after, tuple(reports), tuple(sorted(restless | fallen)))
 
 
-def _restless(before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
+def _restless(scene: Scene, before: SceneState, after: SceneState, options: SettleOptions) -> set[str]:
     """The objects that moved, turned, or moved a joint between two states."""
     out = {
         name
         for name, start in before.poses.items()
-        if float(np.linalg.norm(after.poses[name].p - start.p)) > options.still_m
-        or after.poses[name].angle_to(start) > options.still_rad
+        if not is_still(scene.object(name), start, after.poses[name], options.still_m, options.still_rad)
     }
     moved = [j for j, start in before.joints.items() if abs(after.joints[j] - start) > options.still_rad]
     for joint, motion in before.motions.items():
@@ -185,7 +189,7 @@ def _slowed(
             world.halt()
         elapsed += halts * steps * world.timestep
         now = world.state()
-        restless = _restless(last, now, options) - _fallen(world, now)
+        restless = _restless(world.scene, last, now, options) - _fallen(world, now)
         last = now
         report(elapsed / most_s)
         if not restless:
@@ -205,7 +209,7 @@ def _dynamic(world: World, options: SettleOptions, progress: Progress | None) ->
         world.step(steps)
         elapsed += steps * world.timestep
         now = world.state()
-        restless = _restless(last, now, options) - _fallen(world, now)
+        restless = _restless(world.scene, last, now, options) - _fallen(world, now)
         last = now
         if progress is not None:
             progress("rest", elapsed / options.max_dynamic_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,12 @@ from numpy.testing import assert_allclose
 from simfoundry.assets import decompose, mass
 from simfoundry.assets import mesh as mesh_file
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import MAX_HULL_VERTICES, convex_parts, hull
+from simfoundry.assets.convex import MAX_HULL_VERTICES, hull, mesh_colliders
 from simfoundry.assets.faults import MeshError
+from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
-from tests.assets.meshes import blob, block, obj
+from simfoundry.assets.simplify import ALLOWED, simplified
+from tests.assets.meshes import blob, block, obj, rotation
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))
 
@@ -243,19 +246,69 @@ def entries(cache: Cache) -> dict[str, bytes]:
     return {str(p.relative_to(cache.folder)): p.read_bytes() for p in cache.folder.rglob("*") if p.is_file()}
 
 
-def test_what_is_nearly_convex_collides_as_its_hull(tmp_path: Path) -> None:
-    vertices, faces = block((0.1, 0.2, 0.3))
+def test_what_is_nearly_convex_collides_as_its_hull_or_simpler(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
-    assert len(convex_parts(vertices, faces, "auto", cache)) == 1
-    assert len(convex_parts(*ell(), "hull", cache)) == 1
-    assert convex_parts(*ell(), "none", cache) == ()
+    found = mesh_colliders(*blob(np.random.default_rng(3)), "auto", cache)
+    assert len(found.parts) == 1 and found.primitive is None
+    found = mesh_colliders(*ell(), "hull", cache)
+    assert len(found.parts) == 1 and found.primitive is None
+    assert found.error == pytest.approx(0.1 / math.sqrt(2), rel=0.02)  # how deep its corner is
+    assert mesh_colliders(*ell(), "none", cache).parts == ()
     assert entries(cache) == {}
+
+
+def turned_by(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    return rotation(np.random.default_rng(seed)), np.array([0.3, -0.2, 0.1])
+
+
+def test_meshes_of_primitives_collide_as_those() -> None:
+    turn, shift = turned_by(5)
+    vertices, faces = block((0.1, 0.2, 0.3))
+    found = mesh_colliders(vertices @ turn.T + shift, faces, "auto")
+    assert found.primitive is not None and found.primitive.kind == "box" and found.parts == ()
+    assert sorted(found.primitive.size) == pytest.approx([0.1, 0.2, 0.3])
+    assert_allclose(found.primitive.centre, shift, atol=1e-9)
+    assert found.error < 1e-6
+
+    def can(sides: int) -> tuple[np.ndarray, np.ndarray]:
+        return lathe_mesh(np.array([[0, 0.05], [0.03, 0.05], [0.03, -0.05], [0, -0.05]])[::-1], sides)
+
+    vertices, faces = can(48)
+    found = mesh_colliders(vertices @ turn.T + shift, faces[:, ::-1], "auto")
+    assert found.primitive is not None and found.primitive.kind == "cylinder"
+    assert found.primitive.size == pytest.approx((0.03, 0.1), rel=2e-3)
+    assert abs(found.primitive.rotation[:, 2] @ turn[:, 2]) == pytest.approx(1.0, abs=1e-6)
+    assert np.linalg.det(found.primitive.rotation) == pytest.approx(1.0)
+    assert found.error == pytest.approx(0.03 * (1 - math.cos(math.pi / 48)), abs=1e-4)
+    few = mesh_colliders(*can(7), "auto")
+    assert few.primitive is None and len(few.parts) == 1  # a heptagon is no cylinder
+
+    arc = np.linspace(0, math.pi, 24)
+    ball = lathe_mesh(np.column_stack([0.04 * np.sin(arc), -0.04 * np.cos(arc)]), 48)
+    found = mesh_colliders(*ball, "auto")
+    assert found.primitive is not None and found.primitive.kind == "sphere"
+    assert found.primitive.size == pytest.approx((0.04,), rel=0.01)
+
+
+def test_a_large_mesh_is_simplified_within_a_bound() -> None:
+    arc = np.linspace(0, math.pi, 101)
+    vertices, faces = lathe_mesh(np.column_stack([0.04 * np.sin(arc), -0.06 * np.cos(arc)]), 100)
+    corners, sides, lost = simplified(vertices, faces, 1000)
+    assert len(sides) <= 1000 < len(faces) and 0 < lost <= ALLOWED * 0.12
+    radius = np.linalg.norm(corners / [0.04, 0.04, 0.06], axis=1)
+    assert np.abs(radius - 1).max() * 0.04 < 2 * lost
+    assert simplified(vertices, faces, len(faces))[0] is vertices
+    gravel = np.random.default_rng(0).random((6000, 3))  # a soup that no fewer triangles stand for
+    soup = np.arange(6000, dtype=np.int32).reshape(-1, 3)
+    assert len(simplified(gravel, soup, 100)[1]) >= 500
 
 
 def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = Cache(tmp_path)
     vertices, faces = ell()
-    parts = convex_parts(vertices, faces, "auto", cache)
+    found = mesh_colliders(vertices, faces, "auto", cache)
+    parts = found.parts
+    assert found.error < 0.004
     assert len(parts) >= 2 and all(map(convex, parts))
     volume = sum(mass.mesh(*p).volume for p in parts)
     assert volume == pytest.approx(mass.mesh(vertices, faces).volume, rel=0.05)
@@ -266,22 +319,23 @@ def test_decomposition_is_kept_and_read_back(tmp_path: Path, monkeypatch: pytest
         raise AssertionError("decomposed again")
 
     monkeypatch.setattr(decompose, "decompose", refuse)
-    again = convex_parts(vertices, faces, "auto", cache)
-    assert [(v.tobytes(), f.tobytes()) for v, f in again] == [(v.tobytes(), f.tobytes()) for v, f in parts]
+    again = mesh_colliders(vertices, faces, "auto", cache)
+    assert again.error == found.error
+    assert [(v.tobytes(), f.tobytes()) for v, f in again.parts] == [(v.tobytes(), f.tobytes()) for v, f in parts]
     with pytest.raises(AssertionError, match="again"):
-        convex_parts(vertices * 1.01, faces, "auto", cache)
+        mesh_colliders(vertices * 1.01, faces, "auto", cache)
     assert entries(cache) == kept
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK", b"x" * 1000])
 def test_a_damaged_entry_is_computed_again(tmp_path: Path, damage: bytes) -> None:
     cache = Cache(tmp_path)
-    parts = convex_parts(*ell(), "decompose", cache)
+    parts = mesh_colliders(*ell(), "decompose", cache).parts
     (path,) = (p for p in tmp_path.rglob("*") if p.is_file())
     good = path.read_bytes()
     for bad in (damage, good[: len(good) // 2]):
         path.write_bytes(bad)
-        assert len(convex_parts(*ell(), "decompose", cache)) == len(parts)
+        assert len(mesh_colliders(*ell(), "decompose", cache).parts) == len(parts)
         assert path.read_bytes() == good
 
 

@@ -141,7 +141,7 @@ def test_only_the_changed_object_is_decomposed(project: Path, monkeypatch: pytes
     decomposed: list[str] = []
     real = decompose.decompose
 
-    def counted(name: str, vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
+    def counted(name: str, vertices: np.ndarray, faces: np.ndarray, _report: object) -> list[np.ndarray]:
         decomposed.append(name)
         return real(name, vertices, faces)
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import base64
+import colorsys
 import io
+import itertools
 import json
+import math
 import os
+import random
 import re
 import shlex
 import subprocess
@@ -17,7 +21,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from simfoundry.review.labels import place_labels
 from simfoundry.review.page import COLORS
+from simfoundry.review.pictures import Tag, tints_of
 from simfoundry.review.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
@@ -439,6 +445,56 @@ def test_the_page_shows_both_scenes_and_what_changed(repository: Repository) -> 
         assert line in page.text
     tags = [a["class"] for t, a in page.elements if t == "span" and "tag" in (a.get("class") or "")]
     assert len(tags) == 6
+
+
+STACK = """\
+simfoundry: scene/1
+name: stack
+viewpoint: front
+cameras:
+  front: {size: [160, 120], fx: 200, fy: 200, pose: {xyz: [-0.6, 0.1, 0.5], look_at: [0.4, 0, 0]}}
+objects:
+  desk: {fixed: true, shape: {box: [0.8, 0.6, 0.04]}, pose: {xyz: [0.4, 0, -0.02]}}
+  stool: {shape: {box: [0.2, 0.2, 0.1]}, mass: 2, place: {on: desk, xy: [0.3, 0]}}
+  pot: {shape: {sphere: 0.04}, mass: 0.3, place: {on: stool, at: [0.02, 0]}}
+  can: {shape: {sphere: 0.04}, mass: 0.3, pose: {xyz: [0.6, 0.1, 0.04]}}
+"""
+
+
+def test_the_page_shows_what_moves_along(repository: Repository) -> None:
+    """Of what its place brings along, no text says where to; things without a colour are not one grey."""
+    repository.write("a.scene.yaml", STACK)
+    repository.write(
+        "b.scene.yaml", STACK.replace("0.2, 0.2, 0.1]", "0.2, 0.2, 0.13]").replace("[0.3, 0]", "[0.34, 0]")
+    )
+    page = _page(repository, "a.scene.yaml", "b.scene.yaml")
+    assert "pot moved 5.0 cm (+x 4.0, +z 3.0), with what its place names" in page.text
+    assert "2 moved, 1 changed" in page.text
+    tags = [
+        attrs["class"] or "" for tag, attrs in page.elements if tag == "span" and "tag" in (attrs.get("class") or "")
+    ]
+    assert sorted(tag.split()[:2] for tag in tags) == [["tag", "moved"]] * 4
+    lit = np.array([colorsys.rgb_to_hsv(*pixel) for pixel in page.pictures()[1].reshape(-1, 3)[::7] / 255])
+    hues = {round(h * 12) % 12 for h, s, _ in lit if s > 0.2}
+    assert len(hues) >= 4, "three tints, and the colour of the outline"
+
+
+def test_a_grey_thing_keeps_its_tint_under_another_name() -> None:
+    tints = tints_of(["desk", "cup", "mug"])
+    assert tints == {**tints_of(["desk", "cup"]), "mug": tints["mug"]}
+    assert min(math.dist(a, b) for a, b in itertools.combinations(tints_of("abcdefghij").values(), 2)) > 0.08
+
+
+@pytest.mark.parametrize("aspect", [4 / 3, 2.5, 0.5])
+def test_labels_do_not_cover_one_another(aspect: float) -> None:
+    rng = random.Random(5)
+    for count in (1, 2, 12, 60):
+        tags = [Tag("t" * rng.randint(1, 40), 0.5 + rng.gauss(0, 0.1), 0.6 + rng.gauss(0, 0.1)) for _ in range(count)]
+        labels = place_labels(tags, aspect)
+        assert not any(a.meets(b) for a, b in itertools.combinations(labels, 2))
+        assert all(b.width / 2 <= b.x <= 1 - b.width / 2 + 1e-9 and b.height <= b.y <= 1 for b in labels)
+        assert all(abs(b.x - b.thing_x) <= b.width / 2 + 1e-9 for b in labels if 0 <= b.thing_x <= 1)
+        assert len(labels) == count or count > 2, "where there is no room, some are left out"
 
 
 def test_the_page_is_the_same_each_time_and_stands_alone(repository: Repository) -> None:

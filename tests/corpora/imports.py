@@ -199,7 +199,9 @@ def main() -> int:
         faults, loads, equal = print_table(measured(mine, options.workers), options.show)
         bad += faults + (equal < BAR * loads)
     if options.mutations:
-        own = [job for job in jobs if os.access(job.path.parent, os.W_OK) and job.corpus not in ("pybullet_data",)]
+        own = [job for job in jobs if any(job.path.is_relative_to(folder) for folder in options.folders)]
+        if not own:
+            parser.error("corrupted files lie beside the originals for a moment: name a folder that may be written to")
         done = corrupted(own, abs(options.mutations), options.seed, options.workers)
         broken = [o for o in done if o.is_fault]
         print(f"\n{len(done)} corrupted files: {sum(not o.refused for o in done)} imported, {len(broken)} faults")

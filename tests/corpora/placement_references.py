@@ -21,8 +21,8 @@ SECONDS = 1.0
 MEAN = 0.1
 """Forces are means over so long [s] at the end: PyBullet's change from step to step."""
 
-CARRIED_SHARE = 0.5
-"""What carries a thing pushes it up by more than this share of all upward pushes on it."""
+CARRIED_SHARE = 0.1
+"""What carries a thing pushes it up by more than this share of its weight: less is the noise of a touch."""
 
 CARRIED_DEG = 45.0
 """... and within this of straight up [deg], as Isaac Lab-Arena asks."""
@@ -100,17 +100,14 @@ def run(engine: Engine) -> Pushes:
 def carriers(pushes: Pushes, weights: dict[str, float]) -> dict[str, set[str]]:
     """By object: what carries it. ``weights`` [N] are those of the objects that can move."""
     found: dict[str, set[str]] = {name: set() for name in weights}
-    for name, weight in weights.items():
-        ups = {b: push for (a, b), push in pushes.items() if a == name and push[2] > 0}
-        total = sum(float(push[2]) for push in ups.values())
-        for other, push in ups.items():
-            steep = push[2] >= math.cos(math.radians(CARRIED_DEG)) * float(np.linalg.norm(push))
-            if steep and push[2] > CARRIED_SHARE * max(total, weight / 2):
-                found[name].add(other)
+    for (a, b), push in pushes.items():
+        steep = push[2] >= math.cos(math.radians(CARRIED_DEG)) * float(np.linalg.norm(push))
+        if a in found and steep and push[2] > CARRIED_SHARE * weights[a]:
+            found[a].add(b)
     return found
 
 
-def carried_by(name: str, other: str, direct: dict[str, set[str]], pushes: Pushes, weights: dict[str, float]) -> bool:
+def carried_by(name: str, other: str, pushes: Pushes, weights: dict[str, float]) -> bool:
     """Whether the weight of one object goes into another, directly or through what lies between."""
     seen, todo = set[str](), [name]
     while todo:
@@ -159,39 +156,54 @@ class Rays:
         self.bounds = {name: self._bound(geoms) for name, geoms in self._geoms.items()}
 
     def _bound(self, geoms: list[int]) -> tuple[Array, Array]:
-        points = np.concatenate([self._extremes(g) for g in geoms])
-        return points.min(axis=0), points.max(axis=0)
+        ends = np.array([self._ends(g) for g in geoms])
+        return ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)
 
-    def _extremes(self, g: int) -> Array:
-        """Points whose bounds along the world's axes are those of a geom."""
+    def _ends(self, g: int) -> Array:
+        """The lower and the upper corner of a geom's bounds [m], (2, 3)."""
+        points, round_ = self._core(g)
+        return np.stack([points.min(axis=0) - round_, points.max(axis=0) + round_])
+
+    def _core(self, g: int) -> tuple[Array, Array]:
+        """Points, and how far a geom reaches beyond them along the world's axes [m], (3,)."""
         model, kinds = self._model, self._mujoco.mjtGeom
         p, R = self._data.geom_xpos[g], self._data.geom_xmat[g].reshape(3, 3)
         kind, size = model.geom_type[g], model.geom_size[g]
         if kind == kinds.mjGEOM_MESH:
             mesh = model.geom_dataid[g]
             first = model.mesh_vertadr[mesh]
-            return np.asarray(p + model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ R.T)
+            return p + model.mesh_vert[first : first + model.mesh_vertnum[mesh]] @ R.T, np.zeros(3)
         if kind == kinds.mjGEOM_BOX:
-            reach = np.abs(R) @ size
-        elif kind == kinds.mjGEOM_SPHERE:
-            reach = np.full(3, size[0])
-        elif kind == kinds.mjGEOM_CAPSULE:
-            reach = np.abs(R[:, 2]) * size[1] + size[0]
-        elif kind == kinds.mjGEOM_CYLINDER:
-            reach = np.abs(R[:, 2]) * size[1] + np.sqrt(1 - R[:, 2] ** 2) * size[0]
-        else:
-            raise ValueError(f"no bounds of geoms of type {kind}")
-        return np.stack([p - reach, p + reach])
+            signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            return p + (signs * size) @ R.T, np.zeros(3)
+        if kind == kinds.mjGEOM_SPHERE:
+            return p[None], np.full(3, size[0])
+        ends = np.stack([p - size[1] * R[:, 2], p + size[1] * R[:, 2]])
+        if kind == kinds.mjGEOM_CAPSULE:
+            return ends, np.full(3, size[0])
+        if kind == kinds.mjGEOM_CYLINDER:
+            return ends, size[0] * np.sqrt(np.maximum(0, 1 - R[:, 2] ** 2))
+        raise ValueError(f"no bounds of geoms of type {kind}")
 
-    def _hit(self, name: str, start: Array, way: Array) -> float:
-        """How far a ray goes to an object [m]; -1 where it misses."""
+    def _hit(self, geoms: list[int], start: Array, way: Array) -> float:
+        """How far a ray goes to geoms [m]; -1 where it misses."""
         model = self._model
         model.geom_group[:] = 0
-        model.geom_group[self._geoms[name]] = 5
+        model.geom_group[geoms] = 5
         only = np.array([0, 0, 0, 0, 0, 1], dtype=np.uint8)
         found = np.zeros(1, dtype=np.int32)
         far = self._mujoco.mj_ray(model, self._data, start, way, only, 1, -1, found)
         return float(far) if 0 <= far <= FAR else -1.0
+
+    def _around(self, name: str, point: Array) -> list[int]:
+        """The geoms of an object that a point [m] is not in."""
+        up, out = np.array([0.0, 0.0, 1.0]), []
+        for g in self._geoms[name]:
+            low, high = self._ends(g)
+            within = (low <= point).all() and (point <= high).all()
+            if not within or min(self._hit([g], point, up), self._hit([g], point, -up)) < 0:
+                out.append(g)
+        return out
 
     def middle(self, name: str) -> Array:
         """The middle of an object's bounds [m]."""
@@ -206,14 +218,17 @@ class Rays:
         for sign in (1.0, -1.0):
             way = np.array([0.0, 0.0, sign])
             edge = middle + way * ((high - low)[2] / 2 + 0.01)
-            own = self._hit(a, edge, -way)  # BEHAVIOR shoots from where its own surface is met from beyond
+            own = self._hit(self._geoms[a], edge, -way)  # BEHAVIOR shoots from where its own surface is met from beyond
             start = edge - way * own if 0 <= own <= (high - low)[2] + 0.01 else middle
-            met.append(self._hit(b, start, way) >= 0)
+            met.append(self._hit(self._geoms[b], start, way) >= 0)
         level = []
+        walls = self._around(b, middle)  # what a point is in is not beside it
         for angle in np.linspace(0, math.pi / 2, PLANES):
             first = np.array([math.cos(angle), math.sin(angle), 0.0])
             second = np.array([-math.sin(angle), math.cos(angle), 0.0])
-            level.append(tuple((self._hit(b, middle, w) >= 0, self._hit(b, middle, -w) >= 0) for w in (first, second)))
+            level.append(
+                tuple((self._hit(walls, middle, w) >= 0, self._hit(walls, middle, -w) >= 0) for w in (first, second))
+            )
         low_b, high_b = self.bounds[b]
         within = bool((middle >= low_b).all() and (middle <= high_b).all())
         return Adjacency(met[0], met[1], tuple(level), within)  # type: ignore[arg-type]

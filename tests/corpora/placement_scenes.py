@@ -216,7 +216,7 @@ def stacked(b: Builder) -> None:
 def contained(b: Builder) -> None:
     """Things in vessels, bins, shelves and microwaves; few around which there are only walls."""
     rng = b.rng
-    kind = int(rng.choice(7, p=[0.2, 0.2, 0.2, 0.15, 0.17, 0.04, 0.04]))
+    kind = int(rng.choice(7, p=[0.2, 0.2, 0.23, 0.17, 0.18, 0.01, 0.01]))
     if kind == 0:
         r, h = rng.uniform(0.06, 0.1), rng.uniform(0.04, 0.08)
         put(b, "bowl", vessel(r * 0.6, r, h), h, 0, 0, 0, 0)
@@ -285,7 +285,7 @@ def hung(b: Builder) -> None:
     thick, height, length = rng.uniform(0.006, 0.014), rng.uniform(0.2, 0.3), rng.uniform(0.06, 0.12)
     tilt = float(rng.uniform(0, 15))
     b.add("rack", pegs(length, thick, height, tilt), (0, 0, 0))
-    kind = int(rng.integers(4))
+    kind = int(rng.choice(4, p=[0.33, 0.33, 0.32, 0.02]))
     along = rng.uniform(0.4, 0.8) * length
     top = height + along * math.tan(math.radians(tilt)) + thick / 2 / math.cos(math.radians(tilt)) + 0.003
     if kind == 0:  # a square ring

@@ -5,7 +5,7 @@
 Of N placements (500 by default) each is simulated for a second in MuJoCo and in PyBullet. There `OnTop` and `Inside`
 are compared with which object the contact forces show to carry which, and `Under`, `Above` and `Inside` with a ray cast
 of BEHAVIOR's definitions. The seeds are in two halves: thresholds are chosen on the even ones (`tune`), and the odd
-ones are reported. A line is printed for each disagreement; with `--out`, what was found is kept there, and placements
+ones are reported, in docs/predicates.md. A line is printed for each disagreement; with `--out`, what was found is kept there, and placements
 that are in it are not run again. Exits with 1 where a share of disagreements is above the bar.
 """
 
@@ -42,7 +42,7 @@ from tests.corpora.placement_references import (
 from tests.corpora.placement_scenes import placement
 
 BAR = 0.02
-"""The share of disagreements that is allowed."""
+"""The share of pairs of things on which a predicate and what it is compared with may disagree."""
 
 SETTLED = 0.01
 """What moves faster than this [m/s] rests on nothing, and is left out."""
@@ -57,7 +57,7 @@ def compared(seed: int) -> dict[str, Any]:
     with TemporaryDirectory() as temporary:
         kind, scene = placement(seed, Path(temporary))
     out: dict[str, Any] = {"seed": seed, "kind": kind, "asked": {}, "differ": []}
-    forces = MujocoForces(MujocoWorld(scene)), PybulletForces(PybulletWorld(scene))
+    forces: tuple[Engine, Engine] = MujocoForces(MujocoWorld(scene)), PybulletForces(PybulletWorld(scene))
     for name, engine in zip(("mujoco", "pybullet"), forces, strict=True):
         with engine.world:
             for question, asked, differ in _questions(scene, engine):
@@ -98,9 +98,10 @@ def _questions(scene: Scene, engine: Engine) -> Iterator[tuple[str, int, list[st
         return len(expected), differ
 
     resting = [pair for pair in pairs if pair[0] in rests]
-    yield "OnTop, forces", *asked("OnTop", {pair: pair[1] in direct[pair[0]] for pair in resting})
+    carried = {pair: pair[1] in direct[pair[0]] for pair in resting}
+    yield "OnTop, forces", *asked("OnTop", carried)
     enclosed = {pair: is_inside(seen[pair]) for pair in resting}
-    bears = {pair: carried_by(*pair, direct, pushes, weights) for pair in resting}
+    bears = {pair: carried_by(*pair, pushes, weights) for pair in resting}
     yield "Inside, forces", *asked("Inside", {pair: enclosed[pair] and bears[pair] for pair in resting})
     yield "Inside, rays", *asked("Inside", enclosed)
     yield "Under, rays", *asked("Under", {pair: is_under(one) for pair, one in seen.items()})
@@ -151,7 +152,7 @@ def _table(rows: list[dict[str, Any]]) -> int:
     for key in pairs:
         shares = differ[key] / max(pairs[key], 1), placements[key] / len(rows)
         print(f"{key:28}{pairs[key]:8}{differ[key]:8}{shares[0]:8.1%}{placements[key]:12}{shares[1]:8.1%}")
-    return int(any(placements[key] > BAR * len(rows) for key in pairs))
+    return int(any(differ[key] > BAR * pairs[key] for key in pairs))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import tomllib
 from simfoundry.capture.demo import own_capture
 from simfoundry.cli.main import COMMANDS
 from simfoundry.extras import EXTRAS
-from tests.conftest import REPOSITORY
+from tests.conftest import PACKAGE, REPOSITORY
 from tests.corpora.first_contact import blocks
 
 
@@ -30,4 +30,4 @@ def test_what_the_demo_and_the_cousins_need_goes_into_the_wheel() -> None:
     assert {"simfoundry/captures", "simfoundry/cousins/assets", "simfoundry/targets/profiles"} <= set(included.values())
     assert all((REPOSITORY / source).is_dir() for source in included)
     assert own_capture().relative_to(REPOSITORY).as_posix() == "specs/captures/desk"
-    assert (REPOSITORY / "simfoundry" / "robots" / "demo_arm.xml").is_file()  # whatever the package holds goes along
+    assert (PACKAGE / "robots" / "demo_arm.xml").is_file()  # whatever the package holds goes along

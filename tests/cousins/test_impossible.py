@@ -121,4 +121,5 @@ def test_a_filter_that_matches_nothing(project: Path) -> None:
 
 def test_a_gap_that_no_table_has(project: Path) -> None:
     done = asked(project, "gap: [0.02, 0.15]", "gap: [2, 3]")
-    assert done.code == 1 and "no place on `table` is 2 m from `post`" in done.err and nothing_was_tried(project)
+    assert done.code == 1 and nothing_was_tried(project)
+    assert "no place on `table` left of `post` is 2 m from `post`" in done.err

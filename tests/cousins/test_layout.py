@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from simfoundry.cousins.asks import asks_of
 from simfoundry.cousins.checks import examine
 from simfoundry.cousins.layout import Layout, propose, scatter
 from simfoundry.cousins.reasons import ImpossibleError, Rejected
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
+from simfoundry.scene.lower import lower
 from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.load import load
+from tests.conftest import REPOSITORY
 from tests.cousins.conftest import twin_of
 
 SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
@@ -80,7 +86,11 @@ def test_the_same_seed_gives_the_same_layout_whatever_came_before(table: Twin) -
         (axis("post", brick=("Inside",)), "Inside(brick, post) can never hold: `post` has no cavity"),
         (axis("post", table=("LeftOf",)), "`table` is fixed to the world, so it cannot move"),
         (axis("chip", brick=("LeftOf",)), "`brick` carries the anchor `chip`, so it cannot move around it"),
-        (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "no place on `table` is 2 m from `post`"),
+        (axis("post", brick=("LeftOf",), gap=(2.0, 3.0)), "no place on `table` left of `post` is 2 m from `post`"),
+        (axis("post", brick=("LeftOf",), gap=(0.5, 0.6)), "`brick` finds room for 0.3"),
+        (axis("post", brick=("NextTo",), gap=(0.6, 0.7)), "no place on `table` is 0.6 m from `post`"),
+        (axis("post", 2, brick=("LeftOf", "RightOf")), "no 2 of LeftOf, RightOf can hold for `brick` at once"),
+        (axis("post", 2, brick=("LeftOf", "OnTop")), "no 2 of LeftOf, OnTop can hold for `brick` at once"),
         (axis("post", post=("LeftOf",)), "`post` is the anchor"),
         (axis("can", post=("LeftOf",)), "nothing as large as `post` can be left of `can`: `table` ends 0.050 m beyond"),
     ],
@@ -177,3 +187,41 @@ def test_on_a_shelf_means_on_any_of_its_boards_and_on_no_edge(cell: Twin) -> Non
             heights[round(100 * (result.state.poses["cube"].p[2] - 0.015 + 0.3))] += 1
         fell += not result.accepted  # from the front edge of a board
     assert fell <= 3 and set(heights) == {2, 27} and min(heights.values()) >= 8, heights
+
+
+def test_nothing_stands_where_the_base_of_a_robot_is_whose_model_is_not_there(tmp_path: Path) -> None:
+    robot = "robots: {arm: {model: {mjcf: menagerie:no_such_robot/arm.xml}, pose: {xyz: [0.1, -0.1, 0]}}}\n"
+    small = (
+        CELL.replace("[0.8, 0.6, 0.04]", "[0.5, 0.5, 0.04]")
+        .replace("shelf: {", "# shelf: {")
+        .replace("side_table: {", "# {")
+    )
+    twin = twin_of(small + robot, tmp_path)
+    assert not twin.scene.robots and len(twin.places) == 1
+    for k in range(20):
+        layout = scatter(twin, ["cube"], np.random.default_rng([5, k]))
+        assert isinstance(layout, Layout)
+        assert math.dist(layout.poses["cube"].p[:2], (0.1, -0.1)) > 0.155 + 0.015
+
+
+@pytest.mark.parametrize(
+    ("thing", "anchor", "possible"),
+    [
+        ("bowl", "cup", False),
+        ("brown_box", "bowl", False),
+        ("cup", "bowl", True),
+        ("marker", "cup", True),
+        ("bowl", "brown_box", True),
+    ],
+)
+def test_what_is_too_large_for_a_cavity_is_known_before_it_is_tried(thing: str, anchor: str, possible: bool) -> None:
+    text = "simfoundry: scene/1\nname: pair\nobjects:\n"
+    text += "  desk: {fixed: true, shape: {box: [2, 2, 0.04]}, pose: {xyz: [0, 0, -0.02]}}\n"
+    for name, asset, x in (("thing", thing, -0.5), ("anchor", anchor, 0.5)):
+        text += f"  {name}: {{asset: assets/{asset}.asset.yaml, place: {{on: desk, xy: [{x}, 0]}}}}\n"
+    twin = Twin.of(lower(load(REPOSITORY / "specs" / "pair.scene.yaml", text=text)))
+    if possible:
+        asks_of(twin, axis("anchor", thing=("Inside",)))
+        return
+    with pytest.raises(ImpossibleError, match=r"`thing` \(.* cm\) cannot be inside `anchor`, whose cavity is"):
+        asks_of(twin, axis("anchor", thing=("Inside",)))

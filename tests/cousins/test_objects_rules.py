@@ -29,7 +29,10 @@ from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.files import write_atomically
-from simfoundry.scene.model import Mesh
+from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.voxels import cavity
+from simfoundry.scene.frames import frozen_array
+from simfoundry.scene.model import Mesh, Scene
 from simfoundry.scene.summary import bounds
 from simfoundry.spec.base import Estimate, LatheShape
 from simfoundry.spec.cousins import Change
@@ -298,6 +301,18 @@ def test_every_form_of_a_handle_is_a_closed_tube_that_stays_out_of_the_cup() -> 
             assert np.hypot(*ends[:, :2].T).min() - size[0] > 0.04 - wall.wall
         assert {c.kind for c in components(made)} == {Kind.VESSEL, Kind.HANDLE}
     assert len(said) == len(FORMS)
+
+
+@pytest.mark.parametrize("k", [7, 10])  # square loops, in which a few cells are walled on most sides
+def test_the_cavity_of_another_mug_is_that_of_its_body(k: int, tmp_path: Path) -> None:
+    made = draft(item("mug"), CHANGES, (), rng_of(11, "mug", k))
+    for file, data in made.files.items():
+        write_atomically(tmp_path / file, data)
+    mug = lowered(made.spec, tmp_path, "mug")
+    form = Bodies(Scene("mug", frozen_array([0.0, 0.0, -9.81]), (mug,)))["mug"].forms[0]
+    assert form is not None
+    hole = cavity(form)
+    assert hole is not None and np.abs(hole.middle[:2]).max() < hole.cell, made.changed
 
 
 @pytest.mark.parametrize("name", sorted(PATTERNS))

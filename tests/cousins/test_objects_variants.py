@@ -9,13 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.objects.item import Item, item_of
+from simfoundry.cousins.objects.item import Item, item_of, item_of_asset, lowered
+from simfoundry.cousins.objects.procedural import Draft
 from simfoundry.cousins.objects.sources import Given
 from simfoundry.cousins.objects.swap import chosen, made_for, overlay, prepare, variant_set
-from simfoundry.cousins.objects.variants import Variants, variants, write
+from simfoundry.cousins.objects.variants import Variants, procedural, variants, write
+from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.cousins.reasons import ImpossibleError
 from simfoundry.errors import SimfoundryError
+from simfoundry.files import write_atomically
 from simfoundry.scene.lower import lower
+from simfoundry.scene.model import Mesh
 from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
@@ -109,11 +113,11 @@ def test_a_swapped_scene_checks_and_lowers(scene: Loaded, task: Loaded, tmp_path
     path.write_text(write_tree(plain_tree(cousin), SceneSpec))
     read = load(path)
     assert not read.errors, read.errors
-    lowered = lower(read)
+    after = lower(read)
     twin = lower(scene)
-    assert lowered.object("bowl").category == twin.object("bowl").category
-    assert lowered.object("bowl").root.mass != twin.object("bowl").root.mass
-    assert np.allclose(lowered.object("cup").root.mass, twin.object("cup").root.mass)
+    assert after.object("bowl").category == twin.object("bowl").category
+    assert after.object("bowl").root.mass != twin.object("bowl").root.mass
+    assert np.allclose(after.object("cup").root.mass, twin.object("cup").root.mass)
 
 
 def test_variants_fill_a_variant_set(scene: Loaded, bowls: Variants, tmp_path: Path) -> None:
@@ -200,3 +204,29 @@ def test_variants_are_made_anew_where_the_library_has_changed(tmp_path: Path) ->
     record = (tmp_path / "rules" / "cup.variants.json").read_bytes()
     assert made_for(plain, table, [], 0, tmp_path / "rules", given)["cup"] == rules
     assert (tmp_path / "rules" / "cup.variants.json").read_bytes() == record
+
+
+def test_a_variant_is_a_twin_itself_and_keeps_its_picture(tmp_path: Path) -> None:
+    """What is seen of it is a textured mesh, and shapes collide: they change together, and the texture comes along."""
+    spec = item_of_asset(load(REPOSITORY / "specs" / "assets" / "mug.asset.yaml"))
+    draft = next(d for k in range(20) if "body with" in " ".join((d := procedural(spec, AXIS, 0, k)).changed))  # type: ignore[union-attr]
+    assert isinstance(draft, Draft)
+    folder = tmp_path / "first"
+    for name, data in draft.files.items():
+        write_atomically(folder / name, data)
+    (folder / "mug.asset.yaml").write_text(to_yaml(weighed(draft.spec, spec.spec, {}, {})))
+    twin = item_of_asset(load(folder / "mug.asset.yaml"))
+    (again,) = variants(twin, AXIS.model_copy(update={"count": 1})).accepted
+    path = write(again, tmp_path / "second")
+    read = load(path)
+    assert not read.errors, read.errors
+    links = [lowered(d.spec, p.parent, "mug").links[0] for d, p in ((twin, folder / "x"), (again, path))]
+    seen_as = [[v.geometry for v in link.visuals if isinstance(v.geometry, Mesh)] for link in links]
+    pictures = [[mesh.texture for mesh in meshes if mesh.texture] for meshes in seen_as]
+    assert pictures[0] and pictures[0] == pictures[1]
+    spans = []
+    for link in links:
+        seen = max(float(np.ptp(v.geometry.vertices[:, 2])) for v in link.visuals if isinstance(v.geometry, Mesh))
+        hulls = [c.geometry.vertices for c in link.colliders if isinstance(c.geometry, Mesh)]
+        spans.append(float(np.ptp(np.concatenate(hulls)[:, 2])) / seen)
+    assert spans[0] == pytest.approx(spans[1], rel=1e-3)

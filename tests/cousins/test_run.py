@@ -232,3 +232,28 @@ def test_no_process_outlives_its_pool() -> None:
     pool.close()
     time.sleep(0.5)
     assert all(worker._process is None for worker in pool._workers)
+
+
+ON_RAY = """
+import sys
+from simfoundry.cousins.pools import Work, open_pool
+pool = open_pool(Work("tests.cousins.toy:candidate", (0.5,)), "ray", 1)
+pool.submit(1)
+print(pool.next().index)
+pool.close()
+"""
+
+
+@pytest.mark.slow
+def test_processes_of_ray_import_what_is_installed_and_not_what_lies_around(tmp_path: Path) -> None:
+    pytest.importorskip("ray", reason="Ray is not installed")
+    decoy = tmp_path / "checkout" / "simfoundry"
+    decoy.mkdir(parents=True)
+    (decoy / "__init__.py").write_text("raise ImportError('this is not what is installed')")
+    script = tmp_path / "bin" / "simfoundry"
+    script.parent.mkdir()
+    script.write_text(ON_RAY)
+    env = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, cwd=decoy.parent, env=env, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "1"), done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from simfoundry import __version__
 from simfoundry.evaluate.entries import contenders
 from simfoundry.evaluate.metrics import wilson
 from simfoundry.evaluate.page import page
@@ -19,6 +21,7 @@ from simfoundry.evaluate.results import cells
 from simfoundry.evaluate.videos import side_by_side, whole_picture
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
+from tests.evaluate.test_strata import record
 
 PUSH = np.column_stack([np.zeros(45), np.minimum(0.05 + 0.006 * np.arange(45), 0.22), np.zeros(45)])
 """Straight on, slowly, into the block."""
@@ -163,6 +166,14 @@ def test_another_evaluation_in_the_same_folder_is_refused(bench: Path, done: Pat
     assert result.code == 2 and "another evaluation: its start is" in result.err
 
 
+def test_a_folder_of_an_earlier_version_is_refused(bench: Path, tmp_path: Path) -> None:
+    (tmp_path / "rollouts/push/still").mkdir(parents=True)
+    (tmp_path / "rollouts/push/still/000.json").write_text("{}")
+    result = run("eval", bench / "push.task.yaml", *_policies(bench)[2:], "-n", "1", "-o", tmp_path, "--no-video")
+    assert result.code == 2 and "which kept no folder for each engine; write to another folder" in result.err
+    assert not list((tmp_path / "rollouts").glob("*/*/*/*"))  # said before the first rollout
+
+
 def test_a_policy_that_fails_is_recorded_given_up_and_tried_again(bench: Path, tmp_path: Path) -> None:
     task: tuple[str | Path, ...] = ("eval", bench / "push.task.yaml", "--no-video", "-o", tmp_path, "-n", "5")
     nobody = "simfoundry: policy/1\nname: gone\nprotocol: openpi\naddress: localhost:1\naction_space: joint_position\n"
@@ -204,6 +215,30 @@ def test_a_rate_can_be_required(bench: Path, done: Path) -> None:
 def test_labels_come_from_what_was_asked_for() -> None:
     texts = ("random", "a.b=random", "openpi:localhost:8000?action_space=joint_position")
     assert [c.label for c in contenders(texts)] == ["random", "a.b", "openpi-localhost-8000"]
+
+
+def test_the_page_says_what_was_run_and_why_rollouts_failed(done: Path) -> None:
+    text = (done / "report.html").read_text()
+    facts = {"SimFoundry": __version__, "engine": f"mujoco {version('mujoco')}", "robot": "arm: arm.xml", "seed": "0"}
+    for name, value in {**facts, "rollouts": "8", "control": "15 Hz"}.items():
+        assert f"<dt>{name}</dt><dd>{value}</dd>" in text, name
+    assert "“Push the block away.” <span class='dim'>within 45 control steps (3 s)" in text
+    for label in ("0.33", "0.31", "x [m]", "0.02", "-0.02", "y [m]"):  # the block's region
+        assert f">{label}</text>" in text
+    record = next(r for r in _results(done)["rollouts"] if r["policy"] == "still")
+    assert "block" in record["unmet"] and f"not done after 45 control steps; at the end: {record['unmet']}" in text
+    assert "max-width:1200px" not in text
+
+
+def test_the_page_of_many_tasks_folds_them_and_shows_what_they_say_together() -> None:
+    rows = [record(f"cousin{k}", p, won=p == "a" or k < 2) for k in range(13) for p in "ab"]
+    rows.append(record("cousin0", "c", end="no answer", won=False))
+    filled = {"engine_version": "3", "robots": {}, "version": "0", "seed": 0, "instruction": "go", "control_hz": 15.0}
+    text = page([{**filled, "horizon": 9, "regions": {}, "cells": {}, "grid": [5, 5], **r} for r in rows])
+    assert text.count("<summary><b>cousin") == 13 and "a 1/1; b 0/1" in text
+    assert "All tasks together" in text and "13/13" in text and "2/13" in text
+    assert "no result" in text and "1 missing" in text
+    assert "<th>a and b</th><td>mujoco</td><td>13</td><td>11</td><td>0</td><td>0.000977</td>" in text
 
 
 def test_the_page_escapes_what_it_is_told() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.evaluate.policies import zmq_socket
-from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
 from simfoundry.evaluate.policies.groot import GrootPolicy
 from simfoundry.evaluate.policies.groot_modality import eef_9d
 from simfoundry.evaluate.policies.images import resize_with_pad
@@ -144,7 +144,7 @@ def test_an_answer_that_is_none_is_told_and_recorded(answer: bytes, words: str) 
     with serving(server) as address:
         asked = policy(address)
         asked.reset(GOOD, 0)
-        with pytest.raises(PolicyError) as raised:
+        with pytest.raises(InvalidAnswerError) as raised:
             asked.infer(observation(0))
         assert words in str(raised.value) and asked.record.errors == [str(raised.value)]
         server.answers.clear()

@@ -14,7 +14,7 @@ import pytest
 from websockets.sync.server import ServerConnection
 
 from simfoundry.evaluate.policies import websocket
-from simfoundry.evaluate.policies.base import PolicyError
+from simfoundry.evaluate.policies.base import InvalidAnswerError, PolicyError
 from simfoundry.evaluate.policies.codec import pack, unpack
 from simfoundry.evaluate.policies.openpi import OpenpiPolicy
 from simfoundry.evaluate.policies.roboarena import RESET_DONE, RoboarenaPolicy
@@ -131,7 +131,7 @@ def test_an_answer_that_is_none_is_told_recorded_and_left_behind(answer: bytes |
     with handled(answering(answer, GOOD_ANSWER)) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
         policy.reset(GOOD, 0)
-        with pytest.raises(PolicyError) as raised:
+        with pytest.raises(InvalidAnswerError) as raised:  # a failed rollout, not a missing one
             policy.infer(observation(0))
         assert words in str(raised.value) and policy.record.errors == [str(raised.value)]
         policy.reset(GOOD, 1)
@@ -144,7 +144,7 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
     with handled(answering(bytes(2**17))) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
         policy.reset(GOOD, 0)
-        with pytest.raises(PolicyError, match="is larger than 0 MiB"):
+        with pytest.raises(InvalidAnswerError, match="is larger than 0 MiB"):
             policy.infer(observation(0))
         assert (policy.record.reconnects, policy.record.failures) == (0, 1)
 
@@ -160,8 +160,9 @@ def test_an_answer_that_is_too_large_is_refused_before_it_is_read(monkeypatch: p
 def test_a_server_that_begins_otherwise(greeting: bytes | str, words: str) -> None:
     with handled(answering(greeting=greeting)) as address:
         policy = OpenpiPolicy(spec_of("openpi", address))
-        with pytest.raises(PolicyError, match=words):
+        with pytest.raises(PolicyError, match=words) as raised:
             policy.reset(GOOD, 0)
+        assert raised.type is PolicyError  # it was asked for no action yet: no rollout has failed
 
 
 def test_a_server_that_does_not_answer_in_time() -> None:
@@ -250,8 +251,9 @@ def test_attempts_are_counted_by_rollout() -> None:
             policy.reset(GOOD, rollout)
             policy.infer(observation(0))
         policy.reset(GOOD, 2)
-        with pytest.raises(PolicyError, match=r"hung up \(1000\) after 1 attempts to connect again"):
+        with pytest.raises(PolicyError, match=r"hung up \(1000\) after 1 attempts to connect again") as raised:
             policy.infer(observation(0))
+        assert raised.type is PolicyError  # a missing rollout: nothing is known of the policy
         policy.close()
 
 

@@ -109,6 +109,17 @@ def test_an_invalid_answer_is_a_failed_rollout(here: Path, bad: str, said: str) 
     )
 
 
+def test_a_file_never_stands_in_the_place_of_a_package(here: Path) -> None:
+    for folder in ("a", "b"):
+        (here / folder).mkdir()
+        (here / folder / "numpy.py").write_text("import numpy\nARRAY = numpy.zeros(2)\n" + POLICIES)
+        (here / folder / "beside.py").write_text("")
+    policies = [f"{f}=python:{f}/numpy.py:Push" for f in ("a", "b")]
+    command = ("eval", "push.task.yaml", "-p", policies[0], "-p", policies[1], "-n", "1", "-o", "out", "--no-video")
+    result = run(*command)
+    assert result.code == 0 and sys.modules["numpy"] is np, result.err
+
+
 def test_what_is_no_policy_is_said_before_the_first_rollout(here: Path) -> None:
     (here / "wrong.py").write_text("import nothing_of_this_name\n")
     (here / "syntax.py").write_text("class A(:\n")

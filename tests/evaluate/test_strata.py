@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,8 @@ from scipy import stats
 from simfoundry.evaluate.metrics import DRAWN_FLIPS, EXACT_FLIPS, holm, mcnemar, sign_flip, stratified, wilson
 from simfoundry.evaluate.results import results
 from simfoundry.evaluate.strata import comparisons, pools
+from tests.cli.command import run
+from tests.evaluate.benches import TASK, write_bench
 
 
 def record(task: str, policy: str, index: int = 0, won: bool = True, **more: Any) -> dict[str, Any]:
@@ -104,3 +108,40 @@ def test_policies_are_paired_by_start_and_corrected_for_their_number() -> None:
     assert [c.engine for c in other].count("pybullet") == 1
     missing = [{**r, "end": "no answer"} if r["policy"] == "bad" and r["index"] else r for r in rows]
     assert next(c for c in comparisons(missing) if c.second == "bad").pairs == 1
+
+
+COUSIN = "\norigin:\n  cousin: {recipe: benches, seed: 0, index: %d}\n"
+MOVED = "  block:\n    place: null\n    pose: {xyz: [0.31, 0, 0.025]}\n"
+MORE = "  ball: {shape: {sphere: 0.02}, material: wood, pose: {xyz: [0.6, -0.3, 0.02]}}\n"
+
+
+def test_a_folder_of_cousins_is_one_evaluation_stratified_by_axes(tmp_path: Path) -> None:
+    write_bench(tmp_path, TASK.replace("goal: At(block, 0.45, 0)", "goal: Touching(arm, block)", 1))
+    folder = tmp_path / "cousins"
+    folder.mkdir()
+    (tmp_path / "simfoundry.yaml").touch()
+    for k, objects in enumerate([MOVED, MOVED + MORE], 1):
+        scene = f"simfoundry: scene/1\nextends: ../bench.scene.yaml\nname: benches_{k}\nobjects:\n{objects}"
+        (folder / f"{k}.scene.yaml").write_text(scene + COUSIN % k)
+        task = (
+            f"simfoundry: task/1\nextends: ../push.task.yaml\nname: benches_{k}\nscene: {k}.scene.yaml\nreset: null\n"
+        )
+        (folder / f"{k}.task.yaml").write_text(task + COUSIN % k)
+    own = task.replace("extends: ../push.task.yaml\n", "instruction: Touch it.\ngoal: Touching(arm, block)\n")
+    (folder / "3.task.yaml").write_text(own.replace("2", "3", 1).replace("reset: null\n", "") + COUSIN % 3)
+    np.save(tmp_path / "push.npy", np.column_stack([np.zeros(45), np.linspace(0.05, 0.22, 45), np.zeros(45)]))
+    command = ["eval", str(folder), "-p", f"push=replay:{tmp_path / 'push.npy'}", "-n", "1", "--no-video"]
+    result = run(*command, "-o", str(tmp_path / "out"))
+    assert result.code == 0, result.err
+    rates = {row["stratum"]: (row["successes"], row["rollouts"]) for row in _pooled(tmp_path / "out")}
+    assert rates == {
+        "all": (3, 3),
+        "benches: scene": (1, 1),
+        "benches: distractors + scene": (1, 1),
+        "benches: distractors + scene + task": (1, 1),
+    }
+    assert "all (3)" in result.out and "3/3  100% (44% to 100%)" in result.out
+
+
+def _pooled(out: Path) -> list[dict[str, Any]]:
+    return list(json.loads((out / "results.json").read_text())["pooled"])

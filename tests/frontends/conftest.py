@@ -21,7 +21,7 @@ def importing(tmp_path: Path) -> Importing:
     def run(name: str, text: str, **options: object) -> tuple[Report, Scene]:
         source = tmp_path / "source" / name
         source.parent.mkdir(exist_ok=True)
-        source.write_text(text)
+        source.write_bytes(text.encode(errors="surrogateescape"))
         out = tmp_path / "out" / "thing.scene.yaml"
         report = import_file(source, out, Options(force=True, **options))  # type: ignore[arg-type]
         return report, lower_file(out)

@@ -246,6 +246,18 @@ def test_an_unforeseen_error_is_a_refusal_with_its_line(tmp_path: Path, monkeypa
         ('<!DOCTYPE r [<!ENTITY a "aa">]><mujoco/>', "defines the entity"),
         ("<mujoco/>", "it has no body and no geom"),
         ("<other/>", "its root is `<other>`"),
+        (
+            '<mujoco><worldbody><geom name="g" size="1" pos="0 inf 0"/></worldbody></mujoco>',
+            ":1: the pos of geom `g` is not",
+        ),
+        (
+            '<mujoco><worldbody><geom name="g" size="1" quat="1e308 0 0 0"/></worldbody></mujoco>',
+            "`g` is no rotation: 0 0 0",
+        ),
+        (
+            '<mujoco><worldbody><body><joint axis="0 0 1e308"/><geom size="1"/></body></worldbody></mujoco>',
+            "the axis of joint number 1 is no direction",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: str, reason: str) -> None:

@@ -193,8 +193,16 @@ def test_a_mass_without_inertia_at_a_fixed_joint_stays_a_point(importing: Import
     assert np.linalg.eigvalsh(scene.objects[0].links[1].inertia).min() > 1e-4  # of its shapes
 
 
-def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path) -> None:
-    mesh = '<collision><geometry><mesh filename="package://bot/m/t.obj"/></geometry></collision>'
+def test_an_inertia_that_overflows_is_that_of_the_shapes(importing: Importing) -> None:
+    huge = '<inertial><origin rpy="1 2 3"/><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixz="1e308"/></inertial>'
+    report, scene = importing("a.urdf", _robot(_link("a", huge + BOX)))
+    assert np.isfinite(scene.objects[0].links[0].inertia).all()
+    assert [n.what for n in report.notes] == ["inertia of `a`"]
+
+
+@pytest.mark.parametrize("scheme", ["package://", "package:///"])
+def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path, scheme: str) -> None:
+    mesh = f'<collision><geometry><mesh filename="{scheme}bot/m/t.obj"/></geometry></collision>'
     source = tmp_path / "bot/urdf/a.urdf"
     source.parent.mkdir(parents=True)
     source.write_text(_robot(_link("a", INERTIAL + mesh)))

@@ -126,6 +126,16 @@ def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> Non
     ("text", "reason"),
     [
         ("no usd at all", "OpenUSD refuses it"),
+        ('#usda 1.0\ndef Xform "a" {\n float \udcc2 = 1\n}\n', "OpenUSD refuses it"),
+        (
+            '#usda 1.0\ndef Cube "a" {\n double3 xformOp:translate = (0, nan, 0)\n'
+            ' uniform token[] xformOpOrder = ["xformOp:translate"]\n}\n',
+            "the transform of `/a` has numbers that are not finite",
+        ),
+        (
+            '#usda 1.0\ndef Cube "a" {\n double size = inf\n}\n',
+            "and a document cannot say that: Input should be a finite",
+        ),
         ('#usda 1.0\ndef Xform "a" {}\n', "it has no geometry"),
         ('#usda 1.0\ndef Xform "a" (references = @./none.usda@) {}\n', "it has no geometry: .*none.usda"),
     ],

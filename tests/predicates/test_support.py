@@ -58,6 +58,21 @@ links:
       wall: {shape: {box: [0.02, 0.3, 0.3]}, pose: {xyz: [-0.01, 0, 0.15]}}
       peg: {shape: {box: [0.1, 0.01, 0.01]}, pose: {xyz: [0.05, 0, 0.25]}}
 """
+SHELF = """\
+simfoundry: asset/1
+name: shelf
+links:
+  base:
+    density: 600
+    parts:
+      left: {shape: {box: [0.24, 0.012, 0.4]}, pose: {xyz: [0, 0.194, 0.2]}}
+      right: {shape: {box: [0.24, 0.012, 0.4]}, pose: {xyz: [0, -0.194, 0.2]}}
+      bottom: {shape: {box: [0.24, 0.376, 0.012]}, pose: {xyz: [0, 0, 0.006]}}
+      middle: {shape: {box: [0.24, 0.376, 0.012]}, pose: {xyz: [0, 0, 0.2]}}
+      top: {shape: {box: [0.24, 0.376, 0.012]}, pose: {xyz: [0, 0, 0.394]}}
+      back: {shape: {box: [0.012, 0.376, 0.4]}, pose: {xyz: [-0.114, 0, 0.2]}}
+"""
+RACK_OPEN = "\n".join(line for line in SHELF.splitlines() if "back:" not in line)
 DOORS = """\
 simfoundry: asset/1
 name: doors
@@ -89,6 +104,9 @@ objects:
   pearl: {{shape: {{sphere: 0.03}}, material: wood, pose: {{xyz: [0.5, 0, 0.0595]}}}}
   rack: {{asset: rack.asset.yaml, fixed: true, pose: {{xyz: [1, 0, 0]}}}}
   ring: {{asset: frame.asset.yaml, pose: {{xyz: [1.05, 0, 0.233], rpy_deg: [0, 90, 0]}}}}
+  shelf: {{asset: shelf.asset.yaml, pose: {{xyz: [0, 0.6, 0]}}}}
+  cubby: {{asset: cubby.asset.yaml, pose: {{xyz: [0, -0.6, 0]}}}}
+  die: {{shape: {{box: [0.03, 0.03, 0.03]}}, material: wood, pose: {{xyz: [1.5, 0.6, 0.015]}}}}
   doors: {{asset: doors.asset.yaml, fixed: true, pose: {{xyz: [1.5, 0, 0]}}}}
 """
 
@@ -97,7 +115,8 @@ objects:
 def placed(tmp_path_factory: pytest.TempPathFactory) -> Setting:
     """Things that others carry, each beside a thing that does not."""
     folder = tmp_path_factory.mktemp("support")
-    for name, text in (("stool", STOOL), ("frame", FRAME), ("funnel", FUNNEL), ("rack", RACK), ("doors", DOORS)):
+    for name, text in (("stool", STOOL), ("frame", FRAME), ("funnel", FUNNEL), ("rack", RACK), ("doors", DOORS),
+                       ("shelf", SHELF), ("cubby", RACK_OPEN)):  # fmt: skip
         (folder / f"{name}.asset.yaml").write_text(text)
     file: Path = folder / "support.scene.yaml"
     file.write_text(SCENE)
@@ -118,6 +137,39 @@ def placed(tmp_path_factory: pytest.TempPathFactory) -> Setting:
 def test_what_carries_and_what_is_under(placed: Setting, condition: str, expected: bool) -> None:
     verdict = placed.judge(condition, placed.start)
     assert verdict.value is expected, verdict.why
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0])
+@pytest.mark.parametrize("shelf", ["shelf", "cubby"], ids=["with a back", "without one"])
+@pytest.mark.parametrize(("x", "z", "expected"), [
+    (-0.08, 0.027, True), (0.0, 0.221, True), (0.06, 0.221, True), (0.1, 0.027, True),  # as far as the front edge
+    (0.15, 0.027, False), (0.0, 0.415, False), (0.2, 0.015, False),  # before it, on top, on the desk
+])  # fmt: skip
+def test_a_shelf_holds_things_as_far_as_its_front(
+    placed: Setting, shelf: str, yaw: float, x: float, z: float, expected: bool
+) -> None:
+    at = posed(0, 0.6, 0.1, 0, 0, yaw)
+    verdict = placed.judge(
+        f"Inside(die, {shelf})", changed(placed.start, poses={shelf: at, "die": at @ posed(x, 0.1, z)})
+    )
+    assert verdict.value is expected, verdict.why
+
+
+@pytest.mark.parametrize(("pitch", "expected"), [(0.0, True), (-math.pi / 2, True), (math.pi / 2, False)])
+def test_a_shelf_on_its_face_holds_nothing(placed: Setting, pitch: float, expected: bool) -> None:
+    """As it stands and on its back it does; its front is to +x."""
+    at = posed(0, 0.6, 0.5, 0, pitch)
+    verdict = placed.judge("Inside(die, shelf)", changed(placed.start, shelf=at, die=at @ posed(0.04, 0.1, 0.1)))
+    assert verdict.value is expected, verdict.why
+
+
+def test_what_rests_on_two_rests_on_both(placed: Setting) -> None:
+    """A tower lies across a coaster and a mat, its middle over neither; without one of them it would fall."""
+    across = changed(placed.start, coaster=posed(0.5, 0.5, 0.01), mat=posed(0.68, 0.5, 0.015),
+                     tower=posed(0.59, 0.5, 0.045, 0, math.pi / 2))  # fmt: skip
+    assert [placed.judge(f"OnTop(tower, {b})", across).value for b in ("coaster", "mat")] == [True, True]
+    alone = changed(across, mat=posed(0.9, 0.5, 0.015))
+    assert not placed.judge("OnTop(tower, coaster)", alone).value
 
 
 def test_what_a_thing_carries_does_not_hold_it_down(bowl: Setting) -> None:

@@ -58,8 +58,11 @@ def move(world: World, targets: dict[str, float], seconds: float) -> None:
         world.step(round(1 / 15 / world.timestep))
 
 
-def grasp_and_lift(world: World, grasp: float, rise: float) -> tuple[Array, dict[str, float]]:
-    """Take the cube at ``grasp`` [m] over it and lift it by ``rise`` [m]: where it is then, and the last targets."""
+def grasp_and_lift(world: World, grasp: float, rise: float, share: float = 1.0) -> tuple[Array, dict[str, float]]:
+    """Take the cube at ``grasp`` [m] over it and lift it by ``rise`` [m]: where it is then, and the last targets.
+
+    The gripper closes by ``share``, or as far as it can.
+    """
     arm, reach = world.robot("arm"), Reach(world.scene.robot("arm"))
     above = reach.solve(arm.positions(), np.array([0.5, 0.0, grasp + 0.15]))
     at = reach.solve(above, np.array([0.5, 0.0, grasp]))
@@ -67,7 +70,7 @@ def grasp_and_lift(world: World, grasp: float, rise: float) -> tuple[Array, dict
     arm.set_gripper(0.0)
     move(world, above, 1.5)
     move(world, at, 1.0)
-    arm.set_gripper(1.0)
+    arm.set_gripper(share)
     world.step(round(0.7 / world.timestep))
     move(world, up, 1.0)
     world.step(round(0.5 / world.timestep))

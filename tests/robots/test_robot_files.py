@@ -21,7 +21,7 @@ from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.spec.robot import ROBOTS
 from simfoundry.spec.robot_model import read_models
 from tests.cli.command import run
-from tests.conftest import REPOSITORY
+from tests.conftest import PACKAGE, REPOSITORY
 
 SPECS = sorted((REPOSITORY / "specs" / "scenes").glob("*.scene.yaml"))
 WITH_ROBOTS = [path for path in SPECS if path.name.split(".")[0] in ("droid", "yam")]
@@ -54,7 +54,7 @@ def plain(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("name", sorted(ROBOTS))
 def test_what_is_known_of_a_robot_and_its_models_agree(name: str) -> None:
-    models = read_models(REPOSITORY / "simfoundry" / "robots" / f"{name}.yaml")
+    models = read_models(PACKAGE / "robots" / f"{name}.yaml")
     described = [m for m in (models.mjcf, models.urdf, models.usd) if m is not None]
     assert described
     for model in described:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
+from simfoundry.backends import compile_scene
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
@@ -151,3 +154,63 @@ def _pybullet(scene: Scene) -> Any:
 def _same_pose(found: Pose, expected: Pose) -> None:
     assert found.p == pytest.approx(expected.p, abs=1e-5)
     assert found.angle_to(expected) < 1e-5
+
+
+def test_the_2f85_presses_as_hard_in_pybullet_as_in_mujoco(lift: Scene) -> None:
+    """Rotors are most of a finger's inertia; without them Bullet's contacts press with a hundredth of the force."""
+    pytest.importorskip("pybullet")
+    forces = {}
+    for world in (MujocoWorld(lift), _pybullet(lift)):
+        p, _ = grasp_and_lift(world, grasp=0.185, rise=0.12, share=0.62)
+        assert p[2] > 0.02 + 0.10, type(world).__name__
+        forces[type(world).__name__] = _press_on_cube(world)
+        world.close()
+    assert forces["PybulletWorld"] == pytest.approx(forces["MujocoWorld"], rel=0.25)
+
+
+def test_rotors_are_bodies_that_bullet_accepts(lift: Scene) -> None:
+    """Bullet takes an inertia that breaks the triangle inequality for zero, without a word that is heard."""
+    world = _pybullet(lift)
+    handle = world._robots["arm"]
+    for joint, index in handle._index.items():
+        if joint in lift.robot("arm").positions or joint in handle._gripper.joints:
+            moments = sorted(world._call("getDynamicsInfo", handle._body, index)[2])
+            assert moments[2] >= (0.005 if "driver" in joint else 0.1), joint
+            assert moments[0] + moments[1] >= moments[2] * (1 - 1e-9), joint
+    world.close()
+
+
+def test_a_converted_arm_lags_behind_its_target_as_in_mujoco(lift: Scene) -> None:
+    gone = {}
+    for world in (MujocoWorld(lift), _pybullet(lift)):
+        arm = world.robot("arm")
+        start = arm.positions()["joint1"]
+        arm.set_targets({"joint1": start + 0.1})
+        world.step(round(0.1 / world.timestep))  # as long as the damping of its servo is of the stiffness
+        gone[type(world).__name__] = arm.positions()["joint1"] - start
+        world.close()
+    assert gone["MujocoWorld"] == pytest.approx(0.1 * (1 - math.exp(-1)), rel=0.1)
+    assert gone["PybulletWorld"] == pytest.approx(gone["MujocoWorld"], rel=0.1)
+
+
+def test_a_converted_robot_grips_objects_of_one_friction_as_in_mujoco(lift: Scene) -> None:
+    world = json.loads(compile_scene(lift, "pybullet").files["world.json"])
+    pad = world["robots"]["arm"]["links"]["left_pad"]["lateral_friction"]
+    (surface,) = world["objects"]["cube"]["links"].values()
+    assert pad * surface["lateral_friction"] == pytest.approx(
+        max(1.0, 0.6)
+    )  # of the pad and of wood, of which MuJoCo takes the larger
+
+
+def _press_on_cube(world: Any) -> float:
+    """Sum of the normal forces [N] between the fingers and the cube."""
+    if not isinstance(world, MujocoWorld):
+        points = world._call("getContactPoints", bodyA=world.bodies["cube"])
+        return math.fsum(float(point[9]) for point in points)
+    total, force = 0.0, np.zeros(6)
+    cube = world.model.body("cube").id
+    for k in range(world.data.ncon):
+        if cube in world.model.geom_bodyid[world.data.contact[k].geom]:
+            mujoco.mj_contactForce(world.model, world.data, k, force)
+            total += float(force[0])
+    return total

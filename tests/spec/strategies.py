@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from simfoundry.spec.asset import AssetSpec, Drive, Inertial, JointSpec, LinkSpec, Mimic, Part
 from simfoundry.spec.base import (
+    FARTHEST,
     BoxShape,
     CameraPose,
     CapsuleShape,
@@ -52,8 +53,13 @@ TEXTS = st.text(st.characters(codec="utf-8"), max_size=60) | st.sampled_from(
 )
 NUMBERS = st.floats(-1e4, 1e4) | st.floats(-1e300, 1e300) | st.integers(-99, 99).map(float)
 POSITIVE = st.floats(1e-12, 1e4) | st.floats(1e-3, 1e300)
+COORDINATES = st.floats(-1e4, 1e4) | st.floats(-FARTHEST, FARTHEST) | st.integers(-99, 99).map(float)
+LENGTHS = st.floats(1e-12, 1e4) | st.floats(1e-3, FARTHEST)
 FRACTIONS = st.floats(0, 1)
 VEC3 = st.tuples(NUMBERS, NUMBERS, NUMBERS)
+POINT3 = st.tuples(COORDINATES, COORDINATES, COORDINATES)
+INERTIAS = st.tuples(*[st.floats(1, 1.9)] * 3, *[st.floats(-0.01, 0.01)] * 3)
+POINT3 = st.tuples(COORDINATES, COORDINATES, COORDINATES)
 COLORS = st.tuples(FRACTIONS, FRACTIONS, FRACTIONS) | st.tuples(FRACTIONS, FRACTIONS, FRACTIONS, FRACTIONS)
 
 
@@ -68,29 +74,29 @@ def _unit(values: tuple[float, float, float, float]) -> tuple[float, ...]:
 
 QUATERNIONS = st.tuples(*[st.floats(0.1, 1)] * 4).map(_unit)
 POSES = st.one_of(
-    st.builds(Pose, xyz=VEC3),
-    st.builds(Pose, xyz=VEC3, yaw_deg=NUMBERS),
-    st.builds(Pose, xyz=VEC3, rpy_deg=VEC3),
-    st.builds(Pose, xyz=VEC3, quat_wxyz=QUATERNIONS),
+    st.builds(Pose, xyz=POINT3),
+    st.builds(Pose, xyz=POINT3, yaw_deg=NUMBERS),
+    st.builds(Pose, xyz=POINT3, rpy_deg=VEC3),
+    st.builds(Pose, xyz=POINT3, quat_wxyz=QUATERNIONS),
 )
-ROUNDS = st.builds(Round, radius=POSITIVE, height=POSITIVE)
+ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
 SHAPES = st.one_of(
-    st.builds(BoxShape, box=st.tuples(POSITIVE, POSITIVE, POSITIVE)),
-    st.builds(SphereShape, sphere=POSITIVE),
+    st.builds(BoxShape, box=st.tuples(LENGTHS, LENGTHS, LENGTHS)),
+    st.builds(SphereShape, sphere=LENGTHS),
     st.builds(CylinderShape, cylinder=ROUNDS),
     st.builds(CapsuleShape, capsule=ROUNDS),
     st.builds(
         LatheShape,
         lathe=st.builds(
-            Lathe, profile=st.lists(st.tuples(st.floats(0, 9), NUMBERS), min_size=3, max_size=30).map(tuple)
+            Lathe, profile=st.lists(st.tuples(st.floats(0, 9), COORDINATES), min_size=3, max_size=30).map(tuple)
         ),
     ),
     st.builds(
         PrismShape,
         prism=st.builds(
             Prism,
-            outline=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=3, max_size=30).map(tuple),
-            height=POSITIVE,
+            outline=st.lists(st.tuples(COORDINATES, COORDINATES), min_size=3, max_size=30).map(tuple),
+            height=LENGTHS,
         ),
     ),
 )
@@ -138,7 +144,7 @@ OBJECTS = st.one_of(
     st.builds(ObjectSpec, shape=SHAPES, mass=maybe(QUANTITIES), **OBJECT),
     st.builds(ObjectSpec, asset=TEXTS, scale=POSITIVE, density=maybe(QUANTITIES), **OBJECT),
 )
-CAMERA_POSES = st.builds(CameraPose, xyz=VEC3, quat_wxyz=QUATERNIONS) | st.just(
+CAMERA_POSES = st.builds(CameraPose, xyz=POINT3, quat_wxyz=QUATERNIONS) | st.just(
     CameraPose(xyz=(0.1, 0.2, 0.3), look_at=(1.0, 0.0, 0.0))
 )
 PIXELS = st.integers(1, 8192)
@@ -157,7 +163,7 @@ LIGHTS = st.builds(
     intensity=st.floats(0, 1e6),
     color=COLORS,
     direction=st.tuples(NUMBERS, NUMBERS, st.floats(0.1, 1)),
-    xyz=VEC3,
+    xyz=POINT3,
 )
 SCENES = st.builds(
     SceneSpec,
@@ -182,7 +188,7 @@ LINKS = st.builds(
     LinkSpec,
     parts=st.dictionaries(NAMES, PARTS, min_size=1, max_size=2),
     mass=QUANTITIES,
-    inertial=maybe(st.builds(Inertial, com=VEC3, inertia=st.tuples(*[NUMBERS] * 6))),
+    inertial=maybe(st.builds(Inertial, com=POINT3, inertia=INERTIAS)),
     **BODY,
 )
 LIMITS = st.tuples(st.floats(-360, -1e-3), st.floats(1e-3, 360))

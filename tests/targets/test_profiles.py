@@ -22,14 +22,17 @@ from simfoundry.targets.combine import RULES
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import UnknownTargetError, find_target, folder, profile_names, read_profile, target_names
 from tests.cli.command import run
+from tests.mechanisms import pendulum
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid
 from tests.targets.everything import write_everything
 
 ROOT = Path(__file__).resolve().parents[2]
 SIMULATORS = {"mujoco", "mjx", "pybullet", "isaacsim", "isaaclab", "newton", "sapien", "maniskill", "genesis", "drake"}
-SIMULATORS |= {"omnigibson", "usdview"}
-MODULES = {"drake": "pydrake", "usdview": "pxr", "mjx": "mujoco.mjx"}
+SIMULATORS |= {"newton_usd", "omnigibson", "usdview"}
+MODULES = {"drake": "pydrake", "usdview": "pxr", "mjx": "mujoco.mjx", "newton_usd": "newton"}
 """What to import to know that a simulator is here, where it is called otherwise."""
+
+NEWTONS = ("newton", "newton_usd")
 
 MINE = """\
 simfoundry: target/1
@@ -145,6 +148,24 @@ def test_a_new_target_is_a_new_file(tmp_path: Path) -> None:
     assert losses["friction"] == "my_sim takes the smaller of a pair: 0.1 for 0.1 and 0.8, where 0.283 is meant"
     assert not any("restitution" in path for path in losses)
     assert any("restitution" in loss.path for loss in plain.losses)
+
+
+def test_newton_has_the_frictions_of_pairs_from_mjcf_and_the_larger_from_usd() -> None:
+    rough = solid("rough", box(1, 1, 1), pose(0, 0, 0), friction=0.5)
+    smooth = solid("smooth", box(1, 1, 1), pose(2, 0, 0), friction=0.35)
+    scene = scene_of(rough, smooth)
+    exact, larger = ({loss.path: loss.reason for loss in compile_target(scene, find_target(t)).losses} for t in NEWTONS)
+    assert "friction" not in exact
+    assert larger["friction"] == "newton_usd takes the larger of a pair: 0.5 for 0.35 and 0.5, where 0.418 is meant"
+
+
+def test_what_newton_reads_of_ball_joints_is_not_reported_lost() -> None:
+    scene = scene_of(pendulum(pose(0, 0, 0, 0.3, 0.2, 0.1), damping=0.02, friction=0.01))
+    plain = {loss.path for loss in compile_scene(scene, "usd").losses}
+    damped = {path for path in plain if path.endswith((".damping", ".friction"))}
+    assert damped, "the scene has no ball joint with damping"
+    for target in NEWTONS:
+        assert not damped & {loss.path for loss in compile_target(scene, find_target(target)).losses}
 
 
 def test_compile_takes_names_and_paths(tmp_path: Path) -> None:

@@ -9,16 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.cousins.settling import settle_layout
+from simfoundry.cousins.twin import bare
 from simfoundry.scene.frames import frozen_array
-from simfoundry.scene.lower import lower_file
+from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.worlds import ENGINES, World, open_world
 from simfoundry.worlds.base import Contact
 from simfoundry.worlds.footing import supporters
+from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import ObjectSettle, Settled, settle
 from tests.cli.command import run
+from tests.conftest import REPOSITORY
 
 Settle = Callable[..., Settled]
 
@@ -315,3 +319,35 @@ def test_worlds_are_left_in_the_settled_state(scene_file: Path) -> None:
     for name, X_WO in result.state.poses.items():
         assert np.allclose(now.poses[name].p, X_WO.p, atol=1e-12)
         assert math.isclose(now.poses[name].angle_to(X_WO), 0.0, abs_tol=1e-7)
+
+
+STACK = """\
+simfoundry: scene/1
+name: stack
+objects:
+  desk: {{fixed: true, shape: {{box: [8, 8, 0.04]}}, pose: {{xyz: [0, 0, -0.02], rpy_deg: [0, {tilt}, 0]}}}}
+  plate: {{asset: {assets}/plate.asset.yaml, place: {{on: desk, xy: [0, 0]}}}}
+  plate_2: {{asset: {assets}/plate.asset.yaml, place: {{on: plate, xy: [0, 0]}}}}
+  bowl: {{asset: {assets}/bowl.asset.yaml, place: {{on: plate_2, xy: [0, 0]}}}}
+  ball: {{shape: {{sphere: 0.033}}, mass: 0.058, {where}}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("where", "tilt", "rests"),
+    [
+        ("place: {inside: bowl, xy: [0.03, 0.02]}", 0, True),
+        ("pose: {xyz: [1, 0, 0.033]}", 0, True),
+        ("pose: {xyz: [1, 0, 0.0161]}", 1, False),
+    ],
+    ids=["in a bowl on two plates", "on a desk", "on a slope"],
+)
+def test_a_ball_rests_where_a_hollow_holds_it(where: str, tilt: float, rests: bool) -> None:
+    folder = REPOSITORY / "specs"
+    text = STACK.format(assets="assets", where=where, tilt=tilt)
+    scene = lower(load(folder / "stack.scene.yaml", text=text))
+    with MujocoWorld(scene) as world:
+        settled = settle(world)
+    assert ("ball" in settled.lost) is not rests, settled.lost
+    with MujocoWorld(bare(scene)) as world:
+        assert ("ball" in settle_layout(world, settled.state).restless) is not rests

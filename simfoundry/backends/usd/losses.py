@@ -91,7 +91,7 @@ def _joint(path: str, joint: Joint, by_name: Mapping[str, Joint]) -> Iterator[Lo
                 yield Loss(f"{path}.{field}", Fidelity.DROPPED, reason)
     if joint.drive is not None and joint.drive.force_limit is not None and joint.damping:
         reason = "USD has one damping a joint: what it adds to the drive's counts towards the force limit"
-        yield Loss(f"{path}.damping", Fidelity.APPROXIMATED, reason)
+        yield Loss(f"{path}.damping", Fidelity.APPROXIMATED, reason, "drive")
     if joint.mimic is not None:
         leader = by_name.get(joint.mimic.joint)
         slides = [j is not None and j.type is JointType.PRISMATIC for j in (joint, leader)]

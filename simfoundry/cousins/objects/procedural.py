@@ -9,9 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.objects.appearance import APPEARANCE
-from simfoundry.cousins.objects.components import Component, Kind, components
-from simfoundry.cousins.objects.geometry import GEOMETRY, Edit, Rng
+from simfoundry.cousins.objects.appearance import APPEARANCE, recolor
+from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
+from simfoundry.cousins.objects.geometry import GEOMETRY, Edit, Rng, stretch
 from simfoundry.cousins.objects.handles import swept
 from simfoundry.cousins.objects.item import Item
 from simfoundry.cousins.objects.meshes import deformed
@@ -26,6 +26,11 @@ Rule = Callable[[AssetSpec, Component, Rng], Edit | None]
 RULES: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
     {"geometry": ((reshape, (Kind.VESSEL,)), *GEOMETRY), "topology": TOPOLOGY, "appearance": APPEARANCE}
 )
+
+TOGETHER: Mapping[str, Sequence[tuple[Rule, tuple[Kind, ...]]]] = MappingProxyType(
+    {"geometry": ((stretch, MAIN),), "topology": (), "appearance": ((recolor, MAIN),)}
+)
+"""Rules that change meshes and shapes alike, for things whose shapes collide for the meshes that are seen."""
 
 SHARES = MappingProxyType({"geometry": 1.0, "topology": 0.5, "appearance": 0.8})
 """How often a variant differs in each way that is allowed: in shape always, or it would be a recoloured copy."""
@@ -64,24 +69,30 @@ def draft(item: Item, changes: Sequence[str], only: Sequence[str], rng: Rng) -> 
     files: dict[str, bytes] = {}
     kept = dict(item.files)
     wanted = [change for change in changes if rng.random() < SHARES[change]] or [changes[0]]
-    if "geometry" in wanted and any(part.mesh is not None for part in parts_of(spec).values()):
+    rules = TOGETHER if _is_mixed(spec) else RULES
+    if "geometry" in wanted and all(part.mesh is not None for part in parts_of(spec).values()):
         spec, files, words = deformed(spec, item.files, rng)
         kept, said = {}, [words]
     for change in wanted:
         done = set[Rule]()
         for _ in range(2 if change != "topology" and rng.random() < 0.5 else 1):
-            edit = _edit(spec, [pair for pair in RULES[change] if pair[0] not in done], only, rng)
+            edit = _edit(spec, [pair for pair in rules[change] if pair[0] not in done], only, rng)
             if edit is not None:
                 spec, words, rule = edit
                 said.append(words)
                 done.add(rule)
     for change in changes if not said else ():
-        edit = _edit(spec, RULES[change], only, rng)
+        edit = _edit(spec, rules[change], only, rng)
         if edit is not None:
             spec, words, _ = edit
             said.append(words)
-    spec, made, more = _finished(spec, changes, only, rng)
+    spec, made, more = _finished(spec, changes, only, rng) if rules is RULES else (spec, {}, [])
     return Draft(spec, (*said, *more), MappingProxyType({**files, **made}), MappingProxyType(kept))
+
+
+def _is_mixed(spec: AssetSpec) -> bool:
+    """Whether some parts are meshes and others shapes: mostly what is seen, and what collides for it."""
+    return len({part.mesh is None for part in parts_of(spec).values()}) == 2
 
 
 def _finished(

@@ -30,6 +30,7 @@ from simfoundry.cousins.objects.weigh import mesh_volume, weighed
 from simfoundry.cousins.reasons import Reason
 from simfoundry.files import write_atomically
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.robot_files import companions
 from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.base import Origin
 from simfoundry.spec.cousins import ObjectVariants
@@ -202,7 +203,7 @@ def _examined(
     except MeshError as error:
         return Refused(k, source, made.changed, (Reason("mesh", str(error)),))
     named = {p.mesh for p in parts_of(spec).values() if p.mesh is not None}
-    kept = {name: path.read_bytes() for name, path in made.kept.items() if name in named}
+    kept = {file: data for n, p in made.kept.items() if n in named for file, data in _whole(n, p).items()}
     files = MappingProxyType({**made.files, **kept})
     found = Variant(spec.name, k, source, spec, files, made.changed, thing, likeness(thing), 0.0)
     result = distinct(found)
@@ -210,6 +211,12 @@ def _examined(
         reason = next(faults(thing, twin, item.category), None)
         result = result if reason is None else Refused(k, source, made.changed, (reason,))
     return result
+
+
+def _whole(name: str, path: Path) -> dict[str, bytes]:
+    """A mesh file by the name that a document has for it, and beside it the materials and textures that it names."""
+    beside = {Path(name).with_name(other.name).as_posix(): other.read_bytes() for other in companions(path)}
+    return {name: path.read_bytes(), **beside}
 
 
 def _distinct(variant: Variant, others: list[Likeness], form: bool) -> Variant | Refused:

@@ -132,9 +132,11 @@ def _module(module: str) -> ModuleType:
         with redirect_stdout(sys.stderr):
             if not _is_file(module):
                 return importlib.import_module(module)
-            spec = importlib.util.spec_from_file_location(source.stem, source)
+            # A name of its own: a file called `torch.py` must not take the place of the package that it imports.
+            name = f"policy_{hashlib.sha256(str(source).encode()).hexdigest()[:8]}_{source.stem}"
+            spec = importlib.util.spec_from_file_location(name, source)
             assert spec is not None and spec.loader is not None
-            made = sys.modules[source.stem] = importlib.util.module_from_spec(spec)
+            made = sys.modules[name] = importlib.util.module_from_spec(spec)
             spec.loader.exec_module(made)
             return made
     except (Exception, SystemExit) as error:

@@ -89,8 +89,16 @@ def open_stage(path: Path) -> Usd.Stage:
     try:
         return Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        reason = str(error).strip().splitlines()[-1].partition(": ")[2].strip(" '\"")
+        reason = error_text(error).strip().splitlines()[-1].partition(": ")[2].strip(" '\"")
         raise StageError(f"this is no stage that USD can read: {reason}", path) from None
+
+
+def error_text(error: Exception) -> str:
+    """The text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
+    try:
+        return str(error)
+    except UnicodeDecodeError as undecoded:
+        return undecoded.object.decode("utf-8", "replace")
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import islice, takewhile
 
 from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.base import WORLD
 from simfoundry.spec.checks.checker import Checker
 from simfoundry.spec.checks.joints import check_pair, check_target
 from simfoundry.spec.files import MESH_SUFFIXES
@@ -28,6 +29,8 @@ def check_asset(c: Checker, spec: AssetSpec) -> None:
                 c.file(part.mesh, (*part_path, "mesh"), MESH_SUFFIXES)
             if part.material is not None:
                 c.name(part.material, c.names("materials"), (*part_path, "material"), "material")
+    if WORLD in c.names("links"):
+        c.reserved(("links", WORLD), "link")
     links = spec.links.values()
     c.unused(spec.materials, {link.material for link in links} | {p.material for k in links for p in k.parts.values()})
     c.densities(spec.materials)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from simfoundry.spec.base import Body, Material, quantity_value
+from simfoundry.spec.base import WORLD, Body, Material, quantity_value
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, reachable
 from simfoundry.spec.loaded import Loaded
@@ -64,6 +64,11 @@ class Checker:
                 hint += "; a new one is written under `materials`"
             self.add("SF201", path, f"no {what} is called `{name}`", hint)
         return False
+
+    def reserved(self, path: Path_, what: str) -> None:
+        """A finding for a thing that is called as formats call what does not move."""
+        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF call what does not move so"
+        self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
         """Whether ``reference`` is a file with one of the suffixes, below the project root or of a package."""

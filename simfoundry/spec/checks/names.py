@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.expressions import ExpressionError, parse_call, texts
+from simfoundry.spec.expressions import PREDICATES, ExpressionError, parse_call, texts
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.place import DEPTHS, SIDES, Place
 from simfoundry.spec.scene import SceneSpec
@@ -53,6 +53,13 @@ class SceneNames:
         except ExpressionError as error:
             c.add("SF202", path, str(error), nearest(error.word, error.choices) or EXAMPLE)
             return
+        things = [a for a, kind in zip(call.args, call.kinds, strict=True) if kind in ("thing", "body")]
+        if len(things) == 2 and self._overlap(*things):
+            both = (
+                f"`{things[0]}` is given for both" if things[0] == things[1] else "one of these is a part of the other"
+            )
+            message = f"`{call.predicate}` is about two things, and {both}"
+            c.add("SF202", path, message, f"{call.predicate}: {PREDICATES[call.predicate].meaning}")
         for argument, kind in zip(call.args, call.kinds, strict=True):
             match kind:
                 case "robot":
@@ -63,6 +70,14 @@ class SceneNames:
                     pass
                 case "body" | "thing":
                     self.check_part(c, argument, path)
+
+    def _overlap(self, a: str, b: str) -> bool:
+        """Whether two things have a link in common: one is all of the other, or a joint moves the link that one is."""
+        (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
+        asset = self.asset(owner)
+        if asset is not None:
+            one, two = (asset.joints[part].child if part in asset.joints else part for part in (one, two))
+        return owner == other and (not one or not two or one == two)
 
     def check_condition(self, c: Checker, condition: Any, path: Path_) -> None:
         """Findings of a condition."""

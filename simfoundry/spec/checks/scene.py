@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import ValidationError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.base import Body
+from simfoundry.spec.base import WORLD, Body
 from simfoundry.spec.checks.checker import Checker, Path_
 from simfoundry.spec.checks.joints import check_joints, check_pair
 from simfoundry.spec.checks.names import SceneNames
@@ -37,6 +37,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
     for name, robot in spec.robots.items():
         _robot(c, robot, ("robots", name))
     names = SceneNames(c.loaded, spec)
+    _names(c, names, spec)
     places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
     for name, place in places.items():
         names.check_place(c, name, place, ("objects", name, "place"))
@@ -58,6 +59,20 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
             names.check_part(c, part, ("no_contact", k, i))
         check_pair(c, pair, k, seen)
     _relations(c, names, spec)
+
+
+def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
+    """What the scene names must mean one thing each, here and in every format."""
+    for section, what in (("objects", names.objects), ("robots", names.robots)):
+        if WORLD in what:
+            c.reserved((section, WORLD), section.removesuffix("s"))
+    for name in names.robots:
+        if name in names.objects:
+            message = f"an object and a robot are called `{name}`, so it is not said which of the two is meant"
+            c.add("SF213", ("robots", name), message, "rename one of them")
+    if spec.viewpoint in names.robots and spec.viewpoint in c.names("cameras"):
+        message = f"a camera and a robot are called `{spec.viewpoint}`, so it is not said who sees left and right"
+        c.add("SF213", ("viewpoint",), message, "rename one of them")
 
 
 def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path_) -> None:

@@ -26,6 +26,9 @@ READERS = {
 }
 """The module of each engine here."""
 
+LOADERS = Path(__file__).parents[2] / "backends" / "templates"
+"""The loaders that targets ship, for engines that no backend's own ``load.py`` is for."""
+
 TIMESTEP = 1e-3
 """Seconds a step, for engines whose build does not say."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import newton
@@ -61,7 +61,7 @@ class NewtonSession:
 
     timestep = TIMESTEP
 
-    def __init__(self, model: newton.Model, names: Names, controls: Sequence[float] = ()) -> None:
+    def __init__(self, model: newton.Model, names: Names) -> None:
         self.model, self.names = model, names
         bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
         self._bodies = {name: k for name, k in bodies.items() if ":" not in name}  # others are parts of links
@@ -73,8 +73,6 @@ class NewtonSession:
         if self._bodies:
             newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
         self._control = model.control()
-        if controls:
-            self._control.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
         self._solver: newton.solvers.SolverBase | None = None
 
     def step(self) -> None:

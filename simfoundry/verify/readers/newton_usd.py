@@ -1,15 +1,14 @@
-"""Newton, from the usd build through its own ``load.py``."""
+"""Newton, from the usd build through the loader of the target `newton_usd`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import newton
 import numpy as np
 from pxr import Usd, UsdGeom
 
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.readers import Session, load_module
+from simfoundry.verify.readers import LOADERS, Session, load_module
 from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
 from simfoundry.verify.readers.usd import OWN_DAMPING, links, own_damping
 
@@ -17,11 +16,8 @@ from simfoundry.verify.readers.usd import OWN_DAMPING, links, own_damping
 def open_build(folder: Path) -> Session:
     """The model of the stage; the surfaces have their own coefficients, because Newton knows no combine mode."""
     quiet()
-    stage = load_module(folder / "load.py").load(own_friction=True, own_restitution=True)
-    builder = newton.ModelBuilder()
-    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # else the importer passes over its attributes
-    builder.add_usd(stage)
-    return NewtonSession(builder.finalize(device="cpu"), _names(stage))
+    loader, scene = load_module(LOADERS / "newton_usd_load.py"), folder / "scene.usda"
+    return NewtonSession(loader.load(scene=scene), _names(loader.open_stage(scene)))
 
 
 def _names(stage: Usd.Stage) -> Names:

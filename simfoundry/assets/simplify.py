@@ -1,0 +1,42 @@
+"""Quadric decimation of large meshes before their shape is searched, within a bounded error."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int32]
+
+ENOUGH_FACES = 4096
+"""Of the banana of YCB (16,384 triangles) as many take 0.6 s to cut where all take 4.3 s, into as good parts."""
+
+ALLOWED = 0.005
+"""How far the simplified surface may be from the mesh, as a share of the longest side: a tenth of what hulls are."""
+
+SAMPLES = 20_000
+"""Points of the original surface on which the distance is measured."""
+
+
+def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tuple[Array, Faces, float]:
+    """A mesh of about ``enough`` triangles, or of as many more as it needs, and how far it is from the original [m].
+
+    The mesh itself where it has no more, or where none with fewer triangles is near enough.
+    """
+    if len(faces) <= enough:
+        return vertices, faces, 0.0
+    import fast_simplification
+
+    from simfoundry.assets.deviation import distance_to_mesh, surface_samples
+
+    size = float(np.ptp(vertices, axis=0).max())
+    points, _ = surface_samples(vertices, faces, SAMPLES)
+    count = enough
+    while count < len(faces) // 2:
+        corners, sides = fast_simplification.simplify(vertices, faces, target_count=count)
+        fewer = np.asarray(corners, dtype=np.float64), np.asarray(sides, dtype=np.int32)
+        lost = float(distance_to_mesh(points, *fewer).max()) if len(sides) else np.inf
+        if lost <= ALLOWED * size:
+            return *fewer, lost
+        count *= 4
+    return vertices, faces, 0.0

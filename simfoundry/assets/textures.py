@@ -1,0 +1,126 @@
+"""Pictures that mesh files name, and which of them cannot be shown; without numpy, so that a check starts at once."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
+
+from simfoundry.spec.files import is_document
+
+if TYPE_CHECKING:
+    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.loaded import Loaded
+    from simfoundry.spec.scene import SceneSpec
+
+MAX_HEAD = 16 * 2**20
+"""Bytes of a mesh or material file in which names are looked for; the names of an OBJ stand before its corners."""
+
+_MATERIAL_FILE = re.compile(rb"^\s*mtllib[ \t]+(.+?)\s*$", re.MULTILINE)
+_COLOR_MAP = re.compile(rb"^\s*map_Kd[ \t]+(?:-\S+(?:[ \t]+[-+.\d]+)*[ \t]+)*(.+?)\s*$", re.MULTILINE)
+_DAE_PICTURE = re.compile(rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<")
+
+
+def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
+    """The place of each mesh that a document shows without one of its pictures, and what is wrong with that."""
+    for place, reference in _meshes(spec):
+        for fault in texture_faults(loaded.file(reference), loaded.root):
+            yield place, fault
+
+
+def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
+    from simfoundry.spec.scene import SceneSpec
+
+    if isinstance(spec, SceneSpec):
+        for name, item in spec.objects.items():
+            key = "asset" if item.visual is None else "visual"
+            reference = item.visual or item.asset
+            if reference is not None and not is_document(reference):
+                yield ("objects", name, key), reference
+        return
+    for link_name, link in spec.links.items():
+        for name, part in link.parts.items():
+            if part.mesh is not None and part.use != "collision":
+                yield ("links", link_name, "parts", name), part.mesh
+
+
+def texture_faults(path: Path, root: Path | None = None) -> list[str]:
+    """What is wrong with the pictures that a mesh file names, a sentence each; empty where all of them are shown.
+
+    One that is missing, that cannot be read, or that lies outside of the folder ``root`` leaves its surface plain.
+    """
+    try:
+        return list(dict.fromkeys(_faults(path, root)))
+    except OSError:
+        return []  # whoever reads the mesh says so
+
+
+def _faults(path: Path, root: Path | None) -> Iterator[str]:
+    for owner, name in _pictures(path):
+        if name.startswith("data:"):
+            continue
+        plain = unquote(name.removeprefix("file://")).replace("\\", "/")
+        file = owner.parent / plain
+        said = f"{owner.name} names the texture {name}"
+        if Path(plain).is_absolute() or (root is not None and not file.resolve().is_relative_to(root.resolve())):
+            yield f"{said}, which lies outside of the project"
+        elif not file.is_file():
+            yield f"{said}, which does not exist"
+        elif not _is_picture(file):
+            yield f"{said}, which is no picture that can be read"
+
+
+def _pictures(path: Path) -> Iterator[tuple[Path, str]]:
+    """The file that names each picture, and the name in it."""
+    match path.suffix.lower():
+        case ".obj":
+            for found in _MATERIAL_FILE.findall(_head(path)):
+                material = path.parent / _text(found)
+                if material.is_file():
+                    yield from ((material, _text(name)) for name in _COLOR_MAP.findall(_head(material)))
+                else:
+                    yield path, _text(found)  # with it go the names of all pictures
+        case ".dae":
+            names = map(_text, _DAE_PICTURE.findall(_head(path)))
+            yield from ((path, name) for name in names if "." in name)  # others are ids of surfaces
+        case ".gltf" | ".glb":
+            images = _gltf(path).get("images", [])
+            uris = [image["uri"] for image in images if isinstance(image, dict) and isinstance(image.get("uri"), str)]
+            yield from ((path, uri) for uri in uris)
+
+
+def _gltf(path: Path) -> dict[str, Any]:
+    with path.open("rb") as stream:
+        head = stream.read(20)
+        if head[:4] == b"glTF":
+            text = stream.read(min(int.from_bytes(head[12:16], "little"), MAX_HEAD))
+        else:
+            text = head + stream.read(MAX_HEAD)
+    try:
+        data = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return data if isinstance(data, dict) else {}
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(MAX_HEAD)
+
+
+def _text(name: bytes) -> str:
+    return name.decode("utf-8", errors="replace").strip('"')
+
+
+def _is_picture(path: Path) -> bool:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            picture.load()
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return False
+    return True

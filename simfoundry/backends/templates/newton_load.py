@@ -1,0 +1,80 @@
+"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes a tenth of a second.
+
+    model = load()
+    solver = newton.solvers.SolverMuJoCo(model)
+    state, control = model.state(), model.control()
+
+The MJCF says which friction each pair of surfaces has, which USD has no words for. Newton's importer passes over the
+keyframe and the direction of gravity: both are set here. The controls hold the robots where they are.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import newton
+import numpy as np
+
+SCENE = Path(__file__).resolve().parent / "scene.xml"
+TIMESTEP = 1 / 500
+"""Seconds a step."""
+
+
+def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
+    """Return the model on a device of Warp, in the state of the keyframe."""
+    root = ET.parse(scene).getroot()
+    builder = newton.ModelBuilder()
+    builder.add_mjcf(str(scene))
+    apply_keyframe(builder, floats(root.find("keyframe/key"), "qpos"))
+    model = builder.finalize(device=device)
+    model.set_gravity(tuple(floats(root.find("option"), "gravity")))
+    controls = floats(root.find("keyframe/key"), "ctrl")
+    if controls:  # what the model has, each of its control() begins with
+        model.mujoco.ctrl.assign(np.array(controls, dtype=np.float32))
+    return model
+
+
+def apply_keyframe(builder: newton.ModelBuilder, qpos: list[float]) -> None:
+    """Write MuJoCo's positions into Newton's, which keeps the order of the joints but turns quaternions to xyzw."""
+    ends = [*builder.joint_q_start[1:], len(builder.joint_q)]
+    q, at, carried = np.array(builder.joint_q, dtype=np.float64), 0, set[int]()
+    for kind, child, start, end in zip(
+        builder.joint_type, builder.joint_child, builder.joint_q_start, ends, strict=True
+    ):
+        if child in carried:  # a loop that MuJoCo closes by an equality is a second joint of the same body here
+            continue
+        carried.add(child)
+        count = end - start
+        if at + count > len(qpos):
+            raise ValueError(f"the keyframe has {len(qpos)} positions and the model more")
+        values = np.array(qpos[at : at + count])
+        if kind in (newton.JointType.FREE, newton.JointType.BALL):
+            values[-4:] = values[[-3, -2, -1, -4]]
+        q[start:end] = values
+        at += count
+    if at != len(qpos):
+        raise ValueError(f"the keyframe has {len(qpos)} positions and the model {at}")
+    builder.joint_q = q.tolist()
+
+
+def floats(element: ET.Element | None, attribute: str) -> list[float]:
+    """Return the numbers of an attribute; none where there is no such element or attribute."""
+    return [] if element is None else [float(v) for v in element.get(attribute, "").split()]
+
+
+def main() -> None:
+    """Say what was loaded, and that it steps."""
+    model = load()
+    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
+    state, following, control = model.state(), model.state(), model.control()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, state)
+    for _ in range(50):
+        state.clear_forces()
+        solver.step(state, following, control, None, TIMESTEP)
+        state, following = following, state
+    print(f"loaded {SCENE}: {model.body_count} bodies, {model.joint_count} joints, {model.shape_count} shapes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""Load this world into Newton: ``load()`` returns a model; ``python load.py`` takes a tenth of a second.
+
+    model = load()
+    solver = newton.solvers.SolverMuJoCo(model)
+
+The stage has the importers of USD: ``pip install newton[importers]``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import newton
+from pxr import Gf, Usd, UsdGeom, UsdPhysics
+
+SCENE = Path(__file__).resolve().parent / "scene.usda"
+TIMESTEP = 1 / 500
+"""Seconds a step."""
+
+
+def load(device: str = "cpu", scene: Path = SCENE) -> newton.Model:
+    """Return the model on a device of Warp."""
+    stage = open_stage(scene)
+    builder = newton.ModelBuilder()
+    newton.solvers.SolverMuJoCo.register_custom_attributes(builder)  # else the importer passes over friction of joints
+    builder.add_usd(stage)
+    turn_balls(builder, stage)
+    return builder.finalize(device=device)
+
+
+def open_stage(scene: Path = SCENE) -> Usd.Stage:
+    """Open the stage, in its session layer with the surfaces' own coefficients.
+
+    Newton knows no square roots under PhysX.
+    """
+    stage = Usd.Stage.Open(str(scene))
+    with Usd.EditContext(stage, stage.GetSessionLayer()):
+        for prim in stage.GetPrimAtPath("/World/Contacts").GetChildren():
+            material = UsdPhysics.MaterialAPI(prim)
+            friction = prim.GetAttribute("simfoundry:friction").Get()
+            material.GetStaticFrictionAttr().Set(friction)
+            material.GetDynamicFrictionAttr().Set(friction)
+            material.GetRestitutionAttr().Set(prim.GetAttribute("simfoundry:restitution").Get())
+    return stage
+
+
+def turn_balls(builder: newton.ModelBuilder, stage: Usd.Stage) -> None:
+    """Set the rotation of each ball joint, which the importer leaves at zero, from the poses of its two bodies."""
+    cache = UsdGeom.XformCache()
+    for joint, label in enumerate(builder.joint_label):
+        if builder.joint_type[joint] != newton.JointType.BALL:
+            continue
+        prim = UsdPhysics.SphericalJoint(stage.GetPrimAtPath(label))
+        frames = [
+            _turned(prim.GetLocalRot0Attr(), prim.GetBody0Rel(), stage, cache),
+            _turned(prim.GetLocalRot1Attr(), prim.GetBody1Rel(), stage, cache),
+        ]
+        rotation = frames[0].GetInverse() * frames[1]
+        start = builder.joint_q_start[joint]
+        builder.joint_q[start : start + 4] = [*rotation.GetImaginary(), rotation.GetReal()]
+
+
+def _turned(own: Usd.Attribute, body: Usd.Relationship, stage: Usd.Stage, cache: UsdGeom.XformCache) -> Gf.Quatd:
+    """Rotation in the world of the frame that a joint has in one of its bodies."""
+    path = body.GetTargets()
+    world = cache.GetLocalToWorldTransform(stage.GetPrimAtPath(path[0])) if path else Gf.Matrix4d(1.0)
+    return world.RemoveScaleShear().ExtractRotationQuat() * Gf.Quatd(own.Get())
+
+
+def main() -> None:
+    """Say what was loaded, and that it steps."""
+    model = load()
+    solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
+    state, following, control = model.state(), model.state(), model.control()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, state)
+    for _ in range(50):
+        state.clear_forces()
+        solver.step(state, following, control, None, TIMESTEP)
+        state, following = following, state
+    print(f"loaded {SCENE}: {model.body_count} bodies, {model.joint_count} joints, {model.shape_count} shapes")
+
+
+if __name__ == "__main__":
+    main()
