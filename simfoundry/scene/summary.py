@@ -151,19 +151,19 @@ def bounds(item: SceneObject) -> tuple[Array, Array]:
 
 def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
     """Lowest and highest corner [m] of a geometry posed in a frame."""
-    R = np.abs(X_OG.rotation)
+    axes = np.abs(X_OG.rotation)
     match geometry:
         case Mesh():
             points = X_OG.apply(geometry.vertices)
             return points.min(axis=0), points.max(axis=0)
         case Box():
-            half = R @ (geometry.size / 2)
+            half = axes @ (geometry.size / 2)
         case Sphere():
             half = np.full(3, geometry.radius)
         case Cylinder():
-            half = R[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - R[:, 2] ** 2))
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
         case Capsule():
-            half = R[:, 2] * geometry.height / 2 + geometry.radius
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius
     return X_OG.p - half, X_OG.p + half
 
 
