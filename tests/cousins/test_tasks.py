@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.tasks.accept import accept
+from simfoundry.cousins.tasks.accept import AcceptedTask, accept
 from simfoundry.cousins.tasks.choices import task_cousins
-from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
+from simfoundry.cousins.tasks.document import task
+from simfoundry.cousins.tasks.enumerate import Proposal, Proposals, enumerate_tasks
 from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.tasks.ideas import Affordances
-from simfoundry.cousins.tasks.meaning import meaning
+from simfoundry.cousins.tasks.meaning import meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -76,7 +77,7 @@ def proposals(setting: Setting) -> list[Proposal]:
 
 def why(setting: Setting, goal: object) -> tuple[str, str]:
     reasons = accept(goal, setting)
-    return (reasons[0].code, reasons[0].text) if reasons else ("", "")
+    return (reasons[0].code, reasons[0].text) if isinstance(reasons, tuple) else ("", "")
 
 
 # -- what things afford -----------------------------------------------------------------------------------------------
@@ -214,6 +215,35 @@ def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:
     assert len(meanings) == len(set(meanings)) > 5
 
 
+def test_no_two_proposals_are_done_by_one_state(setting: Setting, proposals: list[Proposal]) -> None:
+    goals = {p.name: p.task.goal for p in proposals if p.accepted and p.task is not None}
+    assert "ball_in_bowl" in goals and "ball_on_bowl" not in goals, "of the two the one that asks for more"
+    for name, goal in goals.items():
+        done = witness(setting, goal)
+        assert isinstance(done, Witness)
+        same = [n for n, g in goals.items() if n != name and set(objects_of(g)) == set(objects_of(goal))]
+        assert [n for n in same if setting.twin.judge(goals[n], done.state).value] == []
+
+
+def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: Setting) -> None:
+    def stated(*goals: object) -> list[tuple[str, str]]:
+        proposed = Proposals(setting)
+        for k, goal in enumerate(goals):
+            made = task(f"task_{k}", setting, "bench.scene.yaml", "Do it.", goal, {}, "")
+            proposed.add(made.name, "", made)
+        return [(p.name, p.reasons[0].text if p.reasons else "") for p in proposed.found]
+
+    on, within = "OnTop(ball, bowl)", "Inside(ball, bowl)"
+    assert stated(on) == [("task_0", "")], "what is stated alone is taken at its word"
+    assert stated(within, on) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
+    assert stated(on, within) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
+    both = {"all": ("Open(cabinet.drawer)", "Open(cabinet.bottom_drawer)")}
+    assert stated("Open(cabinet.drawer)", both) == [
+        ("task_0", "it is done where `task_1` is, which asks for more"),
+        ("task_1", ""),
+    ]
+
+
 def test_the_same_seed_gives_the_same_and_another_another_order(setting: Setting, path: Path) -> None:
     first = enumerate_tasks(setting, 3, seed=1)
     assert enumerate_tasks(Setting.load(path), 3, seed=1) == first
@@ -284,12 +314,13 @@ def test_refused(setting: Setting, goal: object, code: str, said: str) -> None:
     ],
 )
 def test_accepted(setting: Setting, goal: object) -> None:
-    assert accept(goal, setting) == ()
+    assert isinstance(accept(goal, setting), AcceptedTask)
 
 
 def test_a_duplicate_is_told_by_its_meaning(setting: Setting) -> None:
-    known = {meaning({"all": ["Inside(ball, bowl)", "Released(ball)"]}): "first"}
-    assert [r.code for r in accept("In(ball, bowl)", setting, known)] == ["duplicate"]
+    first = AcceptedTask("first", {"all": ["Inside(ball, bowl)", "Released(ball)"]})
+    (reason,) = accept("In(ball, bowl)", setting, [first])
+    assert (reason.code, reason.text) == ("duplicate", "its goal is that of `first`")
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
+from simfoundry.cousins.tasks.meaning import objects_of
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.ways import across, cavities, is_free
 from simfoundry.predicates import PredicateError
@@ -32,20 +34,20 @@ class Step:
     """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
 
     name: str
-    goal: str
+    goal: Any
     words: str
     thing: str = ""
 
 
 @dataclass(frozen=True)
 class Idea:
-    """A task that may be possible: its ``steps`` in order, the predicates of its ``goal``, and how odd it is.
+    """A task that may be possible: its ``steps`` in order, the conditions of its ``goal``, and how odd it is.
 
     The lower ``odd`` the sooner it is proposed: 0 one step, 1 several.
     """
 
     name: str
-    goal: tuple[str, ...]
+    goal: tuple[Any, ...]
     steps: tuple[Step, ...]
     odd: int = 0
 
@@ -57,8 +59,7 @@ class Idea:
     @property
     def about(self) -> tuple[str, ...]:
         """Everything that its goal names."""
-        names = [a.strip().partition(".")[0] for text in self.goal for a in text[text.index("(") + 1 : -1].split(",")]
-        return tuple(dict.fromkeys(names))
+        return objects_of({"all": self.goal})
 
 
 @dataclass(frozen=True)
