@@ -9,6 +9,7 @@ from typing import Any
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.meaning import branches, meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting, numbers
+from simfoundry.cousins.tasks.ways import levels
 from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
@@ -141,7 +142,10 @@ def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     for name in names:
         item = there.get(name.partition(".")[0])
         if item is not None and item.name != setting.twin.ground and not found:
-            found += setting.cannot_reach(name, *setting.bounds(name))
+            # Which level of a shelf is reached, and from where, was proved in the twin; its top may be too high.
+            several = levels(setting, name, setting.twin.state)
+            reach = setting.too_far if several else setting.cannot_reach
+            found += reach(name, *setting.bounds(name))
     return tuple(found)
 
 
