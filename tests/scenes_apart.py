@@ -145,6 +145,7 @@ def _joint(one: Joint, two: Joint) -> Iterator[Apart]:
         yield from _same("limits", "joint_limits", one.limits is None, two.limits is None)
         if one.limits is not None and two.limits is not None:
             yield from _close("limits", "joint_limits", one.limits, two.limits, RADIANS)
+        yield from _same("closed", "joint_closed", one.closed, two.closed)
         yield from _close("position", "joint_position", one.position, two.position, RADIANS)
     for name, feature in (("damping", "joint_damping"), ("friction", "joint_friction"), ("armature", "armature")):
         yield from _close(name, feature, getattr(one, name), getattr(two, name))

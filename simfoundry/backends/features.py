@@ -182,6 +182,7 @@ FEATURES: dict[str, Feature] = {
     "joint_limits": Feature(
         "joint", "joint limits", _joints(lambda j: j.limits is not None or j.type is JointType.PRISMATIC)
     ),
+    "joint_closed": Feature("joint", "the limit at which a joint is closed", _joints(lambda j: j.closed is not None)),
     "joint_damping": Feature("joint", "viscous damping of joints", _joints(lambda j: j.damping > 0)),
     "joint_friction": Feature("joint", "Coulomb friction of joints", _joints(lambda j: j.friction > 0)),
     "armature": Feature("joint", "armature", _joints(lambda j: j.armature > 0)),
@@ -190,6 +191,7 @@ FEATURES: dict[str, Feature] = {
 
 _OF_JOINT = {
     "limits": "joint_limits",
+    "closed": "joint_closed",
     "damping": "joint_damping",
     "friction": "joint_friction",
     "armature": "armature",

@@ -98,7 +98,7 @@ FEATURES: dict[str, Cell] = {
     "torsional_friction": approximated("mixed with the sliding friction, one number a link"),
     "rolling_friction": approximated("mixed with the sliding friction, one number a link"),
     **exact("no_contact"),
-    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction"),
     "armature": dropped("URDF has no rotor inertia"),
     **exact("ball", "free", "mimic"),

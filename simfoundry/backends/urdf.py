@@ -65,7 +65,7 @@ FEATURES: dict[str, Cell] = {
     "torsional_friction": dropped("URDF has no contact friction"),
     "rolling_friction": dropped("URDF has no contact friction"),
     "no_contact": dropped("URDF does not say what touches"),
-    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction"),
     "armature": dropped("URDF has no rotor inertia"),
     "ball": dropped("URDF has none: the link is welded"),
@@ -309,13 +309,17 @@ def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
 
 
 def placement(tree: Tree) -> dict[str, object]:
-    """What URDF does not hold: whether a part of an object is fixed, its pose in the world and its joint positions."""
+    """What URDF does not hold of a part of an object: whether it is fixed, its pose in the world, and of its joints.
+
+    Their positions, and of those that say so the limit at which they are closed.
+    """
+    closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
     return {
         "fixed": tree.fixed,
         "p": [rounded(v) for v in tree.X_WT.p.tolist()],
         "q_wxyz": [rounded(v) for v in tree.X_WT.q.tolist()],
         "joints": {j.name: rounded(j.position) for j in tree.joints if j.has_axis},
-    }
+    } | ({"closed": closed} if closed else {})
 
 
 def _manifest(tree: Tree) -> dict[str, object]:

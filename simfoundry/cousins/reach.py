@@ -1,4 +1,4 @@
-"""Whether an arm can take a thing from above: inverse kinematics of the hand over it and at it.
+"""Whether an arm can take a thing from above or from a side: inverse kinematics of the hand before it and at it.
 
 This is about the arm alone: its fingers may not fit the thing, and something may be in the way.
 """
@@ -6,6 +6,7 @@ This is about the arm alone: its fingers may not fit the thing, and something ma
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,13 +19,16 @@ from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene
 
 OVER = 0.10
-"""How far above its grasp the hand comes down from [m]."""
+"""From how far its grasp the hand comes [m]."""
 
 YAWS = 6
 """Turns of the hand about z that are tried."""
 
 DEEP = 0.03
-"""How far below the top of a thing fingers take it [m], or at its middle where it is lower."""
+"""How far behind the top or the side from which they come fingers take a thing [m]; at its
+middle if that is nearer."""
+
+UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -72,43 +76,55 @@ class Reach:
             return f"no model of {', '.join(self._names)} is here; `simfoundry doctor` says what brings it"
         return ""
 
-    def __call__(self, low: Array, high: Array) -> Reached:
-        """Whether an arm can take from above what is between two corners in the world [m], shape (3,) each."""
+    def __call__(self, low: Array, high: Array, side: Sequence[float] = UP, way: Sequence[float] = UP) -> Reached:
+        """Whether an arm can take what is between two corners in the world [m], shape (3,) each.
+
+        The hand comes from a ``side`` along a ``way``: unit vectors away from the thing.
+        """
         if self.missing:
             return Reached(False, False, why=self.missing)
-        key = tuple(np.round([*low, *high], 4).tolist())
+        key = tuple(np.round([*low, *high, *side, *way], 4).tolist())
         if key not in self._known:
-            self._known[key] = self._solved(low, high)
+            self._known[key] = self._solved(low, high, np.array(side), np.array(way))
         return self._known[key]
 
-    def _solved(self, low: Array, high: Array) -> Reached:
-        x, y = ((low + high) / 2)[:2]
-        z = max(float(high[2]) - DEEP, float(low[2] + high[2]) / 2)
+    def _solved(self, low: Array, high: Array, side: Array, way: Array) -> Reached:
+        middle = (low + high) / 2
+        grasp = middle + max(float(np.abs(side) @ (high - low)) / 2 - DEEP, 0.0) * side
         nearest = Reached(False, True, away=math.inf)
         for arm, tip in self._arms:
             base = arm.robot.X_WB.p
-            away = math.hypot(float(x - base[0]), float(y - base[1]))
+            away = math.hypot(*(middle - base)[:2].tolist())
             if away < nearest.away:
                 nearest = Reached(False, True, arm.robot.name, away)
             if arm.robot.reach is not None and away > arm.robot.reach + 0.1:
                 continue
-            if self._takes(arm, np.array([x, y, z + tip])):
+            if self._takes(arm, grasp + tip * side, side, way):
                 return Reached(True, True, arm.robot.name, away)
         return nearest
 
-    def _takes(self, arm: Arm, hand: Array) -> bool:
-        """Whether the hand, which looks down, gets over its place and straight down to it."""
+    def _takes(self, arm: Arm, hand: Array, side: Array, way: Array) -> bool:
+        """Whether the hand gets to where its way begins and straight to its place."""
         starts = (_towards(arm, hand), arm.home)
-        for k in range(YAWS):
-            yaw = 2 * math.pi * k / YAWS
-            c, s = math.cos(yaw), math.sin(yaw)
-            down = Pose.from_matrix(np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]]))
-            over = Pose.of(hand + np.array([0.0, 0.0, OVER]), down.q)
+        for turn in _hand_turns(side):
+            before = Pose.of(hand + OVER * way, turn)
             for start in starts:
-                q = arm.solve(over, start)
-                if q is not None and arm.solve(Pose.of(hand, down.q), q) is not None:
+                q = arm.solve(before, start)
+                if q is not None and arm.solve(Pose.of(hand, turn), q) is not None:
                     return True
         return False
+
+
+def _hand_turns(side: Array) -> list[Array]:
+    """Quaternions (wxyz) of hands that look away from a ``side``: any turn from above, else fingers side by side."""
+    if side[2] > 1 - 1e-9:
+        turns = [2 * math.pi * k / YAWS for k in range(YAWS)]
+        across = [np.array([math.cos(turn), math.sin(turn), 0.0]) for turn in turns]
+    else:
+        rising = np.array(UP) - side[2] * side
+        rising = rising / np.linalg.norm(rising)
+        across = [rising, -rising]
+    return [Pose.from_matrix(np.column_stack([x, np.cross(-side, x), -side])).q for x in across]
 
 
 def _towards(arm: Arm, hand: Array) -> Array:

@@ -191,11 +191,12 @@ def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) 
 def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
     """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
     from simfoundry.cousins.tasks.accept import impossible
-    from simfoundry.cousins.tasks.choices import about, setting_in
+    from simfoundry.cousins.tasks.choices import setting_in
+    from simfoundry.cousins.tasks.meaning import objects_of
     from simfoundry.cousins.tasks.setting import hands_of
 
     goal = draw.twin.goal
-    if found is None or goal is None or not about(goal) & set(draw.others):
+    if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
     return impossible(goal, setting_in(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
 

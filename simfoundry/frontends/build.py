@@ -167,6 +167,8 @@ def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> 
         out["limits"] = tuple(float(v) for v in joint.limits)
     elif joint.limits is not None and joint.type == "revolute":
         out["limits_deg"] = tuple(math.degrees(v) for v in joint.limits)
+    if joint.closed is not None and joint.type in ("revolute", "prismatic"):
+        out["closed"] = joint.closed
     out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
     if joint.mimic is not None:
         out["mimic"] = {

@@ -123,7 +123,8 @@ class DriveDraft:
 class JointDraft:
     """A joint at the origin of its child: ``X_PC`` the child's frame in the parent's at zero, ``axis`` in the child's.
 
-    ``type`` is one of fixed, revolute, continuous, prismatic, ball, free; ``limits`` [rad or m].
+    ``type`` is one of fixed, revolute, continuous, prismatic, ball, free; ``limits`` [rad or m]; ``closed`` is the one
+    at which it is closed, `lower` or `upper`, where that is said.
     """
 
     name: str
@@ -138,6 +139,7 @@ class JointDraft:
     armature: float = 0.0
     mimic: MimicDraft | None = None
     drive: DriveDraft | None = None
+    closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
     """The state of a ball or free joint: the pose of the child's frame in where it is at zero."""

@@ -106,6 +106,7 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
     names = {old: _link_name(old, owner, own) for old in body.links}
     joints = {}
     for joint in body.joints:
+        joint.closed = own.texts.get(f"{joint.name}:closed")
         joints[joint.name] = own.texts.get(f"{joint.child}:joint", joint.name.removeprefix(f"{owner}."))
         joint.name = joints[joint.name]
         joint.parent, joint.child = names[joint.parent], names[joint.child]

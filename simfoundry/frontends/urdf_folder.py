@@ -62,6 +62,7 @@ def _body(draft: Draft, path: Path, name: str, entry: Mapping[str, Any], package
     body.category, body.labels = entry.get("category"), tuple(entry.get("labels", ()))
     for joint in body.joints:
         joint.position = float(entry["joints"].get(joint.name, 0.0))
+        joint.closed = entry.get("closed", {}).get(joint.name)
     for link in body.links.values():
         link.parts = _with_capsules(link)
     return body

@@ -312,7 +312,7 @@ class _Usd:
         # Of a joint that carries its body0 the axis is turned about, so that its coordinate stays.
         made.axis = X_CJ.rotation @ joint.axis * (-1.0 if joint.child == parent else 1.0)
         made.limits, made.damping, made.friction = joint.limits, joint.damping, joint.friction
-        made.armature, made.drive = joint.armature, joint.drive
+        made.armature, made.drive, made.closed = joint.armature, joint.drive, joint.closed
         for part in self.bodies[child].link.parts:
             part.X_LG = X_CL.inverse() @ part.X_LG
         if made.type in ("revolute", "continuous", "prismatic"):

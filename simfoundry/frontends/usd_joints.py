@@ -44,6 +44,7 @@ class UsdJoint:
     friction: float = 0.0
     armature: float = 0.0
     drive: DriveDraft | None = None
+    closed: str | None = None
 
     def frame(self, body: str) -> Pose:
         """Its frame in one of its two bodies."""
@@ -82,6 +83,8 @@ def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float,
             made.axis = AXES[schema.GetAxisAttr().Get()]
             bounds = (schema.GetLowerLimitAttr().Get(), schema.GetUpperLimitAttr().Get())
             _limited(draft, made, what, turns, bounds, units[0])
+            closed = prim.GetAttribute("simfoundry:closed")
+            made.closed = closed.Get() if closed and closed.Get() in ("lower", "upper") else None
             _dynamics(draft, pxr, prim, made, "angular" if turns else "linear", units)
         case "PhysicsSphericalJoint":
             made.type = "ball"

@@ -224,6 +224,12 @@ def _lift(held: Hulls, carrier: _Carrier, walled: bool) -> float | None:
     return None
 
 
+def overlap(thing: Hulls, carrier: Hulls) -> bool:
+    """Whether parts of two shapes overlap where they are, by more than :data:`CLEARANCE` along z."""
+    touching, leaving = heights(thing, carrier), -heights(thing.flipped(), carrier.flipped())
+    return bool(((leaving < -CLEARANCE) & (touching > CLEARANCE)).any())
+
+
 def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
     """Where the thing can lie, from the highest: how far it is lifted, and the part of the carrier it lies on.
 

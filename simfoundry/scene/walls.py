@@ -33,7 +33,7 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
     rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
     for share in LEVELS:
         start = np.array([lowest[0], lowest[1], bottom + FOOT + share * (top - bottom)])
-        if sum(math.isfinite(_reach(container, start, ray)) for ray in rays) >= WALLED:
+        if sum(math.isfinite(free_distance(container, start, ray)) for ray in rays) >= WALLED:
             return True
     return False
 
@@ -44,7 +44,7 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
     Without walls on both sides along an axis, and where there is no hollow, it stays in the ``middle`` given.
     """
     top = container.extent(np.array([0.0, 0.0, 1.0]))[1]
-    floor = top - _reach(container, np.array([*middle[:2], top + 1e-6]), np.array([0.0, 0.0, -1.0]))
+    floor = top - free_distance(container, np.array([*middle[:2], top + 1e-6]), np.array([0.0, 0.0, -1.0]))
     if not math.isfinite(floor) or top - floor < 4 * FOOT:
         return middle
     point = np.array([*middle[:2], floor + LOW * (top - floor)])
@@ -54,13 +54,13 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
             length = math.hypot(*level)
             if length < 0.5:
                 continue
-            ahead, back = (_reach(container, point, sign * level / length) for sign in (1, -1))
+            ahead, back = (free_distance(container, point, sign * level / length) for sign in (1, -1))
             if math.isfinite(ahead + back):
                 point = point + level / length * (ahead - back) / 2
     return point
 
 
-def _reach(shape: Hulls, start: Array, ray: Array) -> float:
+def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
     """How far a ray goes before it meets a part [m]; inf where it meets none."""
     return min(_to_triangles(shape, start, ray), _to_rounded(shape, start, ray))
 

@@ -13,8 +13,8 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-from simfoundry.cousins.tasks.enumerate import enumerate_tasks
-from simfoundry.cousins.tasks.meaning import meaning
+from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
+from simfoundry.cousins.tasks.meaning import meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.trial import LASTS
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -49,17 +49,15 @@ def main() -> int:
         took = time.perf_counter() - started
         findings = [d for file in write(found, out) for d in (*load(file).findings, *lint(load(file)))]
     accepted = [p for p in found if p.accepted and p.task is not None]
-    place = {meaning(p.task.goal): k for k, p in enumerate(accepted, 1) if p.task is not None}
+    known = papers()
+    place = {name: _proposed_as(spec, accepted, setting) for name, spec in known.items()}
     for proposal in found:
         reason = f"  [{proposal.reasons[0].text}]" if proposal.reasons else ""
         print(f"{'+' if proposal.accepted else '-'} {proposal.goal}{reason}")
     print(f"\n{len(found)} proposals in {took:.0f} s, {len(accepted)} accepted; {len(findings)} findings of `check`\n")
-    known = papers()
-    for name, spec in known.items():
-        print(
-            f"{name:<28} {'proposal ' + str(place[meaning(spec.goal)]) if meaning(spec.goal) in place else 'MISSING'}"
-        )
-    among = sum(meaning(spec.goal) in place for spec in known.values())
+    for name, said in place.items():
+        print(f"{name:<28} {said or 'MISSING'}")
+    among = sum(map(bool, place.values()))
     true, impossible, elsewhere, looked = _again(setting, [p.task for p in accepted if p.task is not None])
     print(f"\n{among} of the paper's {len(known)} among them")
     print(f"already true: {len(true)} {true}; without a witness: {len(impossible)} {impossible}")
@@ -67,6 +65,23 @@ def main() -> int:
         f"witnesses whose goal does not hold after {SECONDS:g} s in PyBullet: {len(elsewhere)} of {looked} {elsewhere}"
     )
     return int(among < 13 or bool(true or impossible or findings or elsewhere))
+
+
+def _proposed_as(spec: TaskSpec, accepted: list[Proposal], setting: Setting) -> str:
+    """The proposal that means the same, or is done in a state in which a task of the paper is; empty without one.
+
+    The paper says OnTop of what ends in a bowl, of which we propose the Inside only.
+    """
+    for k, proposal in enumerate(accepted, 1):
+        assert proposal.task is not None
+        goal = proposal.task.goal
+        if meaning(goal) == meaning(spec.goal):
+            return f"proposal {k}"
+        if set(objects_of(goal)) == set(objects_of(spec.goal)):
+            shown = witness(setting, goal)
+            if isinstance(shown, Witness) and setting.twin.judge(spec.goal, shown.state).value:
+                return f"proposal {k}, as {proposal.goal}"
+    return ""
 
 
 def engines() -> tuple[str, ...]:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.tasks.accept import accept
+from simfoundry.cousins.tasks.accept import AcceptedTask, accept
 from simfoundry.cousins.tasks.choices import task_cousins
-from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
+from simfoundry.cousins.tasks.document import task
+from simfoundry.cousins.tasks.enumerate import Proposal, Proposals, enumerate_tasks
 from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.tasks.ideas import Affordances
-from simfoundry.cousins.tasks.meaning import meaning
+from simfoundry.cousins.tasks.meaning import meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -76,7 +77,7 @@ def proposals(setting: Setting) -> list[Proposal]:
 
 def why(setting: Setting, goal: object) -> tuple[str, str]:
     reasons = accept(goal, setting)
-    return (reasons[0].code, reasons[0].text) if reasons else ("", "")
+    return (reasons[0].code, reasons[0].text) if isinstance(reasons, tuple) else ("", "")
 
 
 # -- what things afford -----------------------------------------------------------------------------------------------
@@ -214,6 +215,35 @@ def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:
     assert len(meanings) == len(set(meanings)) > 5
 
 
+def test_no_two_proposals_are_done_by_one_state(setting: Setting, proposals: list[Proposal]) -> None:
+    goals = {p.name: p.task.goal for p in proposals if p.accepted and p.task is not None}
+    assert "ball_in_bowl" in goals and "ball_on_bowl" not in goals, "of the two the one that asks for more"
+    for name, goal in goals.items():
+        done = witness(setting, goal)
+        assert isinstance(done, Witness)
+        same = [n for n, g in goals.items() if n != name and set(objects_of(g)) == set(objects_of(goal))]
+        assert [n for n in same if setting.twin.judge(goals[n], done.state).value] == []
+
+
+def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: Setting) -> None:
+    def stated(*goals: object) -> list[tuple[str, str]]:
+        proposed = Proposals(setting)
+        for k, goal in enumerate(goals):
+            made = task(f"task_{k}", setting, "bench.scene.yaml", "Do it.", goal, {}, "")
+            proposed.add(made.name, "", made)
+        return [(p.name, p.reasons[0].text if p.reasons else "") for p in proposed.found]
+
+    on, within = "OnTop(ball, bowl)", "Inside(ball, bowl)"
+    assert stated(on) == [("task_0", "")], "what is stated alone is taken at its word"
+    assert stated(within, on) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
+    assert stated(on, within) == [("task_0", ""), ("task_1", "it is done where `task_0` is")]
+    both = {"all": ("Open(cabinet.drawer)", "Open(cabinet.bottom_drawer)")}
+    assert stated("Open(cabinet.drawer)", both) == [
+        ("task_0", "it is done where `task_1` is, which asks for more"),
+        ("task_1", ""),
+    ]
+
+
 def test_the_same_seed_gives_the_same_and_another_another_order(setting: Setting, path: Path) -> None:
     first = enumerate_tasks(setting, 3, seed=1)
     assert enumerate_tasks(Setting.load(path), 3, seed=1) == first
@@ -239,6 +269,112 @@ def test_documents_pass_every_check_and_load_as_tasks(proposals: list[Proposal],
     assert spec.instruction == "Pick up the ball, then put it inside the bowl."
     assert list(spec.subtasks) == ["touch_ball", "pick_up_ball", "ball_in_bowl"]
     assert {"ball", "bowl"} == spec.reset.objects.keys()
+
+
+# -- shelves ----------------------------------------------------------------------------------------------------------
+
+ROOMS = """\
+simfoundry: scene/1
+name: rooms
+materials: {{wood: {{density: 600, friction: 0.5}}}}
+objects:
+  table: {{fixed: true, shape: {{box: [1.2, 1.4, 0.04]}}, material: wood, pose: {{xyz: [0.5, 0, -0.02]}}}}
+  shelf: {{asset: shelf.asset.yaml, fixed: true, pose: {{xyz: [0.62, 0, 0], yaw_deg: {yaw}}}}}
+  cup: {{asset: cup.asset.yaml, place: {{on: table, xy: [0.35, 0.35]}}}}
+robots: {{arm: {{model: demo_arm}}}}
+"""
+
+CASE = """\
+simfoundry: asset/1
+name: shelf
+materials: {{wood: {{density: 600, friction: 0.5}}}}
+links:
+  body:
+    material: wood
+    parts:
+      bottom: {{shape: {{box: [0.2, 0.5, 0.015]}}, pose: {{xyz: [0, 0, 0.0075]}}}}
+      middle: {{shape: {{box: [0.2, 0.5, 0.015]}}, pose: {{xyz: [0, 0, {middle}]}}}}
+      top: {{shape: {{box: [0.2, 0.5, 0.015]}}, pose: {{xyz: [0, 0, 0.45]}}}}
+      left: {{shape: {{box: [0.2, 0.015, 0.4575]}}, pose: {{xyz: [0, 0.2425, 0.22875]}}}}
+      right: {{shape: {{box: [0.2, 0.015, 0.4575]}}, pose: {{xyz: [0, -0.2425, 0.22875]}}}}
+      back: {{shape: {{box: [0.008, 0.5, 0.4575]}}, pose: {{xyz: [0.096, 0, 0.22875]}}}}
+"""
+
+RACK = """\
+simfoundry: asset/1
+name: shelf
+materials: {wood: {density: 600, friction: 0.5}}
+links:
+  frame:
+    material: wood
+    parts:
+      left: {shape: {box: [0.03, 0.03, 0.36]}, pose: {xyz: [0, 0.2, 0.18]}}
+      right: {shape: {box: [0.03, 0.03, 0.36]}, pose: {xyz: [0, -0.2, 0.18]}}
+  lower: {material: wood, parts: {board: {shape: {box: [0.2, 0.37, 0.01]}}}}
+  upper: {material: wood, parts: {board: {shape: {box: [0.2, 0.37, 0.01]}}}}
+joints:
+  low: {type: fixed, parent: frame, child: lower, pose: {xyz: [0, 0, 0.1]}}
+  high: {type: fixed, parent: frame, child: upper, pose: {xyz: [0, 0, 0.33]}}
+"""
+
+
+def rooms(folder: Path, asset: str, yaw: float = 0.0) -> Setting:
+    """A table with a shelf, a cup and an arm before it."""
+    shutil.copy(REPOSITORY / "specs" / "assets" / "cup.asset.yaml", folder)
+    (folder / "shelf.asset.yaml").write_text(asset)
+    (folder / "rooms.scene.yaml").write_text(ROOMS.format(yaw=yaw))
+    return Setting.load(folder / "rooms.scene.yaml")
+
+
+def shown(setting: Setting, goal: object) -> float | str:
+    """How high the cup stands where a goal is reached [m], or why it is not."""
+    found = witness(setting, goal)
+    return float(found.state.poses["cup"].p[2]) if isinstance(found, Witness) else f"{found[0].code}: {found[0].text}"
+
+
+def test_a_shelf_has_two_places_that_no_state_confuses(tmp_path: Path) -> None:
+    setting = rooms(tmp_path, CASE.format(middle=0.22))
+    found = {p.name: p for p in enumerate_tasks(setting)}
+    assert {name: p.goal for name, p in found.items() if p.accepted} == {
+        "cup_in_shelf": "Inside(cup, shelf)",
+        "cup_on_top_of_shelf": "OnTop(cup, shelf) and not Inside(cup, shelf)",
+    }
+    top = found["cup_on_top_of_shelf"].task
+    assert top is not None and top.instruction == "Pick up the cup, then put it on top of the shelf."
+    within, above = (shown(setting, found[name].task.goal) for name in found if found[name].task is not None)  # type: ignore[union-attr]
+    assert isinstance(within, float) and isinstance(above, float)
+    assert min(within, above) < 0.24 and max(within, above) > 0.45, "on the middle board, and on the top"
+
+
+def test_the_boards_of_a_rack_are_places_by_name(tmp_path: Path) -> None:
+    setting = rooms(tmp_path, RACK)
+    goals = [p.goal for p in enumerate_tasks(setting) if p.accepted]
+    assert sorted(goals) == ["OnTop(cup, shelf.lower)", "OnTop(cup, shelf.upper)"]
+    assert shown(setting, "OnTop(cup, shelf.lower)") == pytest.approx(0.105, abs=0.002)
+    assert isinstance(accept("OnTop(cup, shelf)", setting), AcceptedTask), "what is stated is taken at its word"
+
+
+@pytest.mark.parametrize(
+    ("middle", "yaw", "said"),
+    [
+        (0.22, 180.0, "out_of_reach: no arm gets to `cup` from an open side"),
+        (0.09, 0.0, None),  # the room below is too low for the cup, the one above is not
+    ],
+)
+def test_a_room_is_entered_from_its_open_side(tmp_path: Path, middle: float, yaw: float, said: str | None) -> None:
+    pytest.importorskip("mink", reason="the extra `expert` is not installed")
+    found = shown(rooms(tmp_path, CASE.format(middle=middle), yaw), "Inside(cup, shelf)")
+    assert (
+        found.startswith(said) if isinstance(found, str) and said else found == pytest.approx(middle + 0.0075, abs=2e-3)
+    )
+
+
+def test_what_is_shut_in_cannot_be_taken(tmp_path: Path) -> None:
+    for shut, codes in ((False, []), (True, ["covered"])):
+        front = "      front: {shape: {box: [0.008, 0.5, 0.4575]}, pose: {xyz: [-0.096, 0, 0.22875]}}\n" * shut
+        setting = rooms(tmp_path, CASE.format(middle=0.22) + front)
+        inside = put(setting, "cup", Pose.of((0.62, 0.0, 0.228)), setting.twin.state)
+        assert [r.code for r in setting.cannot_hold("cup", inside)] == codes
 
 
 # -- acceptance -------------------------------------------------------------------------------------------------------
@@ -284,12 +420,15 @@ def test_refused(setting: Setting, goal: object, code: str, said: str) -> None:
     ],
 )
 def test_accepted(setting: Setting, goal: object) -> None:
-    assert accept(goal, setting) == ()
+    assert isinstance(accept(goal, setting), AcceptedTask)
 
 
 def test_a_duplicate_is_told_by_its_meaning(setting: Setting) -> None:
-    known = {meaning({"all": ["Inside(ball, bowl)", "Released(ball)"]}): "first"}
-    assert [r.code for r in accept("In(ball, bowl)", setting, known)] == ["duplicate"]
+    first = AcceptedTask("first", {"all": ["Inside(ball, bowl)", "Released(ball)"]})
+    refused = accept("In(ball, bowl)", setting, [first])
+    assert isinstance(refused, tuple)
+    (reason,) = refused
+    assert (reason.code, reason.text) == ("duplicate", "its goal is that of `first`")
 
 
 @pytest.mark.parametrize(

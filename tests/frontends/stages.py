@@ -112,6 +112,7 @@ joints:
     pose: {xyz: [0.1, -0.12, 0.2], rpy_deg: [5, 0, 0]}
     axis: [0, 0, 1]
     limits_deg: [0, 120]
+    closed: upper
 """
 
 OVERLAY = """\

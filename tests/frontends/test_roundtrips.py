@@ -11,6 +11,7 @@ import pytest
 from simfoundry.backends import compile_scene
 from simfoundry.frontends.convert import import_file
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.usd import read_usd
 from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import JointType, Scene, SceneObject
@@ -45,6 +46,12 @@ def test_urdf_gives_everything_back_that_it_can_hold(everything: Scene, tmp_path
     assert {d.feature for d in said} <= dropped
 
 
+def test_a_stage_says_at_which_limit_a_joint_is_closed(everything: Scene, tmp_path: Path) -> None:
+    compile_scene(everything, "usd").write(tmp_path)
+    joints = [joint for body in read_usd(tmp_path / "scene.usda").bodies for joint in body.joints]
+    assert {joint.name: joint.closed for joint in joints if joint.closed} == {"hinge": "upper"}
+
+
 @pytest.mark.parametrize("name", ["pot_on_stove", "serve_fruits"])
 @pytest.mark.parametrize("target", sorted(MAINS))
 def test_scenes_of_specs_come_back(name: str, target: str, tmp_path: Path) -> None:
@@ -66,11 +73,13 @@ def test_the_comparison_sees_each_kind_of_change(everything: Scene) -> None:
     assert joint.limits is not None
     longer = dataclasses.replace(joint, limits=(joint.limits[0], joint.limits[1] + 1e-5))
     joints = tuple(longer if j.name == joint.name else j for j in cabinet.joints)
+    ajar = tuple(dataclasses.replace(j, closed="lower" if j.closed else None) for j in cabinet.joints)
     for item, feature in (
         (dataclasses.replace(cup, links=(heavy,)), "mass"),
         (dataclasses.replace(cup, links=(dataclasses.replace(cup.root, colliders=(slick,)),)), "friction"),
         (dataclasses.replace(cup, X_WO=moved), "pose"),
         (dataclasses.replace(cabinet, joints=joints), "joint_limits"),
+        (dataclasses.replace(cabinet, joints=ajar), "joint_closed"),
         (dataclasses.replace(cup, labels=("mug",)), "labels"),
     ):
         assert [d.feature for d in apart(everything, changed(everything, item))] == [feature]

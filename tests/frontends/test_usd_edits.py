@@ -20,7 +20,7 @@ from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse
 from simfoundry.spec.write import to_data
 from tests.cli.command import run
-from tests.frontends.stages import DESK, OVERLAY, Project, project
+from tests.frontends.stages import CABINET, DESK, OVERLAY, Project, project
 
 if TYPE_CHECKING:
     from pxr import Usd
@@ -89,6 +89,18 @@ def test_a_person_edits_a_stage_and_gets_these_changes_and_no_others(desk: Proje
         )
     )
     assert imported.text == expected
+
+
+def test_an_edited_stage_keeps_the_limit_at_which_a_joint_is_closed(desk: Project, tmp_path: Path) -> None:
+    stage = desk.edit()
+    put(stage, f"{OBJECTS}/cabinet/Joints/door", "state:angular:physics:position", 100.0)
+    assert stage.GetPrimAtPath(f"{OBJECTS}/cabinet/Joints/door").GetAttribute("simfoundry:closed").Get() == "upper"
+    imported = desk.onto(stage)
+    assert imported.text == DESK.replace("door: {deg: 30}", "door: {deg: 100}") and imported.notes == ()
+    for file, text in (("desk.scene.yaml", imported.text), ("cabinet.asset.yaml", CABINET)):
+        (tmp_path / file).write_text(text)
+    door = next(j for j in lower_file(tmp_path / "desk.scene.yaml").object("cabinet").joints if j.name == "door")
+    assert door.closed == "upper" and door.position == pytest.approx(math.radians(100))
 
 
 def test_what_was_not_edited_is_not_written_anew(desk: Project) -> None:

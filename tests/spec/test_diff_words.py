@@ -158,6 +158,18 @@ GOLDEN = [
         ["cup is now on desk (was at (0.4, 0.1, 0.05) m)"],
         "1 moved",
     ),
+    (
+        ASSET,
+        {"joints.slide.closed": "upper"},
+        ["joint slide closes at its upper limit (was: where it is nearest to zero)"],
+        "1 changed",
+    ),
+    (
+        ASSET | {"joints": {"slide": ASSET["joints"]["slide"] | {"closed": "upper"}}},
+        {"joints.slide.closed": "lower"},
+        ["joint slide closes at its lower limit (was: at its upper limit)"],
+        "1 changed",
+    ),
     (SCENE, {"objects.cup.fixed": True}, ["cup is fixed now"], "1 changed"),
     (SCENE, {"objects.desk.fixed": False}, ["desk is no longer fixed"], "1 changed"),
     (SCENE, {"objects.cabinet.joints": {"drawer": 0.12}}, ["cabinet: joint drawer 0.00 → 0.12 m"], "1 changed"),

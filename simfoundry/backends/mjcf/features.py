@@ -17,7 +17,7 @@ FEATURES: dict[str, Cell] = {
     **exact("box", "sphere", "cylinder", "capsule", "convex_mesh", "friction"),
     "restitution": approximated("rebounds within 0.03 of it, but never below 0.10 to 0.14"),
     **exact("torsional_friction", "rolling_friction", "no_contact"),
-    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
     **exact("ball", "free", "mimic"),
     "drive": Cell(reason="up to the stiffness that its steps can carry"),

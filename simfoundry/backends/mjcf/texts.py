@@ -2,7 +2,8 @@
 
 A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
 the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
-``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cup:restitution`` what is too
+``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cabinet.door:closed`` the limit, `lower` or
+`upper`, at which a joint is closed; ``cup:restitution`` what is too
 little for a contact to be damped to, for all colliders of a link or for each in turn; ``cup:surface`` friction,
 restitution, and resistance against spinning and rolling [m], likewise, where geoms are written as the contact that they
 decide on; ``sky:dome`` the colour of a dome light times its intensity; ``arm:robot`` the fields of a robot in JSON, and
@@ -50,6 +51,8 @@ def _names(custom: ET.Element, item: SceneObject) -> None:
     _text(custom, f"{item.name}:root", item.root.name)
     for joint in item.joints:
         child = item.qualified(joint.child)
+        if joint.closed is not None:
+            _text(custom, f"{item.name}.{joint.name}:closed", joint.closed)
         if joint.type is JointType.FIXED:
             _text(custom, f"{child}:joint", joint.name)
         elif joint.type is JointType.FREE:

@@ -61,6 +61,8 @@ def define_joint(scope: Prim, joint: Joint, parent: Prim, child: Prim, leader: J
         attribute(prim, "physics:lowerLimit", "float", rounded(lower * unit))
         attribute(prim, "physics:upperLimit", "float", rounded(upper * unit))
         attribute(prim, "mjc:solreflimit", "double[]", list(_LIMIT), uniform=True)
+    if joint.closed is not None:
+        attribute(prim, "simfoundry:closed", "token", joint.closed, uniform=True)
     _dynamics(prim, joint, unit)
     if joint.mimic is not None and leader is not None:
         _follow(prim, scope, joint.mimic, unit, 1.0 if leader.type is JointType.PRISMATIC else math.degrees(1.0))

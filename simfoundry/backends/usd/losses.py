@@ -32,7 +32,7 @@ FEATURES: dict[str, Cell] = {
     "rolling_friction": dropped("PhysX has no place for it in USD; Newton reads it"),
     **exact("no_contact"),
     "fixed_joint": Cell(reason="but in objects that cannot move, which are one body"),
-    **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits"),
+    **exact("revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
     "ball": Cell(reason="without damping and friction, which PhysX has not"),
     **exact("free"),

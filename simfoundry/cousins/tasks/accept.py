@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from simfoundry.cousins.reasons import Reason
-from simfoundry.cousins.tasks.meaning import Meaning, branches, meaning
+from simfoundry.cousins.tasks.meaning import branches, meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting, numbers
-from simfoundry.cousins.tasks.witness import ALLOWED, Witness, witness
+from simfoundry.cousins.tasks.ways import levels
+from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
+from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.expressions import Call, ExpressionError, parse_call, texts
 from simfoundry.spec.task import TaskSpec
@@ -18,19 +21,59 @@ MOST_PREDICATES = 16
 """A goal of more predicates is not tried."""
 
 
-def accept(task: TaskSpec | Any, setting: Setting, known: Mapping[Meaning, str] | None = None) -> tuple[Reason, ...]:
-    """Why a task, or a goal alone, is not accepted, each reason with its numbers; none where it is.
+@dataclass(frozen=True, eq=False)
+class AcceptedTask:
+    """A task that can be done, by its name and goal.
 
-    ``known`` are the tasks that there are, by what they mean.
+    ``state`` is one at rest in which it is done; None where a hand has to hold something for that.
     """
-    goal = task.goal if isinstance(task, TaskSpec) else task
-    found = misnamed(goal, setting)
-    if found:
+
+    name: str
+    goal: Any
+    state: SceneState | None = None
+
+    def covers(self, goal: Any, setting: Setting) -> bool:
+        """Whether another goal about the same objects is reached where this one is."""
+        if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
+            return False
+        return setting.twin.judge(goal, self.state).value
+
+
+def accept(
+    task: TaskSpec | Any, setting: Setting, known: Sequence[AcceptedTask] = ()
+) -> AcceptedTask | tuple[Reason, ...]:
+    """A task, or a goal alone, with a state in which it is done; or why it is refused, each reason with its numbers.
+
+    It is refused where one of the ``known`` tasks asks for the same, or ends in a state in which it is done, too.
+    """
+    name, goal = (task.name, task.goal) if isinstance(task, TaskSpec) else ("", task)
+    if found := misnamed(goal, setting):
         return found
-    same = (known or {}).get(meaning(goal))
-    if same is not None:
-        return (Reason("duplicate", f"its goal is that of `{same}`"),)
-    return unchanged(goal, setting) or impossible(goal, setting)
+    for other in known:
+        if meaning(other.goal) == meaning(goal):
+            return (Reason("duplicate", f"its goal is that of `{other.name}`"),)
+    if found := unchanged(goal, setting):
+        return found
+    for other in known:
+        if other.covers(goal, setting):
+            return (Reason("duplicate", f"it is done where `{other.name}` is"),)
+    shown = witness(setting, goal)
+    if not isinstance(shown, Witness):
+        return shown
+    held = any(call.predicate in HELD for way in branches(goal) for call in way)
+    return AcceptedTask(name, goal, None if held else shown.state)
+
+
+def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: Setting) -> list[tuple[str, Reason]]:
+    """Names of the known tasks that ask for less than a new one, which does them along the way, each with the reason.
+
+    The new one is none of theirs: :func:`accept` has refused what a known task does along the way.
+    """
+    return [
+        (other.name, Reason("duplicate", f"it is done where `{new.name}` is, which asks for more"))
+        for other in known
+        if new.covers(other.goal, setting)
+    ]
 
 
 def misnamed(goal: Any, setting: Setting) -> tuple[Reason, ...]:
@@ -99,7 +142,10 @@ def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     for name in names:
         item = there.get(name.partition(".")[0])
         if item is not None and item.name != setting.twin.ground and not found:
-            found += setting.cannot_reach(name, *setting.bounds(name))
+            # Which level of a shelf is reached, and from where, was proved in the twin; its top may be too high.
+            several = levels(setting, name, setting.twin.state)
+            reach = setting.too_far if several else setting.cannot_reach
+            found += reach(name, *setting.bounds(name))
     return tuple(found)
 
 

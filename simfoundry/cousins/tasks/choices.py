@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.cousins.tasks.accept import impossible, unchanged, unreached
 from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
+from simfoundry.cousins.tasks.meaning import objects_of
 from simfoundry.cousins.tasks.setting import Hand, Setting, hands_of
 from simfoundry.spec.cousins import TaskAxis
-from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ class TaskCousin:
         """
         setting = setting_in(twin, state, self.hands, self.engines)
         found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
-        return found or (impossible(self.spec.goal, setting) if about(self.spec.goal) & set(others) else ())
+        return found or (impossible(self.spec.goal, setting) if set(objects_of(self.spec.goal)) & set(others) else ())
 
 
 def setting_in(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> Setting:
@@ -49,11 +49,6 @@ def setting_in(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: 
     here = replace(twin, state=state, kept={k: v for k, v in twin.kept.items() if k == "reach"})
     here.__dict__.update(judge=twin.judge, world=twin.world)  # prepared for the same scene
     return Setting(here, hands, engines=engines)
-
-
-def about(goal: Condition) -> set[str]:
-    """The names of the things of a goal."""
-    return {a.partition(".")[0] for text, _ in texts(goal) for a in parse_call(text).args}
 
 
 def task_cousins(

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
+from simfoundry.cousins.support import Support, supports_of
+from simfoundry.cousins.tasks.meaning import objects_of
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.ways import across, cavities, is_free
 from simfoundry.predicates import PredicateError
-from simfoundry.spec.expressions import Call
+from simfoundry.scene.touching import weld_groups
+from simfoundry.spec.expressions import Call, parts
 
 TOGETHER = 3
 """So many things are put into one at once, at most."""
@@ -32,20 +36,20 @@ class Step:
     """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
 
     name: str
-    goal: str
+    goal: Any
     words: str
     thing: str = ""
 
 
 @dataclass(frozen=True)
 class Idea:
-    """A task that may be possible: its ``steps`` in order, the predicates of its ``goal``, and how odd it is.
+    """A task that may be possible: its ``steps`` in order, the conditions of its ``goal``, and how odd it is.
 
     The lower ``odd`` the sooner it is proposed: 0 one step, 1 several.
     """
 
     name: str
-    goal: tuple[str, ...]
+    goal: tuple[Any, ...]
     steps: tuple[Step, ...]
     odd: int = 0
 
@@ -57,21 +61,22 @@ class Idea:
     @property
     def about(self) -> tuple[str, ...]:
         """Everything that its goal names."""
-        names = [a.strip().partition(".")[0] for text in self.goal for a in text[text.index("(") + 1 : -1].split(",")]
-        return tuple(dict.fromkeys(names))
+        return objects_of({"all": self.goal})
 
 
 @dataclass(frozen=True)
 class Affordances:
     """What is there: things that a hand can take, what has a cavity, what has a level top, and what opens.
 
-    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``.
+    ``containers``, ``supports`` and ``joints`` are named ``object`` or ``object.part``; ``topped`` are the
+    supports that have a cavity under their top, as a cabinet: on top of them is not in them.
     """
 
     things: tuple[str, ...]
     containers: tuple[str, ...]
     supports: tuple[str, ...]
     joints: tuple[str, ...]
+    topped: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, setting: Setting) -> Affordances:
@@ -83,14 +88,16 @@ class Affordances:
         parts = {n: [f"{n}.{j.child}" for j in setting.joints(n)] for n in names}
         grounds = {setting.twin.ground}
         hollow = [t for n in names for t in (n, *parts[n]) if n not in grounds and _hollow(setting, t)]
-        # A drawer is meant where its cabinet is named.
-        own = [t for t in hollow if not ("." not in t and any(p in hollow for p in parts[t]))]
-        level = [n for n in names if n not in grounds and _level(setting, n, hollow)]
+        boards = {n: _boards(setting, n) for n in names if n not in grounds}
+        # A drawer is meant where its cabinet is named, and the boards of a shelf where they have names.
+        own = [t for t in hollow if not ("." not in t and (boards[t] or any(p in hollow for p in parts[t])))]
+        level = [t for n in names if n not in grounds for t in boards[n] or [n] * _level(setting, n, hollow)]
         return cls(
             tuple(n for n in names if not setting.cannot_take(n)),
             tuple(own),
             tuple(level),
             tuple(f"{n}.{j.name}" for n in names for j in setting.joints(n)),
+            tuple(n for n in level if any(t.partition(".")[0] == n for t in hollow) and _has_top(setting, n)),
         )
 
 
@@ -110,6 +117,35 @@ def _level(setting: Setting, name: str, hollow: list[str]) -> bool:
     low, high = setting.bounds(name)
     level = name in hollow or setting.twin.support(name) is not None
     return level and float((high - low)[:2].min()) >= BROAD
+
+
+def _boards(setting: Setting, name: str) -> list[str]:
+    """The links of an object that have a broad level each, where there are several; none of them moves."""
+    twin = setting.twin
+    item = twin.scene.object(name)
+    welded = weld_groups(item)
+    still = [k for k, link in enumerate(item.links) if welded[link.name] == welded[item.root.name]]
+    if len(still) < 2:
+        return []
+    shape = twin.shape(name, twin.state.poses[name])
+    found = [
+        f"{name}.{item.links[k].name}"
+        for k in still
+        if any(_is_broad(level) for level in supports_of(name, shape, [k]))
+    ]
+    return found if len(found) > 1 else []
+
+
+def _is_broad(level: Support) -> bool:
+    low, high = level.bounds
+    return bool((high - low).min() >= BROAD)
+
+
+def _has_top(setting: Setting, name: str) -> bool:
+    """Whether the highest level of an object is a top rather than a floor: it is in its upper half."""
+    levels = setting.twin.levels(name)
+    low, high = setting.bounds(name)
+    return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
 
 
 def ideas(setting: Setting, there: Affordances) -> Iterator[Idea]:
@@ -132,10 +168,10 @@ def ideas(setting: Setting, there: Affordances) -> Iterator[Idea]:
 
 def _placed(setting: Setting, thing: str, word: str, target: str, there: Affordances) -> Idea:
     """A thing into or onto another; through a drawer that is opened before and closed after."""
-    step = _step(thing, word, target)
+    step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
     if joint is None or setting.twin.judge(f"Open({joint})", setting.twin.state).value:
-        return Idea(step.name, (step.goal,), (step,))
+        return Idea(step.name, parts(step.goal)[1], (step,))
     steps = (_moved(joint, "Open"), step, _moved(joint, "Closed"))
     return Idea(f"store_{step.name}", (step.goal, steps[2].goal), steps, 1)
 
@@ -205,6 +241,13 @@ def _step(thing: str, word: str, target: str) -> Step:
     return Step(
         f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
     )
+
+
+def _on_top(thing: str, target: str) -> Step:
+    """On a thing that has a cavity under its top, and not in it."""
+    goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
+    words = f"put the {_said(thing)} on top of the {_said(target)}"
+    return Step(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
 
 
 def _moved(joint: str, word: str) -> Step:

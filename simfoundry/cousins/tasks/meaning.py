@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from simfoundry.spec.expressions import Call, parse_call, parts
+from simfoundry.spec.expressions import Call, parse_call, parts, texts
 
 SYMMETRIC = ("NextTo", "Touching")
 """Predicates that hold both ways."""
@@ -58,6 +58,24 @@ def conjuncts(condition: Any) -> list[Call]:
     if tag == "text":
         return [parse_call(condition)]
     return [call for item in below for call in conjuncts(item)] if tag == "all" else []
+
+
+def objects_of(condition: Any) -> tuple[str, ...]:
+    """The names of the objects and robots that a goal is about, in its order."""
+    calls = [parse_call(text) for text, _ in texts(condition)]
+    named = [arg for call in calls for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"]
+    return tuple(dict.fromkeys(name.partition(".")[0] for name in named))
+
+
+def goal_words(condition: Any) -> str:
+    """A goal as one line: ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return str(condition)
+    if tag == "not":
+        return f"not {goal_words(below[0])}"
+    words = {"all": " and ", "any": " or "}[tag].join(goal_words(item) for item in below)
+    return f"({words})" if tag == "any" and len(below) > 1 else words
 
 
 def branches(condition: Any) -> list[list[Call]]:

@@ -7,12 +7,12 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Literal
 
 from simfoundry.cousins.reasons import Reason
-from simfoundry.cousins.tasks.accept import accept, misnamed
+from simfoundry.cousins.tasks.accept import misnamed
 from simfoundry.cousins.tasks.answer import Answer, Told, Unread, goal_of, read
 from simfoundry.cousins.tasks.document import free_name, instruction_of, subtasks, task
-from simfoundry.cousins.tasks.enumerate import Proposal
+from simfoundry.cousins.tasks.enumerate import Proposal, Proposals
 from simfoundry.cousins.tasks.ideas import Idea, step_of
-from simfoundry.cousins.tasks.meaning import Meaning, conjuncts, meaning
+from simfoundry.cousins.tasks.meaning import conjuncts, goal_words
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.witness import ALLOWED, ON
 from simfoundry.errors import SimfoundryError
@@ -35,7 +35,6 @@ def propose_tasks(
     scene: str = "",
     include: Sequence[str] = (),
     exclude: Sequence[str] = (),
-    known: dict[Meaning, str] | None = None,
 ) -> list[Proposal]:
     """What a model proposes for a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
 
@@ -45,7 +44,7 @@ def propose_tasks(
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
     told = vlm.ask(asked, [picture], Answer).tasks if form == "typed" else read(vlm.tell(asked, [picture]))
-    return judged(told, setting, f"proposed by {vlm.name}", scene, exclude, known)
+    return judged(told, setting, f"proposed by {vlm.name}", scene, exclude)
 
 
 def prompt(
@@ -104,28 +103,23 @@ def judged(
     source: str,
     scene: str = "",
     exclude: Sequence[str] = (),
-    known: dict[Meaning, str] | None = None,
 ) -> list[Proposal]:
     """Proposed tasks as documents, those that are accepted; of the others why not."""
-    known = dict(known or {})
-    found: list[Proposal] = []
+    proposed = Proposals(setting)
     for one in told:
         if isinstance(one, Unread):
-            found.append(Proposal(one.name, "", None, (Reason("unreadable", one.why),)))
-            continue
-        proposal = _judged(one, setting, source, scene, exclude, known)
-        found.append(proposal)
-        if proposal.accepted and proposal.task is not None:
-            known[meaning(proposal.task.goal)] = proposal.name
-    return found
+            proposed.found.append(Proposal(one.name, "", None, (Reason("unreadable", one.why),)))
+        elif (refused := _propose(one, proposed, source, scene, exclude)) is not None:
+            proposed.found.append(refused)
+    return proposed.found
 
 
-def _judged(
-    told: Told, setting: Setting, source: str, scene: str, exclude: Sequence[str], known: dict[Meaning, str]
-) -> Proposal:
-    name = free_name(told.task_name, set(known.values()))
+def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
+    """Propose what a model said; why not, where no document can be made of it."""
+    setting = proposed.setting
+    name = free_name(told.task_name, proposed.names)
     goal, wrong = goal_of(told)
-    said = " and ".join(text for text, _ in texts(goal))
+    said = goal_words(goal)
     if wrong:
         return Proposal(name, said, None, (Reason("bad_goal", wrong),))
     if lacks := misnamed(goal, setting):
@@ -135,12 +129,13 @@ def _judged(
         return Proposal(name, said, None, (Reason("excluded", f"it is about `{barred[0]}`, which was excluded"),))
     goal = _released(goal)
     steps = [step_of(call) for call in conjuncts(goal) if call.predicate != "Released"]
-    idea = Idea(name, (said,), tuple(steps))
+    idea = Idea(name, (goal,), tuple(steps))
     plain = instruction_of(idea) if steps else f"{told.task_name.replace('_', ' ').strip().capitalize()}."
     words = told.instruction.strip() or plain
     note = f"task cousin of `{setting.twin.scene.name}`, {source}"
     made = task(name, setting, scene or "scene.yaml", words, goal, subtasks(idea, setting), note)
-    return Proposal(name, said, made, accept(made, setting, known))
+    proposed.add(name, said, made)
+    return None
 
 
 def _released(goal: Any) -> Any:

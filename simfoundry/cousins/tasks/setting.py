@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.tasks.approach import ABOVE, Approach, approaches
 from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.twin import Twin
 from simfoundry.lint.report import length
-from simfoundry.scene.frames import Array
+from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.state import SceneState
@@ -120,17 +121,56 @@ class Setting:
         if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
             text = f"`{name}` weighs {mass:.2f} kg, and the robot lifts {most:g} kg"
             found.append(Reason("too_heavy", text, numbers(mass_kg=mass, payload_kg=most)))
-        openings = [hand.opening for hand in self.hands if hand.opening is not None]
-        if openings and len(openings) == len(self.hands):
-            width, widest = grip_width(self.twin.item_at(name, self.twin.state.poses[name])), max(openings)
-            if width > widest + SLACK:
-                narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
-                text = f"`{name}` {narrow}, and the fingers open {length(widest)}"
-                found.append(Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)))
-        return found + list(self.cannot_reach(name, *self.bounds(name)))
+        drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
+        # What lies in a drawer is taken out once that is open, so what is over it now does not count.
+        return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
 
-    def cannot_reach(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
+    def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
+        """Why no hand holds a thing where it is in a state: from above or, with something over it, from an open side.
+
+        ``ways`` are the approaches to look at; by default all that are free.
+        """
+        if not self.hands:
+            return ()
+        ways = approaches(self, name, state) if ways is None else ways
+        if not ways:
+            return (Reason("covered", f"no hand gets to `{name}`: something is over it, and no side of it is open"),)
+        found: tuple[Reason, ...] = ()
+        bounds = self.bounds(name, state)
+        for way in ways:
+            # From above it was measured where the thing is picked up.
+            known = way is ABOVE and state is not self.twin.state
+            lacks = (*(() if known else self._too_wide(name, state, way)), *self.cannot_reach(name, *bounds, way))
+            if not lacks:
+                return ()
+            found = found or lacks
+        return found
+
+    def _too_wide(self, name: str, state: SceneState, way: Approach) -> tuple[Reason, ...]:
+        openings = [hand.opening for hand in self.hands if hand.opening is not None]
+        if not openings or len(openings) < len(self.hands):
+            return ()
+        X_WO = state.poses[name] if way is ABOVE else Pose.of(q=(way.upright @ state.poses[name]).q)
+        width, widest = grip_width(self.twin.item_at(name, X_WO)), max(openings)
+        if width <= widest + SLACK:
+            return ()
+        narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+        text = f"`{name}` {narrow}, and the fingers open {length(widest)}"
+        return (Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)),)
+
+    def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
         """Why no hand gets to a thing between two corners in the world [m]; by inverse kinematics where it can be."""
+        if lacks := self.too_far(name, low, high):
+            return lacks
+        solved = self.twin.reach(low, high, approach.side.tolist(), approach.way.tolist())
+        if solved.checked and not solved.reached:
+            comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
+            text = f"no arm gets {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
+        return ()
+
+    def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
+        """Why what is between two corners in the world [m] is farther away than any hand reaches."""
         x, y = ((low + high) / 2)[:2].tolist()
         known = [(math.dist((x, y), h.at), h.reach, h) for h in self.hands if h.reach is not None]
         if known and len(known) == len(self.hands):
@@ -138,12 +178,6 @@ class Setting:
             if away > reach:
                 text = f"`{name}` is {away:.2f} m from `{hand.name}`, which reaches {reach:g} m"
                 return (Reason("out_of_reach", text, numbers(away_m=away, reach_m=reach)),)
-        solved = self.twin.reach(low, high)
-        if solved.checked and not solved.reached:
-            text = (
-                f"no arm gets down to `{name}` from above: it is {solved.away:.2f} m from the base of `{solved.robot}`"
-            )
-            return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
         return ()
 
 

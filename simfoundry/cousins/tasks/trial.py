@@ -7,14 +7,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.settling import settle_layout
+from simfoundry.cousins.support import Support
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.twin import bare
 from simfoundry.predicates.shapes import Bodies
 from simfoundry.scene.frames import Array, Pose, rpy_from_quat
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, SceneObject
-from simfoundry.scene.place import solve
+from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.place import Place
 from simfoundry.worlds import open_world
@@ -73,6 +75,24 @@ def dropped(
     owner = target.partition(".")[0]
     found = solve(twin.item(name), place, {owner: item_in(setting, owner, state)}, twin.scene.viewer)
     return Pose.of(found.p, q)
+
+
+def standing(setting: Setting, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
+    """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], stands on a level of an object.
+
+    Raises :class:`~simfoundry.scene.place.PlaceError` where it would stand out of the level or meet the object.
+    """
+    twin = setting.twin
+    turned = twin.shape(name, Pose.of(q=q))
+    outline = Outline.of(turned)
+    middle = complex(*xy)
+    if not level.holds(np.array([[middle.real, middle.imag]]), np.array([1.0 + 0.0j]), outline.spread)[0]:
+        raise PlaceError(f"`{name}` would stand out of the level of `{level.name}` at {level.height:.3f} m")
+    at = middle - outline.middle
+    X_WO = Pose.of((at.real, at.imag, level.height - outline.low + CLEARANCE), q)
+    if overlap(turned.moved(X_WO.p), twin.shape(level.name, twin.state.poses[level.name])):
+        raise PlaceError(f"`{name}` does not fit over the level of `{level.name}` at {level.height:.3f} m")
+    return X_WO
 
 
 def put(setting: Setting, name: str, X_WO: Pose, state: SceneState) -> SceneState:

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from simfoundry.cousins.support import Support
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.predicates.shapes import Bodies
 from simfoundry.predicates.voxels import Cavity, cavity, outside_part
@@ -23,6 +24,9 @@ TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER,
 YAWS = (0.0, QUARTER, QUARTER / 2)
 SPREAD = 6
 """Places over a target besides its middle and that of its cavity."""
+
+STILL = 1e-3
+"""What has moved by no more than this [m] stands where it was: levels are of one height to a millimetre."""
 
 GAPS = (0.02, 0.05, 0.1)
 """How far beside a thing another is put [m]."""
@@ -64,6 +68,27 @@ def _over(setting: Setting, target: str, state: SceneState) -> Iterator[tuple[fl
     for k in range(1, SPREAD + 1):
         share = np.array([_halton(k, 2), _halton(k, 3)])
         yield tuple((low[:2] + share * (high - low)[:2]).tolist())
+
+
+def levels(setting: Setting, target: str, state: SceneState) -> tuple[Support, ...]:
+    """The levels of an object that has several, the highest first; none where it is not where the twin has it.
+
+    What is named by a link comes down on that link alone.
+    """
+    X_WO = setting.twin.state.poses.get(target)  # a link has none
+    if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
+        return ()
+    found = setting.twin.levels(target)[::-1]
+    return found if len(found) > 1 else ()
+
+
+def spots(level: Support) -> Iterator[tuple[float, float]]:
+    """Places on a level: x and y in the world [m], its middle first."""
+    yield level.middle
+    low, high = level.bounds
+    for k in range(1, SPREAD + 1):
+        x, y = (low + np.array([_halton(k, 2), _halton(k, 3)]) * (high - low)).tolist()
+        yield x, y
 
 
 def hollow(setting: Setting, target: str, state: SceneState) -> Array | None:

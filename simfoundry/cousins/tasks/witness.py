@@ -7,22 +7,23 @@ each thing and gets to where that is to be is looked at apart.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from simfoundry.cousins.reasons import Reason
-from simfoundry.cousins.tasks.meaning import branches
+from simfoundry.cousins.tasks.meaning import branches, objects_of
 from simfoundry.cousins.tasks.setting import Setting, numbers
-from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, turned
-from simfoundry.cousins.tasks.ways import cavity_words, places, turns
+from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
+from simfoundry.cousins.tasks.ways import cavity_words, levels, places, spots, turns
 from simfoundry.predicates import PredicateError, Verdict
-from simfoundry.scene.frames import Array
+from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Call
+from simfoundry.spec.expressions import Call, parts
 
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")
@@ -56,11 +57,16 @@ class Witness:
 
 @dataclass
 class _Attempt:
-    """What is being tried: the state so far, what links hold, what was opened, and why it cannot go on."""
+    """What is being tried: the state so far, what links hold, what was opened, and what is barred of which thing."""
 
     state: SceneState
     held: dict[str, str] = field(default_factory=dict)
     opened: list[str] = field(default_factory=list)
+    barred: list[tuple[str, Any]] = field(default_factory=list)
+
+    def asked(self, name: str, calls: list[Call]) -> Any:
+        """What is asked of a thing where it is put: that ``calls`` hold, and nothing that is barred of it."""
+        return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
 def witness(setting: Setting, goal: Any) -> Witness | tuple[Reason, ...]:
@@ -78,7 +84,7 @@ def witness(setting: Setting, goal: Any) -> Witness | tuple[Reason, ...]:
 
 
 def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reason, ...]:
-    attempt = _Attempt(setting.twin.state)
+    attempt = _Attempt(setting.twin.state, barred=list(_barred(goal)))
     way = [Call("Above", call.args[::-1]) if call.predicate == "Under" else call for call in way]
     for call in way:
         if call.predicate in HELD and (lacks := setting.cannot_take(call.args[0].partition(".")[0])):
@@ -101,6 +107,16 @@ def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reaso
         if gone := lost(setting, goal, attempt.state):
             return (Reason("fleeting", f"it does not last: {gone}"),)
     return Witness(attempt.state, tuple(attempt.opened))
+
+
+def _barred(goal: Any) -> Iterator[tuple[str, Any]]:
+    """What must not hold wherever a goal is true, each with the object that it says something of first."""
+    tag, below = parts(goal)
+    if tag == "all":
+        for item in below:
+            yield from _barred(item)
+    elif tag == "not" and (names := objects_of(goal)):
+        yield names[0], goal
 
 
 def _in_order(calls: list[Call]) -> Iterator[tuple[str, list[Call]]]:
@@ -218,7 +234,7 @@ def _unlike(nearly: list[tuple[float, SceneState]], name: str) -> Iterator[Scene
 class _Tried:
     """How often a thing was put somewhere, and settled; the best margin and why it was not enough.
 
-    ``far`` is why no hand gets to where it did come true.
+    ``far`` is why no hand gets to where it did come true, ``unreached`` those places to a centimetre [m].
     """
 
     puts: int = 0
@@ -226,20 +242,20 @@ class _Tried:
     best: float = -np.inf
     why: str = ""
     far: tuple[Reason, ...] = ()
+    unreached: set[tuple[float, ...]] = field(default_factory=set)
 
 
 def _touchdowns(
     setting: Setting, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
     """States in which the thing has come down on what carries it, each with what is asked of it there."""
-    asked = {"all": [str(call) for call in calls]}
-    target, within = _carrier(setting, name, calls)
-    for xy, q in _ways(setting, attempt, name, calls[0]):
+    asked = attempt.asked(name, calls)
+    for pose in _landings(setting, attempt, name, calls):
         if tried.settles >= SETTLES:
             return
         tried.puts += 1
         try:
-            state = put(setting, name, dropped(setting, name, target, within, xy, q, attempt.state), attempt.state)
+            state = put(setting, name, pose(), attempt.state)
         except PlaceError as error:
             tried.why = tried.why or error.message
             continue
@@ -253,17 +269,24 @@ def _settled(
     setting: Setting, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
 ) -> tuple[Reason, ...] | None:
     """Let a thing come to rest. None where that does not bring about what is asked; nothing in the way: ``()``."""
+    spot = tuple(np.round(state.poses[name].p, 2).tolist())
+    if spot in tried.unreached:
+        return None
+    if lacks := setting.cannot_hold(name, state):
+        tried.unreached.add(spot)
+        tried.far = tried.far or lacks
+        return None
     tried.settles += 1
+    asked = attempt.asked(name, calls)
     settled = rest(setting, state, {name, *setting.twin.riders(name)})
-    verdict = setting.twin.judge({"all": [str(call) for call in calls]}, settled.state)
+    verdict = setting.twin.judge(asked, settled.state)
     if not verdict.value or settled.why:
         tried.why = settled.why or f"at rest {verdict.why}"
         return None
-    if gone := lost(setting, {"all": [str(call) for call in calls]}, settled.state):
+    if gone := lost(setting, asked, settled.state):
         tried.why = gone
         return None
-    lacks = setting.cannot_reach(name, *setting.bounds(name, settled.state))
-    if lacks:
+    if lacks := setting.cannot_hold(name, settled.state):
         tried.far = tried.far or lacks
         return None
     attempt.state = settled.state
@@ -271,6 +294,17 @@ def _settled(
         if call.predicate in ON:
             attempt.held[name] = link_named(setting, call.args[1])
     return ()
+
+
+def _landings(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
+    """Where a thing may lie: it comes down from above, and then stands on each level that the target has."""
+    target, within = _carrier(setting, name, calls)
+    for xy, q in _ways(setting, attempt, name, calls[0]):
+        yield partial(dropped, setting, name, target, within, xy, q, attempt.state)
+    for level in levels(setting, target, attempt.state) if calls[0].predicate in ON else ():
+        for xy in spots(level):
+            for q in turns(setting, name)[:FEW]:
+                yield partial(standing, setting, name, level, xy, q)
 
 
 def _ways(setting: Setting, attempt: _Attempt, name: str, call: Call) -> Iterator[tuple[tuple[float, float], Array]]:

@@ -46,7 +46,9 @@ class Describing:
         for key in dict.fromkeys((*old, *new)):
             if key not in done and not (key in old and key in new and same(old[key], new[key])):
                 found = self.field((*path, key), old.get(key), new.get(key), key in old, key in new)
-                if key == "fixed":
+                if key == "closed" and path[0] == "joints":
+                    verbs.append(_closing(old.get(key), new.get(key)))
+                elif key == "fixed":
                     verbs.append("is fixed now" if new.get(key) else "is no longer fixed")
                 else:
                     facts += found
@@ -195,6 +197,12 @@ class Describing:
         users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
         return f" (of {', '.join(users[:3])}{more})" if users else ""
+
+
+def _closing(old: Any, new: Any) -> str:
+    """At which end of its way a joint is closed now, and was."""
+    now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
+    return f"closes {now} (was: {before})"
 
 
 def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
