@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,6 +68,36 @@ def python(code: str, *args: str | Path, **env: str) -> Done:
     return Done(done.returncode, done.stdout, done.stderr)
 
 
+SEVERAL = """
+import contextlib, io, json, os, sys
+from simfoundry.cli.main import main
+
+left = []
+for env, *args in json.loads(sys.argv[1]):
+    os.environ.update(env)
+    sys.argv = ['simfoundry', *args]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    left.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(left))
+"""
+
+
+def several(code: str, *calls: Sequence[str | Path], env: Sequence[Mapping[str, str]] = ()) -> list[Done]:
+    """Run commands one after the other in one process, after some Python, each with more of the environment.
+
+    To start Python and to import what a command needs takes longer than most commands.
+    """
+    told = [[dict(more), *map(str, call)] for call, more in itertools.zip_longest(calls, env, fillvalue={})]
+    done = python(f"{code}\n{SEVERAL}", json.dumps(told))
+    assert done.code == 0, done.err
+    return [Done(*left) for left in done.json]
+
+
 MAIN = "import sys; from simfoundry.cli.main import main; sys.argv[0] = 'simfoundry'; main()"
 
 BLOCKED = """
@@ -80,6 +112,11 @@ sys.meta_path.insert(0, Absent())
 """
 
 
+def absent(*names: str) -> str:
+    """Python after which the packages ``names`` are not installed."""
+    return BLOCKED.format(names=set(names))
+
+
 def without(*names: str) -> str:
     """A program that is ``simfoundry`` where the packages ``names`` are not installed."""
-    return BLOCKED.format(names=set(names)) + MAIN
+    return absent(*names) + MAIN
