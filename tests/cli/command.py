@@ -39,9 +39,13 @@ class Done:
         return lines[0]
 
 
-def run(*args: str | Path) -> Done:
-    """Run ``simfoundry`` with ``args`` in this process; an exception that it lets through fails the test."""
-    out, err = io.StringIO(), io.StringIO()
+def run(*args: str | Path, together: bool = False) -> Done:
+    """Run ``simfoundry`` with ``args`` in this process; an exception that it lets through fails the test.
+
+    ``together`` gives all as output, in the order in which it is printed.
+    """
+    out = io.StringIO()
+    err = out if together else io.StringIO()
     with (
         mock.patch.object(sys, "argv", ["simfoundry", *map(str, args)]),
         contextlib.redirect_stdout(out),
@@ -52,7 +56,7 @@ def run(*args: str | Path) -> Done:
             code = 0
         except SystemExit as end:
             code = int(end.code or 0)
-    return Done(code, out.getvalue(), err.getvalue())
+    return Done(code, out.getvalue(), "" if together else err.getvalue())
 
 
 def python(code: str, *args: str | Path, **env: str) -> Done:

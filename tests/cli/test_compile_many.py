@@ -36,10 +36,16 @@ def ell(height: float) -> str:
     return obj(*prism_mesh(outline, height))
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache in which the meshes of these tests are decomposed once."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project with the scenes `a`, `b` and `more/c`, and a cache of its own."""
-    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(tmp_path / "cache"))
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> Path:
+    """A project with the scenes `a`, `b` and `more/c`."""
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(cache))
     root = tmp_path / "project"
     (root / "more").mkdir(parents=True)
     (root / "simfoundry.yaml").write_text("")
@@ -140,6 +146,7 @@ def test_textures_and_profiles_count(project: Path) -> None:
 
 
 def test_only_the_changed_object_is_decomposed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
     decomposed: list[str] = []
     real = decompose.decompose
 
@@ -206,6 +213,7 @@ def test_a_failed_scene_stops_no_other(project: Path) -> None:
 def test_a_crash_of_the_decomposition_is_a_finding_of_the_object(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
     monkeypatch.setattr(decompose, "FUNCTION", "tests.cli.test_compile_many:crash")
     done = run("compile", "a.scene.yaml", "-o", "build", "-t", "mjcf")
     assert done.code == 2
