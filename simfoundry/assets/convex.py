@@ -125,8 +125,8 @@ def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable
     from simfoundry.assets import decompose  # most meshes need no process
     from simfoundry.assets.simplify import simplified
 
-    whole = hull(vertices)
-    volume, full = solid_of(vertices, faces).volume, solid_of(*hull(vertices, limit=len(vertices))).volume
+    whole, outline = hull(vertices), hull(vertices, limit=len(vertices))
+    volume, full = solid_of(vertices, faces).volume, solid_of(*outline).volume
     vertices, faces, lost = simplified(vertices, faces)
     size = float(np.ptp(vertices, axis=0).max())
     error = deviation(vertices, faces, [whole])
@@ -135,7 +135,7 @@ def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable
     if how == "hull":
         return Colliders((whole,), None, error + lost)
     if how == "auto" and nearly:
-        return _simplest(vertices, faces, whole, error, lost, size)
+        return _simplest(vertices, faces, outline[0], whole, error, lost, size)
     pieces = decompose.decompose(name, vertices, faces, report)
     parts = tuple(hull(corners) for corners in pieces if _is_solid(corners))
     if not parts:
@@ -143,10 +143,12 @@ def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable
     return Colliders(parts, None, deviation(vertices, faces, list(parts)) + lost)
 
 
-def _simplest(vertices: Array, faces: Faces, whole: Part, error: float, lost: float, size: float) -> Colliders:
+def _simplest(
+    vertices: Array, faces: Faces, corners: Array, whole: Part, error: float, lost: float, size: float
+) -> Colliders:
     """The nearest primitive of a nearly convex mesh, where it is not much farther from it than the hull; else that."""
     best, nearest = Colliders((whole,), None, error + lost), error + PRIMITIVE_MARGIN * size
-    for primitive in fitted_primitives(whole[0], PRIMITIVE_APART * size):
+    for primitive in fitted_primitives(corners, PRIMITIVE_APART * size):
         apart = deviation(vertices, faces, [hull(primitive.corners(), limit=len(vertices) + 1000)])
         if apart <= nearest:
             best, nearest = Colliders((), primitive, apart + lost), apart

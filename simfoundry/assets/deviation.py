@@ -12,7 +12,13 @@ ON_MESH, ON_PARTS = 20_000, 4_000
 """Points that are compared, on the mesh and on the parts: of a thing of 20 cm the former are about 1 mm apart."""
 
 NEIGHBOURS = 8
-"""Triangles beside the nearest points among which the nearest one is looked for."""
+"""Samples beside a point by whose triangles its distance is bounded."""
+
+TOGETHER = 256
+"""Points whose distance is made exact at once: the greatest ones first, of which few are needed."""
+
+ROUNDING = 1e-12
+"""What rounding may take from a bound [m]: the triangle that gave it must not be missed."""
 
 CHECKED = 4_000
 """Of the points on the mesh, how many are looked for in the parts."""
@@ -32,13 +38,13 @@ def deviation(vertices: Array, faces: Faces, parts: list[tuple[Array, Faces]]) -
     step = max(1, len(points) // CHECKED)
     short = _outside(points[::step], planes)
     outer = _outer(parts, planes, TOUCHING * float(np.ptp(vertices, axis=0).max()))
-    return max(0.0, float(short.max()), float(_to_mesh(outer, vertices[faces], points, owner).max(initial=0.0)))
+    return max(0.0, float(short.max()), _greatest_distance(outer, vertices[faces], points, owner))
 
 
-def distance_to_mesh(points: Array, vertices: Array, faces: Faces) -> Array:
-    """Distances [m] of points, shape (n, 3), to the surface of a mesh."""
+def greatest_distance(points: Array, vertices: Array, faces: Faces) -> float:
+    """The greatest distance [m] of points, shape (n, 3), to the surface of a mesh."""
     samples, owner = surface_samples(vertices, faces, ON_MESH)
-    return _to_mesh(points, vertices[faces], samples, owner)
+    return _greatest_distance(points, vertices[faces], samples, owner)
 
 
 def surface_samples(vertices: Array, faces: Faces, count: int) -> tuple[Array, NDArray[np.int64]]:
@@ -82,13 +88,40 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
     return np.concatenate(found)
 
 
-def _to_mesh(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> Array:
-    """Distances [m] of points to a mesh, by the triangles of the samples that are nearest to each."""
-    import trimesh
+def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
+    """The greatest distance [m] of points to triangles (m, 3, 3), whose samples tell which of them are near.
+
+    Samples give bounds from above. Only as long as the next greatest bound is more than what was found is it exact.
+    """
     from scipy.spatial import cKDTree
 
+    if not len(points):
+        return 0.0
     _, near = cKDTree(samples).query(points, k=NEIGHBOURS)
-    candidates = triangles[owner[near]].reshape(-1, 3, 3)
-    closest = trimesh.triangles.closest_point(candidates, np.repeat(points, NEIGHBOURS, axis=0))
-    apart = np.linalg.norm(closest.reshape(len(points), NEIGHBOURS, 3) - points[:, None], axis=2)
-    return np.asarray(apart.min(axis=1))
+    rows = np.repeat(np.arange(len(points)), NEIGHBOURS)
+    bounds = _least_distances(points, triangles, rows, owner[near].ravel())
+    centres = triangles.mean(axis=1)
+    radii = np.linalg.norm(triangles - centres[:, None], axis=2).max(axis=1)
+    tree, widest, greatest = cKDTree(centres), float(radii.max()), 0.0
+    order = np.argsort(-bounds, kind="stable")
+    for first in range(0, len(order), TOGETHER):
+        some = order[first : first + TOGETHER]
+        if bounds[some[0]] <= greatest:
+            break
+        found = tree.query_ball_point(points[some], bounds[some] + widest)
+        rows = np.repeat(some, [len(each) for each in found])
+        columns = np.concatenate([np.asarray(each, dtype=np.int64) for each in found])
+        reached = np.linalg.norm(points[rows] - centres[columns], axis=1) <= bounds[rows] + radii[columns] + ROUNDING
+        exact = _least_distances(points, triangles, rows[reached], columns[reached])[some]
+        greatest = max(greatest, float(exact.max()))
+    return greatest
+
+
+def _least_distances(points: Array, triangles: Array, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
+    """The least distance [m] of each point, by ``rows``, to its triangles, by ``columns``; inf without any."""
+    import trimesh
+
+    closest = trimesh.triangles.closest_point(triangles[columns], points[rows])
+    least = np.full(len(points), np.inf)
+    np.minimum.at(least, rows, np.linalg.norm(closest - points[rows], axis=1))
+    return least

@@ -27,7 +27,7 @@ def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tup
         return vertices, faces, 0.0
     import fast_simplification
 
-    from simfoundry.assets.deviation import distance_to_mesh, surface_samples
+    from simfoundry.assets.deviation import greatest_distance, surface_samples
 
     size = float(np.ptp(vertices, axis=0).max())
     points, _ = surface_samples(vertices, faces, SAMPLES)
@@ -35,7 +35,7 @@ def simplified(vertices: Array, faces: Faces, enough: int = ENOUGH_FACES) -> tup
     while count < len(faces) // 2:
         corners, sides = fast_simplification.simplify(vertices, faces, target_count=count)
         fewer = np.asarray(corners, dtype=np.float64), np.asarray(sides, dtype=np.int32)
-        lost = float(distance_to_mesh(points, *fewer).max()) if len(sides) else np.inf
+        lost = greatest_distance(points, *fewer) if len(sides) else np.inf
         if lost <= ALLOWED * size:
             return *fewer, lost
         count *= 4

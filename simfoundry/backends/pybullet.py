@@ -56,6 +56,10 @@ from simfoundry.scene.trees import Tree, trees
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
+GRASP_ITERATIONS = 200
+"""Iterations of Bullet's solver a step where there are robots. At its own 50 a marker between the pads of a 2F-85
+creeps by up to 2 cm and turns on its way; at 200 by 5 mm, at 500 by 2 mm, for three times the time of 200."""
+
 BACKGROUND = "_background.urdf"
 """The file of what is seen around the scene; no object is called so."""
 
@@ -134,6 +138,7 @@ def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:
         "relations": [str(relation) for relation in scene.relations],
     }
     if robots:
+        world["solver_iterations"] = GRASP_ITERATIONS
         world["robots"] = {name: _robot(robot, scene, timestep) for name, robot in robots.items()}
     if scene.background is not None and scene.background.visuals:
         files |= background_urdf(scene.background, files)

@@ -73,10 +73,10 @@ class EngineComparison:
 
 def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
     """Every two engines by task and policy, over the starts at which both have a result; none where there are none."""
-    groups: dict[tuple[str, ...], dict[str, dict[tuple[int, str], Record]]] = {}
+    groups: dict[tuple[str, str, str, str], dict[str, dict[tuple[int, str], Record]]] = {}
     for record in records:
         if is_result(record):
-            key = tuple(str(record[name]) for name in ("task", "part", "step", "policy"))
+            key = (str(record["task"]), str(record["part"]), str(record["step"]), str(record["policy"]))
             starts = groups.setdefault(key, {}).setdefault(str(record["engine"]), {})
             starts[record["index"], record["start"]] = record
     found = []
@@ -90,7 +90,7 @@ def compare_engines(records: Iterable[Record]) -> list[EngineComparison]:
 
 
 def _compared(
-    key: tuple[str, ...], engines: tuple[str, str], starts: Sequence[int], wins: Sequence[tuple[bool, bool]]
+    key: tuple[str, str, str, str], engines: tuple[str, str], starts: Sequence[int], wins: Sequence[tuple[bool, bool]]
 ) -> EngineComparison:
     only = tuple(k for k, (a, b) in zip(starts, wins, strict=True) if a and not b)
     other = tuple(k for k, (a, b) in zip(starts, wins, strict=True) if b and not a)

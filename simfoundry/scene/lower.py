@@ -66,14 +66,7 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         raise SpecError(loaded.errors)
     assert isinstance(loaded.spec, SceneSpec)
     spec = loaded.spec
-    lowering = _Lowering(loaded, cache, progress, len(spec.objects))
-    objects = []
-    for name, item in spec.objects.items():
-        lowering.report(name)
-        objects.append(lowering.object(name, item, spec))
-        lowering.done += 1
-    if lowering.findings:
-        raise SpecError(lowering.findings)
+    objects = _objects(_Lowering(loaded, cache, progress, len(spec.objects)), spec)
     robots, no_models = _robots(loaded, spec, fetch)
     mounted = [_mounted(n, c, c.mount) for n, c in spec.cameras.items() if c.mount is not None]
     lowered, no_contact = _silenced(spec, (o for o in objects if o is not None))
@@ -93,6 +86,51 @@ def lower(loaded: Loaded, cache: Cache | None = None, progress: Progress | None 
         source=Source.of(_file_in_project(loaded), to_data(spec)),
         viewer=viewer(spec),
     )
+
+
+def _objects(lowering: _Lowering, spec: SceneSpec) -> list[SceneObject | None]:
+    """The objects as the spec has them, but for their places; raises :class:`SpecError` with every finding.
+
+    What is to be inside of something, and all below it, comes first: whether it fits is known before the meshes of all
+    other objects are cut into convex parts, which may take minutes. Where it does not, these are looked at uncut.
+    """
+    found: dict[str, SceneObject | None] = {}
+    first = _below_what_is_inside(spec)
+    misfits: list[Diagnostic] = []
+    for name in (*first, *(name for name in spec.objects if name not in first)):
+        lowering.report(name)
+        found[name] = lowering.object(name, spec.objects[name], spec)
+        lowering.done += 1
+        if first and len(found) == len(first) and not lowering.findings:
+            misfits = list(_misfits(lowering.loaded, spec, {k: item for k, item in found.items() if item is not None}))
+            lowering.cuts = not misfits
+    if lowering.findings or misfits:
+        raise SpecError([*lowering.findings, *misfits])
+    return [found[name] for name in spec.objects]
+
+
+def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
+    """The objects with a place `inside` another and all that these places depend on, in the order of the spec."""
+    from simfoundry.scene.place import needs
+
+    places = {name: item.place for name, item in spec.objects.items() if item.place is not None}
+    todo = [name for name, place in places.items() if place.inside is not None]
+    seen = set[str]()
+    while todo:
+        name = todo.pop()
+        if name not in seen:
+            seen.add(name)
+            todo += needs(places[name]) if name in places else ()
+    return tuple(name for name in spec.objects if name in seen)
+
+
+def _misfits(loaded: Loaded, spec: SceneSpec, objects: Mapping[str, SceneObject]) -> Iterator[Diagnostic]:
+    """What is wrong with the places of some objects that depend on no others."""
+    from simfoundry.scene.place import place_all
+
+    places = {name: item.place for name, item in spec.objects.items() if item.place is not None and name in objects}
+    for name, error in place_all(objects, places, viewer(spec))[1].items():
+        yield loaded.finding("SF210", ("objects", name, "place"), error.message, error.hint)
 
 
 def _background(loaded: Loaded, spec: spec_scene.Background) -> Background:
@@ -228,6 +266,8 @@ class _Lowering:
     progress: Progress | None = None
     count: int = 0
     done: int = 0
+    cuts: bool = True
+    """Whether meshes are cut into convex parts; otherwise their hulls stand for them."""
     findings: list[Diagnostic] = field(default_factory=list)
 
     def report(self, said: str) -> None:
@@ -243,6 +283,8 @@ class _Lowering:
         def report(said: str) -> None:
             self.report(f"{owner}: {said}")
 
+        if not self.cuts and body.collision != "none":
+            body = body.model_copy(update={"collision": "hull"})
         return BodyBuilder(name, body, materials, self.cache, weighed, report=report)
 
     def object(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:

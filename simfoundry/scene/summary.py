@@ -139,30 +139,32 @@ def _kind(written: ObjectSpec, item: SceneObject) -> str:
 def bounds(item: SceneObject) -> tuple[Array, Array]:
     """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
     poses = link_poses(item)
-    points = []
-    for link in item.links:
-        X_OL = poses[link.name]
-        points += [(X_OL @ part.X_LG).apply(_extreme_points(part.geometry)) for part in link.colliders or link.visuals]
-    if not points:
+    spans = [
+        _span(part.geometry, poses[link.name] @ part.X_LG)
+        for link in item.links
+        for part in link.colliders or link.visuals
+    ]
+    if not spans:
         return np.zeros(3), np.zeros(3)
-    every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
+    return np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
 
 
-def _extreme_points(geometry: Geometry) -> Array:
-    """Points whose hull is the geometry, or a box around it."""
+def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] of a geometry posed in a frame."""
+    axes = np.abs(X_OG.rotation)
     match geometry:
         case Mesh():
-            return geometry.vertices
+            points = X_OG.apply(geometry.vertices)
+            return points.min(axis=0), points.max(axis=0)
         case Box():
-            half = geometry.size / 2
+            half = axes @ (geometry.size / 2)
         case Sphere():
             half = np.full(3, geometry.radius)
         case Cylinder():
-            half = np.array([geometry.radius, geometry.radius, geometry.height / 2])
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
         case Capsule():
-            half = np.array([geometry.radius, geometry.radius, geometry.height / 2 + geometry.radius])
-    return np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius
+    return X_OG.p - half, X_OG.p + half
 
 
 def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:

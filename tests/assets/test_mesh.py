@@ -248,11 +248,12 @@ def entries(cache: Cache) -> dict[str, bytes]:
 
 def test_what_is_nearly_convex_collides_as_its_hull_or_simpler(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
-    found = mesh_colliders(*blob(np.random.default_rng(3)), "auto", cache)
+    cone = lathe_mesh(np.array([[0, 0.1], [0.02, 0.1], [0.05, 0], [0, 0]]), 24)
+    found = mesh_colliders(*cone, "auto", cache)
     assert len(found.parts) == 1 and found.primitive is None
     found = mesh_colliders(*ell(), "hull", cache)
     assert len(found.parts) == 1 and found.primitive is None
-    assert found.error == pytest.approx(0.1 / math.sqrt(2), rel=0.02)  # how deep its corner is
+    assert found.error == pytest.approx(0.1, rel=0.02)  # from the middle of the longest side to either leg
     assert mesh_colliders(*ell(), "none", cache).parts == ()
     assert entries(cache) == {}
 
@@ -271,10 +272,10 @@ def test_meshes_of_primitives_collide_as_those() -> None:
     assert found.error < 1e-6
 
     def can(sides: int) -> tuple[np.ndarray, np.ndarray]:
-        return lathe_mesh(np.array([[0, 0.05], [0.03, 0.05], [0.03, -0.05], [0, -0.05]])[::-1], sides)
+        return lathe_mesh(np.array([[0, 0.05], [0.03, 0.05], [0.03, -0.05], [0, -0.05]]), sides)
 
     vertices, faces = can(48)
-    found = mesh_colliders(vertices @ turn.T + shift, faces[:, ::-1], "auto")
+    found = mesh_colliders(vertices @ turn.T + shift, faces, "auto")
     assert found.primitive is not None and found.primitive.kind == "cylinder"
     assert found.primitive.size == pytest.approx((0.03, 0.1), rel=2e-3)
     assert abs(found.primitive.rotation[:, 2] @ turn[:, 2]) == pytest.approx(1.0, abs=1e-6)
@@ -284,7 +285,7 @@ def test_meshes_of_primitives_collide_as_those() -> None:
     assert few.primitive is None and len(few.parts) == 1  # a heptagon is no cylinder
 
     arc = np.linspace(0, math.pi, 24)
-    ball = lathe_mesh(np.column_stack([0.04 * np.sin(arc), -0.04 * np.cos(arc)]), 48)
+    ball = lathe_mesh(np.column_stack([0.04 * np.sin(arc), 0.04 * np.cos(arc)]), 48)
     found = mesh_colliders(*ball, "auto")
     assert found.primitive is not None and found.primitive.kind == "sphere"
     assert found.primitive.size == pytest.approx((0.04,), rel=0.01)
@@ -294,7 +295,7 @@ def test_a_large_mesh_is_simplified_within_a_bound() -> None:
     arc = np.linspace(0, math.pi, 101)
     vertices, faces = lathe_mesh(np.column_stack([0.04 * np.sin(arc), -0.06 * np.cos(arc)]), 100)
     corners, sides, lost = simplified(vertices, faces, 1000)
-    assert len(sides) <= 1000 < len(faces) and 0 < lost <= ALLOWED * 0.12
+    assert 1000 <= len(sides) < len(faces) / 2 and 0 < lost <= ALLOWED * 0.12, "of 1000 triangles none is near enough"
     radius = np.linalg.norm(corners / [0.04, 0.04, 0.06], axis=1)
     assert np.abs(radius - 1).max() * 0.04 < 2 * lost
     assert simplified(vertices, faces, len(faces))[0] is vertices

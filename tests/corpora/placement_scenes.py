@@ -75,8 +75,8 @@ def part(x: float, y: float, z: float, at: tuple[float, float, float], rpy_deg: 
 
 def vessel(bottom: float, top: float, height: float, wall: float = 0.004) -> Data:
     """A cup, bowl or plate: radii at the bottom and at the rim [m]."""
-    outer = [[0, 0], [bottom, 0], [top, height]]
-    inner = [[top - wall, height], [max(bottom - wall, 0.006), wall], [0, wall]]
+    outer: list[list[float]] = [[0, 0], [bottom, 0], [top, height]]
+    inner: list[list[float]] = [[top - wall, height], [max(bottom - wall, 0.006), wall], [0, wall]]
     return {"lathe": {"profile": [[round(float(v), 5) for v in p] for p in outer + inner]}}
 
 
@@ -151,6 +151,12 @@ def small(rng: Rng) -> tuple[Data, float, float]:
     return box(x, y, z), float(z), math.hypot(x, y) / 2
 
 
+def pair(rng: Rng, reach: float) -> tuple[float, float]:
+    """Two numbers no farther from zero than ``reach``."""
+    x, y = rng.uniform(-reach, reach, 2)
+    return float(x), float(y)
+
+
 def centred(shape: Data) -> bool:
     """Whether its frame is in its middle; else it is at the middle of its base."""
     return any(key in shape for key in ("box", "cylinder", "sphere", "capsule"))
@@ -195,16 +201,16 @@ def stacked(b: Builder) -> None:
         tall = height - 0.02 - tower
         put(b, "tower", box(0.05, 0.05, tall), tall, x, y, 0, float(rng.uniform(0, 90)))
         shape, tall, _ = small(rng)
-        put(b, "top", shape, tall, *rng.uniform(-0.06, 0.06, 2), height + GAP, 0)
+        put(b, "top", shape, tall, *pair(rng, 0.06), height + GAP, 0)
     elif kind == 3:  # vessels in one another, or a lid on one
         r, h = rng.uniform(0.04, 0.06), rng.uniform(0.04, 0.07)
         put(b, "lower", vessel(r, r * 1.4, h), h, 0, 0, 0, 0)
         if rng.random() < 0.5:
             put(b, "upper", vessel(r, r * 1.4, h), h, 0, 0, 0.6 * h, 0)
         else:
-            put(b, "lid", cylinder(r * 1.5, 0.008), 0.008, *rng.uniform(-0.005, 0.005, 2), h + GAP, 0)
+            put(b, "lid", cylinder(r * 1.5, 0.008), 0.008, *pair(rng, 0.005), h + GAP, 0)
             shape, tall, _ = small(rng)
-            put(b, "top", shape, tall, *rng.uniform(-0.02, 0.02, 2), h + 0.01 + GAP, 0)
+            put(b, "top", shape, tall, *pair(rng, 0.02), h + 0.01 + GAP, 0)
     else:  # side by side, touching, and one on top of one of them
         height, step = rng.uniform(0.03, 0.07), rng.uniform(0.0, 0.006)
         put(b, "first", box(0.08, 0.08, height), height, 0, 0, 0, 0)
@@ -257,9 +263,7 @@ def contained(b: Builder) -> None:
         b.add("bin", bin_(width, depth, height), (0, 0, GAP), (0, 0, float(rng.uniform(0, 90))))
         for k in range(int(rng.integers(1, 4))):
             shape, tall, _ = small(rng)
-            put(
-                b, f"thing_{k}", shape, tall, *rng.uniform(-0.035, 0.035, 2), 0.01 + 0.08 * k, float(rng.uniform(0, 90))
-            )
+            put(b, f"thing_{k}", shape, tall, *pair(rng, 0.035), 0.01 + 0.08 * k, float(rng.uniform(0, 90)))
     elif kind == 4:  # a vessel lies, or leans, with something in it
         r, h = rng.uniform(0.04, 0.06), rng.uniform(0.09, 0.13)
         b.add("cup", bin_(2 * r, 2 * r, h), (0, 0, r + GAP), (0, 90, 0))

@@ -4,9 +4,9 @@
 
 Of N placements (500 by default) each is simulated for a second in MuJoCo and in PyBullet. There `OnTop` and `Inside`
 are compared with which object the contact forces show to carry which, and `Under`, `Above` and `Inside` with a ray cast
-of BEHAVIOR's definitions. The seeds are in two halves: thresholds are chosen on the even ones (`tune`), and the odd
-ones are reported, in docs/predicates.md. A line is printed for each disagreement; with `--out`, what was found is kept there, and placements
-that are in it are not run again. Exits with 1 where a share of disagreements is above the bar.
+of BEHAVIOR's definitions. The seeds are in two halves: thresholds are chosen on the even fours (`tune`), and the odd
+ones are reported, in docs/predicates.md. A line is printed for each disagreement; with `--out`, what was found is kept
+there, and placements that are in it are not run again. Exits with 1 where a share of pairs is above the bar.
 """
 
 from __future__ import annotations

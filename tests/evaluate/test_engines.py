@@ -68,7 +68,14 @@ def test_eval_runs_two_engines_from_the_same_starts(tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     write_bench(tmp_path, TASK.replace("goal: At(block, 0.45, 0)", "goal: Touching(arm, block)", 1))
     np.save(tmp_path / "still.npy", np.zeros((1, 3)))
-    command = ["eval", tmp_path / "push.task.yaml", "-p", f"still=replay:{tmp_path / 'still.npy'}", "-n", "2"]
+    command: list[str | Path] = [
+        "eval",
+        tmp_path / "push.task.yaml",
+        "-p",
+        f"still=replay:{tmp_path / 'still.npy'}",
+        "-n",
+        "2",
+    ]
     done = run(*command, "--world", "mujoco", "--world", "pybullet", "--no-video", "-o", tmp_path / "out")
     assert done.code == 0, done.err
     assert "push in mujoco" in done.out and "push in pybullet" in done.out

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from simfoundry.assets import decompose
 from simfoundry.scene.frames import Array, Pose, look_at, quat_from_rpy
 from simfoundry.scene.hulls import PROUD
 from simfoundry.scene.lower import lower_file
@@ -22,6 +23,7 @@ from simfoundry.spec.load import load_scene
 from simfoundry.spec.place import Place
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.write import to_yaml
+from tests.assets.meshes import blob, obj
 from tests.placing import (
     CUBE,
     DESK,
@@ -273,7 +275,46 @@ def test_places_give_the_same_bytes_twice(tmp_path: Path) -> None:
 
 def test_numbers_beyond_all_bounds_are_refused() -> None:
     huge = solid("huge", box(1e100, 1e100, 1e100), pose(0, 0, 0))
-    for place in (Place(on="huge", xy=(1e308, 0)), Place(on="huge", left_of="huge", gap=1e308)):
+    beyond = ({"xy": (1e308, 0)}, {"left_of": "huge", "gap": 1e308})  # a document may not say so
+    for place in (Place.model_construct(on="huge", **more) for more in beyond):
         with pytest.raises(PlaceError) as error:
             put(solid("ball", Sphere(1e100), pose(0, 0, 0)), place, huge)
         assert len(error.value.message) < 200
+
+
+PROFILE = [[0, 0], [0.04, 0], [0.04, 0.09], [0.036, 0.09], [0.036, 0.01], [0, 0.01]]
+CUP = f"{{shape: {{lathe: {{profile: {PROFILE}}}}}, mass: 0.2, place: {{on: desk, xy: [0, 0]}}}}"
+
+
+def test_what_does_not_fit_is_said_before_other_meshes_are_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "simfoundry.yaml").touch()
+    (tmp_path / "blob.obj").write_text(obj(*blob(np.random.default_rng(1))))
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    path = tmp_path / "fit.scene.yaml"
+    path.write_text(
+        "simfoundry: scene/1\nname: fit\nobjects:\n"
+        "  blob: {asset: blob.obj, mass: 1, pose: {xyz: [3, 0, 0]}}\n"
+        "  flat: {asset: flat.obj, mass: 1, pose: {xyz: [6, 0, 0]}}\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+        f"  cup: {CUP}\n"
+        "  crate: {shape: {box: [0.2, 0.2, 0.2]}, mass: 1, place: {inside: cup}}\n"
+    )
+    monkeypatch.setattr(decompose, "decompose", lambda *_: pytest.fail("a mesh was cut"))
+    with pytest.raises(SpecError) as error:
+        lower_file(path)
+    assert sorted((d.code, d.path) for d in error.value.diagnostics) == [
+        ("SF210", "objects.crate.place"),
+        ("SF302", "objects.flat.asset"),
+    ]
+
+
+def test_places_inside_do_not_change_the_order_of_objects(tmp_path: Path) -> None:
+    path = tmp_path / "order.scene.yaml"
+    path.write_text(
+        "simfoundry: scene/1\nname: order\nobjects:\n"
+        "  ball: {shape: {sphere: 0.02}, mass: 0.1, pose: {xyz: [1, 1, 1]}}\n"
+        "  pea: {shape: {sphere: 0.005}, mass: 0.1, place: {inside: cup}}\n"
+        f"  cup: {CUP}\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+    )
+    assert [item.name for item in lower_file(path).objects] == ["ball", "pea", "cup", "desk"]

@@ -45,7 +45,7 @@ kitchen  7 objects, 0.77 kg
 ├─ desk  box 80.0 x 60.0 x 4.0 cm  fixed  1 collider
 │  ├─ book  box 20.0 x 15.0 x 3.0 cm  0.4 kg  1 collider
 │  │  └─ ball  sphere 7.0 x 7.0 x 7.0 cm  0.1 kg (0.05 to 0.2, vlm)  1 collider
-│  ├─ lathe  lathe 8.0 x 8.0 x 5.0 cm  0.25 kg  1 collider
+│  ├─ lathe  lathe 8.0 x 8.0 x 5.0 cm  0.25 kg  1 collider (convex part) within 0.34 mm
 │  └─ box  2 links 12.5 x 10.0 x 16.9 cm  fixed  2 colliders
 │        ~ lid  revolute  at 0.524
 └─ a  capsule 2.0 x 2.0 x 7.0 cm  0.01 kg  1 collider

@@ -95,7 +95,7 @@ def test_verdicts_know_what_an_engine_cannot_do() -> None:
 
 
 def test_what_is_known_is_of_engines_and_behaviours_that_exist_and_is_not_the_answer() -> None:
-    steps = {engine.family for engine in ENGINES if engine.steps}
+    steps = {engine.profile or engine.family for engine in ENGINES if engine.steps}
     profiles = {name: spec for name in profile_names() if (spec := find_target(name).profile) is not None}
     bands = [(engine, name, band) for engine, each in profiles.items() for name, band in each.behaviours.items()]
     assert len(bands) > 10

@@ -31,6 +31,8 @@ def load(client: int | None = None) -> dict[str, int]:
     world = json.loads((HERE / "world.json").read_text(encoding="utf-8"))
     pybullet.setGravity(*world["gravity"], physicsClientId=client)
     pybullet.setTimeStep(world["timestep"], physicsClientId=client)
+    if "solver_iterations" in world:  # else Bullet's own, 50: what a gripper holds would creep
+        pybullet.setPhysicsEngineParameter(numSolverIterations=world["solver_iterations"], physicsClientId=client)
     if "background" in world:
         flags = pybullet.URDF_IGNORE_COLLISION_SHAPES
         pybullet.loadURDF(str(HERE / world["background"]), useFixedBase=True, flags=flags, physicsClientId=client)

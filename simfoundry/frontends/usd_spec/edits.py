@@ -25,6 +25,9 @@ MOVED_M = 1e-4
 SINGLE = 3.4e38
 """Larger numbers have no place in single precision."""
 
+ROUNDED = 2e-6
+"""Relative difference that writing in single precision and reading back may make: some units of its last place."""
+
 _PIECES = ("Colliders", "Visuals")
 
 _TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
@@ -108,7 +111,7 @@ def differs(a: Any, b: Any) -> bool:
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
         return bool(a != b)
     a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # what is more is infinite in a stage
-    return not math.isclose(a, b, rel_tol=2e-6, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
+    return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 
 def rest(part: Part, handled: set[tuple[str, str]], hint: str = "") -> Iterator[Note]:
@@ -149,7 +152,9 @@ def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
     new = np.array(now.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)), dtype=np.float64)
     if new[3:7] @ old[3:7] < 0:
         new[3:7] = -new[3:7]
-    return bool(np.abs(old - new).max() > MOVED_M)
+    bound = np.full(len(old), MOVED_M)
+    bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are written in single precision
+    return bool((np.abs(old - new) > bound).any())
 
 
 def _counts(prim: Any) -> bool:
