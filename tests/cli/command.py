@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import json
 import os
 import subprocess
@@ -96,7 +95,8 @@ def several(code: str, *calls: Sequence[str | Path], env: Sequence[Mapping[str, 
 
     To start Python and to import what a command needs takes longer than most commands.
     """
-    told = [[dict(more), *map(str, call)] for call, more in itertools.zip_longest(calls, env, fillvalue={})]
+    environments = [*env, *[{} for _ in calls[len(env) :]]]
+    told = [[dict(more), *map(str, call)] for call, more in zip(calls, environments, strict=True)]
     done = python(f"{code}\n{SEVERAL}", json.dumps(told))
     assert done.code == 0, done.err
     return [Done(*left) for left in done.json]
