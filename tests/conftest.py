@@ -15,6 +15,10 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = Path(simfoundry.__file__).resolve().parent
 """The package under test: that of the checkout, or the one that a wheel installed."""
 
+# No test fetches a robot, waits for a network or depends on what a machine has fetched before: those that need
+# a robot's model name its files.
+os.environ.setdefault("MENAGERIE_ROOT", str(REPOSITORY / "tests" / "no_robots"))
+
 # The default run is the same everywhere and each time; `make proofs` searches at random, and longer. Slow examples are
 # no failure: the machines that run this are shared.
 settings.register_profile(

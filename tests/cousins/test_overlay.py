@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -136,7 +137,11 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]
     done = subprocess.run(
-        line, capture_output=True, text=True, check=True, env={"PYTHONPATH": str(REPOSITORY), "PYTHONHASHSEED": "7"}
+        line,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(REPOSITORY), "PYTHONHASHSEED": "7"},
     )
     assert done.stdout.strip() == first[2]
     assert candidate(setup(project, "scenes", 12), 1).line() != first[0]

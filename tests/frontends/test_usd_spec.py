@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -326,6 +327,6 @@ def test_the_bytes_are_the_same_in_every_process(desk: Project) -> None:
         "sys.stdout.buffer.write(compile_usd(lower_file(Path(sys.argv[1]))).files['scene.usda'])"
     )
     for seed in ("1", "2"):
-        env = {"PYTHONHASHSEED": seed, "PYTHONPATH": str(REPOSITORY)}
+        env = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(REPOSITORY)}
         done = subprocess.run([sys.executable, "-c", code, desk.document], capture_output=True, check=True, env=env)
         assert done.stdout == desk.stage.read_bytes()
