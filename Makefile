@@ -25,8 +25,9 @@ $(READY): pyproject.toml constraints.txt
 demo: $(READY) ## Reconstruct a tabletop from a picture, compile it for every target, run it
 	@$(BIN)/simfoundry demo
 
+# A file goes to one worker: what its tests share is made once.
 test: $(READY) ## Run the tests
-	@$(BIN)/python -m pytest -n $(WORKERS)
+	@$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 lint: $(READY) ## Check style, types and the import contract; changes nothing
 	$(BIN)/ruff check

@@ -29,6 +29,7 @@ settings.load_profile("default")
 
 
 # No test fetches a robot, nor depends on one that somebody fetched before: the packages find none here.
+os.environ.pop("SIMFOUNDRY_ROBOTS", None)
 os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "robots")
 
 

@@ -109,14 +109,24 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
     surface = np.concatenate(
         [np.column_stack([edges[:, :1] * [math.cos(t), math.sin(t)], edges[:, 1]]) for t in angles]
     )
+    # What is no farther outside of some part than the parts stand proud changes nothing: nearly all, seen from nearby.
+    planes = [_planes(corners, faces) for corners, faces in parts]
+    for (corners, _), (normal, offset) in zip(parts, planes, strict=True):
+        near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
+        near[near] = (surface[near] @ normal.T - offset).max(axis=1) <= proud
+        surface = surface[~near]
     outside = np.full(len(surface), np.inf)
-    for corners, faces in parts:
-        a, b, c = (corners[faces[:, k]] for k in range(3))
-        normal = np.cross(b - a, c - a)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        offset = np.einsum("ij,ij->i", normal, a)
+    for normal, offset in planes:
         outside = np.minimum(outside, (surface @ normal.T - offset).max(axis=1))
-    return max(proud, float(outside.max()), 0.0)
+    return max(proud, float(outside.max(initial=0.0)))
+
+
+def _planes(corners: Array, faces: Faces) -> tuple[Array, Array]:
+    """Outward unit normals (n, 3) and offsets [m] of the faces of a convex part."""
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal, np.einsum("ij,ij->i", normal, a)
 
 
 def _bands(profile: Array) -> list[Polygon]:

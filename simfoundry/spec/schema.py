@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 from simfoundry.spec.aliases import ALIASES
@@ -316,6 +317,7 @@ def _flow(body: Body) -> str:
     return body
 
 
+@cache
 def _text(kind: str, standard: bool) -> str:
     whole = without_editor_words(schema(kind)) if standard else schema(kind)
     return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.assets import decompose
 from simfoundry.assets import facts as module
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.facts import MeshFacts, measure, mesh_facts
@@ -17,6 +18,7 @@ from simfoundry.lint.run import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
+from tests.assets.coarse import COARSE
 from tests.assets.meshes import blob, block, obj
 from tests.conftest import REPOSITORY
 
@@ -48,7 +50,10 @@ def scene(folder: Path, mesh: str, fields: str) -> Path:
 
 @pytest.mark.parametrize("fields", FIELDS)
 @pytest.mark.parametrize("mesh", MESHES)
-def test_a_check_finds_what_lowering_finds(mesh: str, fields: str, tmp_path: Path) -> None:
+def test_a_check_finds_what_lowering_finds(
+    mesh: str, fields: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
     path = scene(tmp_path, mesh, fields)
     try:
         lower(load(path))

@@ -177,7 +177,14 @@ def test_what_a_nearer_thing_hides_does_not_stand_on_it() -> None:
 
 # Some scenes only; all of them: python -m tests.corpora.segmentation --perturb
 @pytest.mark.skipif(not available("mosd_dev"), reason="needs ../shared/data/mosd_dev")
-@pytest.mark.parametrize(("perturbation", "name"), [("none", "test5"), ("sparser", "learn33"), ("mirrored", "learn17")])
+@pytest.mark.parametrize(
+    ("perturbation", "name"),
+    [
+        ("none", "test5"),
+        pytest.param("sparser", "learn33", marks=pytest.mark.slow),
+        pytest.param("mirrored", "learn17", marks=pytest.mark.slow),
+    ],
+)
 def test_real_tables_with_known_instances(perturbation: str, name: str) -> None:
     (score,) = mosd_scores([name], perturbation)
     assert score.found == score.true
@@ -195,7 +202,9 @@ STACKED: dict[str, dict[int, set[int]]] = {
 
 
 @pytest.mark.skipif(not available("mosd_dev"), reason="needs ../shared/data/mosd_dev")
-@pytest.mark.parametrize("name", STACKED)
+@pytest.mark.parametrize(
+    "name", [n if n in ("learn25", "test16") else pytest.param(n, marks=pytest.mark.slow) for n in STACKED]
+)
 def test_real_stacks(name: str) -> None:
     ((_, frame),) = mosd_pictures([name])
     truth = frame.instances
@@ -210,7 +219,7 @@ def test_real_stacks(name: str) -> None:
 
 
 @pytest.mark.skipif(not available("graspnet6dof"), reason="needs ../shared/data/graspnet6dof")
-@pytest.mark.parametrize("name", ["red_mug", "green_bowl"])
+@pytest.mark.parametrize("name", ["red_mug", pytest.param("green_bowl", marks=pytest.mark.slow)])
 def test_one_object_on_a_real_table(name: str) -> None:
     ((_, frame, _),) = pictures("graspnet6dof", [name])
     assert len(segment(frame)[1].supports) == 1
@@ -219,7 +228,15 @@ def test_one_object_on_a_real_table(name: str) -> None:
 # Household objects by eye, as the index of the data lists them: a drill in two poses, a clamp that touches it, a
 # pitcher with a sunk lid and a handle, a bowl.
 @pytest.mark.skipif(not available("posecnn_demo"), reason="needs ../shared/data/posecnn_demo")
-@pytest.mark.parametrize(("name", "count"), [("000001", 5), ("000003", 3), ("000004", 3), ("000005", 5)])
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        pytest.param("000001", 5, marks=pytest.mark.slow),
+        ("000003", 3),
+        pytest.param("000004", 3, marks=pytest.mark.slow),
+        pytest.param("000005", 5, marks=pytest.mark.slow),
+    ],
+)
 def test_noisy_scenes_of_household_objects(name: str, count: int) -> None:
     ((_, frame, _),) = pictures("posecnn_demo", [name])
     support, found = segment(frame)
@@ -231,6 +248,7 @@ def test_noisy_scenes_of_household_objects(name: str, count: int) -> None:
         assert (bowl & (height < 0.005)).sum() > 5000, "the bottom of the bowl is the bowl's"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not available("m3t_desk"), reason="needs ../shared/data/m3t_desk")
 def test_bottle_before_a_window() -> None:
     ((_, frame, entry),) = pictures("m3t_desk", ["color_200"])

@@ -1,4 +1,7 @@
-"""Shapes fitted to real captures of objects whose true size is known. Skipped where the captures are absent."""
+"""Shapes fitted to real captures of objects whose true size is known. Skipped where the captures are absent.
+
+A default run fits one object of each kind and each camera.
+"""
 
 from __future__ import annotations
 
@@ -114,6 +117,7 @@ def graspnet(index: int) -> FittedShape:
     return fit_shape(frame, support, part == 1 + np.argmax(np.bincount(part[part > 0])[1:]), 0.0)
 
 
+@pytest.mark.slow
 def test_cracker_box_behind_a_bottle() -> None:
     shape, *_ = posecnn(4, 250, 120)
     assert isinstance(shape.geometry, Box)
@@ -138,6 +142,7 @@ def test_bowl_is_hollow() -> None:
     assert height == pytest.approx(0.055, abs=0.005)
 
 
+@pytest.mark.slow
 def test_pitcher_height() -> None:
     shape, *_ = posecnn(3, 294, 255)
     assert size_of(shape.geometry)[2] == pytest.approx(0.235, abs=0.015)
@@ -146,10 +151,11 @@ def test_pitcher_height() -> None:
 @pytest.mark.parametrize(
     ("index", "u", "v", "truth"),
     [
-        (4, 250, 120, (None, *CRACKERS[1:])),  # its narrow side is seen at a grazing angle
+        # its narrow side is seen at a grazing angle
+        pytest.param(4, 250, 120, (None, *CRACKERS[1:]), marks=pytest.mark.slow),
         (1, 266, 373, SUGAR),
-        (0, 395, 196, CRACKERS),
-        (2, 445, 312, (0.055, 0.161, 0.161)),
+        pytest.param(0, 395, 196, CRACKERS, marks=pytest.mark.slow),
+        pytest.param(2, 445, 312, (0.055, 0.161, 0.161), marks=pytest.mark.slow),
         (3, 294, 255, (None, None, 0.235)),
     ],
     ids=["crackers", "sugar", "crackers lying", "bowl", "pitcher"],
@@ -166,6 +172,7 @@ def test_sugar_carton() -> None:
     assert sorted(size_of(shape.geometry)) == pytest.approx(SUGAR, abs=0.004)
 
 
+@pytest.mark.slow
 def test_cracker_carton_covers_its_outline() -> None:
     """Its true size is unknown; the sizes are those whose edges lie on the carton's edges in the colour picture."""
     shape = graspnet(2)
@@ -173,7 +180,15 @@ def test_cracker_carton_covers_its_outline() -> None:
     assert sorted(size_of(shape.geometry)) == pytest.approx([0.051, 0.150, 0.193], abs=0.003)
 
 
-@pytest.mark.parametrize(("index", "kind"), [(0, "hollow"), (3, "hollow"), (4, "can"), (5, "can")])
+@pytest.mark.parametrize(
+    ("index", "kind"),
+    [
+        (0, "hollow"),
+        pytest.param(3, "hollow", marks=pytest.mark.slow),
+        (4, "can"),
+        pytest.param(5, "can", marks=pytest.mark.slow),
+    ],
+)
 def test_mug_bowl_and_cans(index: int, kind: str) -> None:
     shape = graspnet(index)
     assert shape.hollow == (kind == "hollow")
@@ -182,6 +197,7 @@ def test_mug_bowl_and_cans(index: int, kind: str) -> None:
     assert shape.confidence > 0.7 and shape.fit_m < 0.002
 
 
+@pytest.mark.slow
 def test_table_of_containers_and_tins() -> None:
     frame, entry = load("mosd_dev", 11)
     parts = read(DATA / "mosd_dev" / entry["label_image"]).astype(int)

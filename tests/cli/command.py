@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,9 +38,13 @@ class Done:
         return lines[0]
 
 
-def run(*args: str | Path) -> Done:
-    """Run ``simfoundry`` with ``args`` in this process; an exception that it lets through fails the test."""
-    out, err = io.StringIO(), io.StringIO()
+def run(*args: str | Path, together: bool = False) -> Done:
+    """Run ``simfoundry`` with ``args`` in this process; an exception that it lets through fails the test.
+
+    ``together`` gives all as output, in the order in which it is printed.
+    """
+    out = io.StringIO()
+    err = out if together else io.StringIO()
     with (
         mock.patch.object(sys, "argv", ["simfoundry", *map(str, args)]),
         contextlib.redirect_stdout(out),
@@ -50,7 +55,7 @@ def run(*args: str | Path) -> Done:
             code = 0
         except SystemExit as end:
             code = int(end.code or 0)
-    return Done(code, out.getvalue(), err.getvalue())
+    return Done(code, out.getvalue(), "" if together else err.getvalue())
 
 
 def python(code: str, *args: str | Path, **env: str) -> Done:
@@ -64,6 +69,37 @@ def python(code: str, *args: str | Path, **env: str) -> Done:
         env={**os.environ, "PYTHONPATH": str(REPOSITORY), **env},
     )
     return Done(done.returncode, done.stdout, done.stderr)
+
+
+SEVERAL = """
+import contextlib, io, json, os, sys
+from simfoundry.cli.main import main
+
+left = []
+for env, *args in json.loads(sys.argv[1]):
+    os.environ.update(env)
+    sys.argv = ['simfoundry', *args]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    left.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(left))
+"""
+
+
+def several(code: str, *calls: Sequence[str | Path], env: Sequence[Mapping[str, str]] = ()) -> list[Done]:
+    """Run commands one after the other in one process, after some Python, each with more of the environment.
+
+    To start Python and to import what a command needs takes longer than most commands.
+    """
+    environments = [*env, *[{} for _ in calls[len(env) :]]]
+    told = [[dict(more), *map(str, call)] for call, more in zip(calls, environments, strict=True)]
+    done = python(f"{code}\n{SEVERAL}", json.dumps(told))
+    assert done.code == 0, done.err
+    return [Done(*left) for left in done.json]
 
 
 MAIN = "import sys; from simfoundry.cli.main import main; sys.argv[0] = 'simfoundry'; main()"
@@ -80,6 +116,11 @@ sys.meta_path.insert(0, Absent())
 """
 
 
+def absent(*names: str) -> str:
+    """Python after which the packages ``names`` are not installed."""
+    return BLOCKED.format(names=set(names))
+
+
 def without(*names: str) -> str:
     """A program that is ``simfoundry`` where the packages ``names`` are not installed."""
-    return BLOCKED.format(names=set(names)) + MAIN
+    return absent(*names) + MAIN

@@ -11,7 +11,7 @@ import pytest
 from simfoundry.cli.main import COMMANDS
 from simfoundry.extras import EXTRAS
 from simfoundry.spec.robot import ROBOTS
-from tests.cli.command import MAIN, Done, python, run, without
+from tests.cli.command import MAIN, Done, absent, python, run, several, without
 
 SCENE = """\
 simfoundry: scene/1
@@ -212,11 +212,12 @@ HEAVY = ("numpy", "pxr", "mujoco", "pybullet", "trimesh", "scipy", "cv2", "shape
 LOADED = f"""
 import sys
 from simfoundry.cli.main import main
-sys.argv[0] = 'simfoundry'
-try:
-    main()
-except SystemExit as end:
-    print(sorted(set({HEAVY!r}) & set(sys.modules)), end.code, file=sys.stderr)
+for args in sys.argv[1:]:
+    sys.argv = ['simfoundry', *args.split()]
+    try:
+        main()
+    except SystemExit as end:
+        print(args, sorted(set({HEAVY!r}) & set(sys.modules)), end.code, file=sys.stderr)
 """
 
 
@@ -233,13 +234,10 @@ def test_the_list_of_commands() -> None:
     assert "Exit codes" in done.out and run("--version").out.startswith("simfoundry, version ")
 
 
-@pytest.mark.parametrize("args", [["--help"], *([c, "--help"] for c in COMMANDS), ["schema", "scene"]], ids=" ".join)
-def test_help_loads_nothing_heavy(args: list[str]) -> None:
-    assert python(LOADED, *args).err == "[] 0\n"
-
-
-def test_check_loads_nothing_heavy(scene: Path) -> None:
-    assert python(LOADED, "check", scene).err == "[] 0\n"
+def test_help_and_check_load_nothing_heavy(scene: Path) -> None:
+    calls = ["--help", *(f"{command} --help" for command in COMMANDS), "schema scene", "check small.scene.yaml"]
+    done = python(f"import os; os.chdir({str(scene.parent)!r})\n{LOADED}", *calls)
+    assert done.err.splitlines() == [f"{call} [] 0" for call in calls]
 
 
 def test_no_progress_bar_in_a_log(scene: Path, tmp_path: Path) -> None:
@@ -262,18 +260,24 @@ def test_doctor_finds_everything_here() -> None:
 
 
 def test_doctor_names_what_is_missing() -> None:
-    done = python(without("shapely", "pybullet"), "doctor", "--json")
+    done, plain = several(absent("shapely", "pybullet"), ["doctor", "--json"], ["doctor"])
     assert done.code == 1 and done.err == ""
     facts = parts(done)
     assert facts["shapely"]["version"] == "" and facts["shapely"]["remedy"] == "pip install shapely"
     assert facts["pybullet"]["version"] == "" and facts["trimesh"]["version"]
     assert str(facts["pybullet"]["remedy"]).startswith("pip install 'simfoundry[pybullet]'")
-    assert "MISSING shapely" in python(without("shapely"), "doctor").out
+    assert "MISSING shapely" in plain.out
 
 
 def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each() -> None:
-    env = {"SIMFOUNDRY_IMAGES_URL": "http://127.0.0.1:1", "SIMFOUNDRY_ROBOTS": "/nowhere"}
-    done = python(without("mink", "mujoco_menagerie", "robot_descriptions"), "doctor", "--json", **env)
+    """None of what is absent here is required."""
+    away = {"SIMFOUNDRY_IMAGES_URL": "http://127.0.0.1:1", "SIMFOUNDRY_ROBOTS": "/nowhere"}
+    done, without_folder = several(
+        absent("mink", "mujoco_menagerie", "pybullet", "robot_descriptions"),
+        ["doctor", "--json"],
+        ["doctor"],
+        env=[away, {"SIMFOUNDRY_ROBOTS": ""}],
+    )
     assert done.code == 0 and done.err == ""
     facts, sections = parts(done), list(dict.fromkeys(p["section"] for p in json.loads(done.out)["parts"]))
     assert sections == ["packages", "extras", "robots", "renderers", "models"]
@@ -284,13 +288,8 @@ def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each()
     assert "SIMFOUNDRY_ROBOTS names /nowhere, and there is no such folder" in str(facts["yam"]["remedy"])
     assert facts["raycast"]["version"] and facts["images"]["version"] and not facts["meshes"]["version"]
     assert all(part["version"] or part["remedy"] for part in facts.values())
-    without_folder = python(without("mujoco_menagerie", "robot_descriptions"), "doctor", SIMFOUNDRY_ROBOTS="").out
-    assert "-> install its models with `pip install 'simfoundry[robots]'`" in without_folder
-    assert "ok      demo_arm               mjcf" in without_folder
-
-
-def test_doctor_does_without_pybullet() -> None:
-    assert python(without("pybullet"), "doctor", "--json").code == 0
+    assert "-> install its models with `pip install 'simfoundry[robots]'`" in without_folder.out
+    assert "ok      demo_arm               mjcf" in without_folder.out
 
 
 def test_a_missing_package_is_a_sentence(tmp_path: Path) -> None:
@@ -304,9 +303,12 @@ PRISM = "prism: {outline: [[0, 0], [0.1, 0], [0.05, 0.02], [0, 0.1]], height: 0.
 
 
 def test_settle_and_compile_work_without_pybullet(scene: Path, tmp_path: Path) -> None:
-    program, env = without("pybullet"), {"SIMFOUNDRY_CACHE": str(tmp_path / "cache")}
-    done = python(program, "compile", scene, "-o", tmp_path / "out", **env)
-    assert done.code == 0 and (tmp_path / "out" / "pybullet" / "world.json").is_file()
-    assert python(program, "settle", scene, **env).code == 0
-    refused = python(program, "settle", scene, "--engine", "pybullet", **env)
+    compiled, settled, refused = several(
+        absent("pybullet"),
+        ["compile", scene, "-o", tmp_path / "out"],
+        ["settle", scene],
+        ["settle", scene, "--engine", "pybullet"],
+    )
+    assert compiled.code == 0 and (tmp_path / "out" / "pybullet" / "world.json").is_file()
+    assert settled.code == 0
     assert refused.code == 2 and "pip install" in refused.err and "Traceback" not in refused.err

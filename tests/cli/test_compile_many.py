@@ -36,10 +36,16 @@ def ell(height: float) -> str:
     return obj(*prism_mesh(outline, height))
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache in which the meshes of these tests are decomposed once."""
+    return tmp_path_factory.mktemp("cache")
+
+
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A project with the scenes `a`, `b` and `more/c`, and a cache of its own."""
-    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(tmp_path / "cache"))
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> Path:
+    """A project with the scenes `a`, `b` and `more/c`."""
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(cache))
     root = tmp_path / "project"
     (root / "more").mkdir(parents=True)
     (root / "simfoundry.yaml").write_text("")
@@ -53,8 +59,10 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def states(*args: str | Path, code: int = 0) -> dict[str, str]:
-    """What became of each scene."""
-    done = run("compile", *args, "-o", "build", "-t", "mjcf", "-t", "urdf", "--json")
+    """What became of each scene, compiled one at a time if nothing else is asked for: a process takes long to start."""
+    done = run(
+        "compile", *args, *([] if "-j" in args else ["-j", "1"]), "-o", "build", "-t", "mjcf", "-t", "urdf", "--json"
+    )
     assert (done.code, done.err) == (code, ""), done
     return {scene["scene"]: scene["state"] for scene in done.json["scenes"]}
 
@@ -71,7 +79,7 @@ def test_scenes_keep_the_shape_of_their_folder_and_are_compiled_once(project: Pa
     assert states(".") == dict.fromkeys(names, CURRENT)
     assert states(".", "--force") == dict.fromkeys(names, COMPILED)
     assert content(project / "build") == before
-    done = run("compile", ".", "-o", "build", "-t", "mjcf", "-t", "urdf")
+    done = run("compile", ".", "-j", "1", "-o", "build", "-t", "mjcf", "-t", "urdf")
     assert done.code == 0 and done.out.splitlines()[-1] == "3 up to date" and done.err == ""
 
 
@@ -138,6 +146,7 @@ def test_textures_and_profiles_count(project: Path) -> None:
 
 
 def test_only_the_changed_object_is_decomposed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
     decomposed: list[str] = []
     real = decompose.decompose
 
@@ -194,7 +203,7 @@ def test_a_failed_scene_stops_no_other(project: Path) -> None:
     (project / "one.obj").write_text("o nothing\n")
     (project / "b.scene.yaml").write_text(SCENE.replace("fixed", "fxed"))
     assert states(".", code=1) == {"a.scene.yaml": FAILED, "b.scene.yaml": FAILED, "more/c.scene.yaml": COMPILED}
-    done = run("compile", ".", "-o", "build", "-t", "mjcf", "-t", "urdf")
+    done = run("compile", ".", "-j", "1", "-o", "build", "-t", "mjcf", "-t", "urdf")
     assert done.code == 1 and done.out.splitlines()[-1] == "1 up to date, 2 failed"
     done.one_line("a.scene.yaml:6:", "SF301", "one.obj")
     done.one_line("b.scene.yaml:5:", "SF101", "`fxed`")
@@ -204,6 +213,7 @@ def test_a_failed_scene_stops_no_other(project: Path) -> None:
 def test_a_crash_of_the_decomposition_is_a_finding_of_the_object(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SIMFOUNDRY_CACHE", str(project / "empty_cache"))
     monkeypatch.setattr(decompose, "FUNCTION", "tests.cli.test_compile_many:crash")
     done = run("compile", "a.scene.yaml", "-o", "build", "-t", "mjcf")
     assert done.code == 2

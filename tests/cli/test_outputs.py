@@ -18,6 +18,7 @@ from tests.conftest import REPOSITORY
 SCENE = """\
 simfoundry: scene/1
 name: desk
+viewpoint: front
 materials:
   wood: {density: 700, friction: 0.5}
 objects:

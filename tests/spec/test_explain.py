@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.assets import decompose
 from simfoundry.capture.load import load_frame
 from simfoundry.scene.lower import lower
 from simfoundry.spec.capture import CaptureSpec
@@ -15,6 +16,7 @@ from simfoundry.spec.diagnostics import CODES, SpecError
 from simfoundry.spec.load import load
 from simfoundry.spec.pages import FOLDER, GROUPS, Page, code_of, findings_page, grouped, pages
 from simfoundry.spec.scene import SceneSpec
+from tests.assets.coarse import COARSE
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 
@@ -100,7 +102,8 @@ def test_what_is_wrong_gives_the_code_and_no_other(code: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("code", SHOWN)
-def test_what_is_right_gives_nothing(code: str, tmp_path: Path) -> None:
+def test_what_is_right_gives_nothing(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(decompose, "FUNCTION", COARSE)
     pictures(tmp_path)
     assert findings_of(written(PAGES[code], "Right", tmp_path)) == set()
 

@@ -93,8 +93,12 @@ BASES = {
         )
     },
 }
-PAIRS = 1000 // len(BASES) + 1
-"""Pairs of edits for each of the documents."""
+SHORT, PAIRS = 20, 1000 // len(BASES) + 1
+"""Pairs of edits for each of the documents, in a default run and in a long one."""
+
+seeds = pytest.mark.parametrize(
+    "seeds", [range(SHORT), pytest.param(range(SHORT, PAIRS), marks=pytest.mark.slow)], ids=["short", "long"]
+)
 
 
 def changed(*replacements: tuple[str, str], text: str = SCENE) -> Any:
@@ -133,11 +137,12 @@ def as_sets(data: Any) -> Any:
 # -- what always holds ------------------------------------------------------------------------------------------------
 
 
+@seeds
 @pytest.mark.parametrize("name", BASES)
-def test_independent_edits_merge_into_both(name: str) -> None:
+def test_independent_edits_merge_into_both(name: str, seeds: range) -> None:
     base = BASES[name]
     several = 0
-    for seed in range(PAIRS):
+    for seed in seeds:
         ours, theirs = independent(base, random.Random(f"{name}{seed}"))
         several += bool(ours) and bool(theirs)
         merged = merge(base, edited(base, ours), edited(base, theirs))
@@ -146,7 +151,7 @@ def test_independent_edits_merge_into_both(name: str) -> None:
             assert as_sets(merged.data) == as_sets(edited(base, order)), (seed, ours, theirs)
         mirrored = merge(base, edited(base, theirs), edited(base, ours))
         assert text_of(mirrored) == text_of(merged), (seed, ours, theirs)
-    assert several > PAIRS / 2
+    assert several > len(seeds) / 2
 
 
 @pytest.mark.parametrize("name", BASES)

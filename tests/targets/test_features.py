@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -35,6 +37,32 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Scene]:
     return {name: lower_file(write_everything(tmp_path_factory.mktemp("scene"), name)) for name in names}
 
 
+@pytest.fixture(scope="module")
+def variety() -> dict[str, Scene]:
+    return all_scenes()
+
+
+@pytest.fixture(scope="module")
+def losses(scenes: dict[str, Scene]) -> Callable[[str, str], tuple[Loss, ...]]:
+    """What a target loses of one of the scenes, each compiled once."""
+    return cache(lambda target, name: compile_target(scenes[name], find_target(target)).losses)
+
+
+@pytest.fixture(scope="module")
+def reported(
+    scenes: dict[str, Scene], losses: Callable[[str, str], tuple[Loss, ...]]
+) -> Callable[[str, str], dict[str, set[Fidelity]]]:
+    """What becomes of each feature that a target does not keep in one of the scenes."""
+
+    def found(target: str, name: str) -> dict[str, set[Fidelity]]:
+        fidelities: dict[str, set[Fidelity]] = {}
+        for loss in losses(target, name):
+            fidelities.setdefault(feature_of(loss, scenes[name]), set()).add(loss.fidelity)
+        return fidelities
+
+    return cache(found)
+
+
 def test_the_scene_uses_every_feature(scenes: dict[str, Scene]) -> None:
     unused = [name for name, f in FEATURES.items() if not any(f.users(scenes[APART.get(name, "")]))]
     assert unused == []
@@ -48,17 +76,17 @@ def test_every_backend_decides_on_every_feature(backend: str) -> None:
 
 @pytest.mark.parametrize("feature", FEATURES)
 @pytest.mark.parametrize("target", target_names())
-def test_a_compile_reports_what_the_table_says(target: str, feature: str, scenes: dict[str, Scene]) -> None:
-    scene, chosen = scenes[APART.get(feature, "")], find_target(target)
-    losses = compile_target(scene, chosen).losses
-    reported = {loss.fidelity for loss in losses if feature_of(loss, scene) == feature}
-    fidelity = cells_of(chosen)[feature].fidelity
-    assert reported == (set() if fidelity is None else {fidelity})
+def test_a_compile_reports_what_the_table_says(
+    target: str, feature: str, reported: Callable[[str, str], dict[str, set[Fidelity]]]
+) -> None:
+    fidelity = cells_of(find_target(target))[feature].fidelity
+    found = reported(target, APART.get(feature, "")).get(feature, set())
+    assert found == (set() if fidelity is None else {fidelity})
 
 
 @pytest.mark.parametrize("target", target_names())
-def test_every_loss_belongs_to_a_feature(target: str) -> None:
-    for scene in all_scenes().values():
+def test_every_loss_belongs_to_a_feature(target: str, variety: dict[str, Scene]) -> None:
+    for scene in variety.values():
         for loss in compile_target(scene, find_target(target)).losses:
             assert feature_of(loss, scene) in FEATURES, loss
 
@@ -112,9 +140,11 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
     assert lines[-1] == f"kept by all: {in_use - 10} of the {in_use} fields in use"
 
 
-def test_a_robot_that_is_there_is_told_from_one_that_is_not(scenes: dict[str, Scene]) -> None:
+def test_a_robot_that_is_there_is_told_from_one_that_is_not(
+    scenes: dict[str, Scene], losses: Callable[[str, str], tuple[Loss, ...]]
+) -> None:
     def told(name: str, target: str) -> list[dict[str, int]]:
-        found = fates(scenes[name], compile_target(scenes[name], find_target(target)).losses)
+        found = fates(scenes[name], losses(target, name))
         return [found[feature] for feature in OF_ROBOTS]
 
     kept, near, lost = ({fate: 1} for fate in ("kept", "approximated", "dropped"))
