@@ -15,9 +15,13 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 PACKAGE = Path(simfoundry.__file__).resolve().parent
 """The package under test: that of the checkout, or the one that a wheel installed."""
 
+of_the_checkout = pytest.mark.skipif(PACKAGE.parent != REPOSITORY, reason="it is about the checkout, not about a wheel")
+"""For tests that read the sources where they lie."""
+
 # No test fetches a robot, waits for a network or depends on what a machine has fetched before: those that need
 # a robot's model name its files.
-os.environ.setdefault("MENAGERIE_ROOT", str(REPOSITORY / "tests" / "no_robots"))
+os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "no_robots")
+os.environ.pop("SIMFOUNDRY_ROBOTS", None)
 
 # The default run is the same everywhere and each time; `make proofs` searches at random, and longer. Slow examples are
 # no failure: the machines that run this are shared.
@@ -26,11 +30,6 @@ settings.register_profile(
 )
 settings.register_profile("random", deadline=None, max_examples=500, suppress_health_check=list(HealthCheck))
 settings.load_profile("default")
-
-
-# No test fetches a robot, nor depends on one that somebody fetched before: the packages find none here.
-os.environ.pop("SIMFOUNDRY_ROBOTS", None)
-os.environ["MENAGERIE_ROOT"] = str(REPOSITORY / "tests" / "robots")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -23,6 +23,7 @@ from simfoundry.spec.load import load
 from simfoundry.spec.reference import EXAMPLES, reference
 from simfoundry.spec.scene import SceneSpec
 from simfoundry.spec.text import parse
+from tests.conftest import of_the_checkout
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -74,6 +75,7 @@ def test_the_pages_show_documents_of_every_kind() -> None:
     assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(EXAMPLES)
 
 
+@of_the_checkout
 @by_page
 def test_links_lead_somewhere(page: Path) -> None:
     headings = {re.sub(r"[^\w -]", "", h).lower().replace(" ", "-") for h in _headings(page)}
@@ -176,6 +178,7 @@ def test_every_dependency_is_fixed_and_mujoco_is_not_the_faulty_one() -> None:
     assert fixed["mujoco"] != "4.0.0"
 
 
+@of_the_checkout
 def test_every_imported_library_is_a_dependency() -> None:
     named = {"cv2": "opencv-python-headless", "PIL": "pillow", "pxr": "usd-core", "yaml": "pyyaml", "zmq": "pyzmq"}
     named["pydantic_ai"] = "pydantic-ai-slim"

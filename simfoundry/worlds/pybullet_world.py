@@ -69,6 +69,8 @@ class PybulletWorld:
         self._arms = {name: urdf_rows(scene.robot(name), handle.moving) for name, handle in self._robots.items()}
         self._reach = {item.name: reach(item) for item in scene.objects if item.joints or not item.fixed}
         self._X_OI = {name: self._inertial_pose(body, BASE) for name, body in self.bodies.items()}
+        self._fresh: int = self._call("saveState")
+        """Bullet's own state before the first step: contacts and all that its solver remembers of the last one."""
         self.reset()
 
     def _index_names(self, tree: Tree) -> None:
@@ -97,6 +99,7 @@ class PybulletWorld:
         """Go to ``state``, at rest; without one, to the state that the scene describes."""
         full = complete_state(self.scene, state)
         check_robots(self.scene, self._arms, state)
+        self._call("restoreState", self._fresh)
         for name, pose in full.poses.items():
             self._put(name, pose)
         for name, position in full.joints.items():

@@ -13,11 +13,12 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.scene.lower import lower_file
+from tests.conftest import PACKAGE
 from tests.scenes import full_scene, scene_of, solid
 from tests.scenes import pose as posed
 from tests.targets.everything import write_everything
 
-TEMPLATES = Path(__file__).parents[2] / "simfoundry" / "backends" / "templates"
+TEMPLATES = PACKAGE / "backends" / "templates"
 
 
 def test_physics_holds_what_urdf_lacks() -> None:

@@ -15,10 +15,10 @@ import pytest
 from simfoundry.assets import decompose
 from simfoundry.assets.prism import prism_mesh
 from simfoundry.contain import Limits, say
-from simfoundry.worlds import batch
 from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED, Job, Outcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
 from tests.cli.command import run
+from tests.conftest import REPOSITORY
 
 SCENE = """\
 simfoundry: scene/1
@@ -132,7 +132,7 @@ def test_textures_and_profiles_count(project: Path) -> None:
     corners, faces = block((0.1, 0.2, 0.3))
     (project / "one.obj").write_text(f"mtllib one.mtl\nusemtl m\n{obj(corners, faces)}")
     (project / "one.mtl").write_text("newmtl m\nKd 1 0 0\n")
-    profile = (Path(batch.__file__).parents[2] / "targets" / "mujoco.yaml").read_text()
+    profile = (REPOSITORY / "targets" / "mujoco.yaml").read_text()
     (project / "mine.yaml").write_text(profile.replace("name: mujoco", "name: mine"))
     job = Job(Path("a.scene.yaml"), ("mine.yaml",), Path("build/a"))
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]

@@ -5,10 +5,12 @@ from simfoundry.predicates.rules import RULES
 from simfoundry.spec.aliases import ALIASES
 from simfoundry.spec.expressions import PREDICATES, parse_call
 from simfoundry.spec.spelling import call
+from tests.conftest import REPOSITORY
 
 
 def test_the_page_has_the_table() -> None:
-    assert table() in PAGE.read_text(encoding="utf-8"), "python -m simfoundry.predicates.page"
+    page = REPOSITORY / "docs" / PAGE.name
+    assert table() in page.read_text(encoding="utf-8"), "python -m simfoundry.predicates.page"
 
 
 def test_every_predicate_has_a_rule_and_a_meaning() -> None:

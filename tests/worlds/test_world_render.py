@@ -114,11 +114,8 @@ def test_looking_moves_nothing(world: World) -> None:
                 world.render("front", 32, 24)
         return np.concatenate([[*pose.p, *pose.q] for pose in world.state().poses.values()])
 
-    first, looked = run(False), run(True)
-    if isinstance(world, MujocoWorld):
-        np.testing.assert_array_equal(first, looked)
-    else:
-        np.testing.assert_allclose(first, looked, atol=1e-3)  # Bullet's resets leave its contact cache behind
+    run(False)  # what tests before this one did may still be felt once in Bullet
+    np.testing.assert_array_equal(run(False), run(True))
 
 
 def test_a_resized_camera_sees_along_the_same_rays() -> None:
