@@ -115,7 +115,11 @@ def test_looking_moves_nothing(world: World) -> None:
         return np.concatenate([[*pose.p, *pose.q] for pose in world.state().poses.values()])
 
     run(False)  # what tests before this one did may still be felt once in Bullet
-    np.testing.assert_array_equal(run(False), run(True))
+    first, looked = run(False), run(True)
+    if isinstance(world, MujocoWorld):
+        np.testing.assert_array_equal(first, looked)
+    else:
+        np.testing.assert_allclose(first, looked, rtol=0, atol=1e-12)  # Bullet's last digits differ from run to run
 
 
 def test_a_resized_camera_sees_along_the_same_rays() -> None:
