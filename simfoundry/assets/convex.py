@@ -82,9 +82,9 @@ def _spread(points: Array, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Colliders:
-    """What touches of a mesh: convex ``parts``, or the one ``primitive`` in their place.
+    """Collision shapes of a mesh: convex ``parts``, or one ``primitive`` instead.
 
-    ``error`` [m] is how far their surface is from that of the mesh at most.
+    ``error`` [m] is the greatest distance between their surface and that of the mesh.
     """
 
     parts: tuple[Part, ...] = ()
@@ -156,7 +156,7 @@ def _simplest(
 
 
 def _is_solid(vertices: Array) -> bool:
-    """Whether points span a volume; slivers would only make trouble in contact."""
+    """Return whether points span a volume; a sliver makes contacts unstable."""
     centred = np.asarray(vertices) - np.mean(vertices, axis=0)
     return len(vertices) >= 4 and float(np.linalg.svd(centred, compute_uv=False)[2]) > 1e-5
 
@@ -175,7 +175,7 @@ def _pack(found: Colliders) -> bytes:
 
 
 def _unpack(data: bytes) -> Colliders | None:
-    """What was stored; None where the entry is damaged, so that it is computed again."""
+    """Read a cache entry; None if it is damaged, so that it is computed again."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             count = sum(name.startswith("v") for name in arrays.files)

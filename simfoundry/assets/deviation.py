@@ -1,4 +1,4 @@
-"""How far convex parts are from the surface of the mesh that they stand for."""
+"""Greatest distance between convex parts and the surface of the mesh they represent."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _planes(corners: Array, sides: Faces) -> tuple[Array, Array]:
 
 
 def _outside(points: Array, planes: list[tuple[Array, Array]]) -> Array:
-    """How far points are outside of the nearest part [m], negative within one, shape (n,)."""
+    """Signed distances [m] of points to the nearest part, negative inside it, shape (n,)."""
     nearest = np.full(len(points), np.inf)
     for normal, offset in planes:
         nearest = np.minimum(nearest, (points @ normal.T - offset).max(axis=1))
@@ -91,7 +91,8 @@ def _outer(parts: list[tuple[Array, Faces]], planes: list[tuple[Array, Array]], 
 def _greatest_distance(points: Array, triangles: Array, samples: Array, owner: NDArray[np.int64]) -> float:
     """The greatest distance [m] of points to triangles (m, 3, 3), whose samples tell which of them are near.
 
-    Samples give bounds from above. Only as long as the next greatest bound is more than what was found is it exact.
+    The samples give upper bounds. Distances are computed exactly in the order of these bounds, until the next bound is
+    no greater than the distance found.
     """
     from scipy.spatial import cKDTree
 

@@ -88,7 +88,7 @@ def print_document(text: str) -> None:
 
 
 def allow_any_text() -> None:
-    """Let messages through to a terminal that lacks some of their characters, which show as question marks."""
+    """Replace characters that the terminal cannot encode by question marks instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if not _is_unicode(stream) and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

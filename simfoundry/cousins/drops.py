@@ -94,7 +94,7 @@ def _standing(thing: Thing, level: Support, xy: tuple[float, float], yaw: float)
 
 
 def _balances(twin: Twin, thing: Thing, X_WO: Pose, yaw: float, anchor: str) -> bool:
-    """Whether the middle of a thing is over an edge of the anchor at the height of its foot."""
+    """Return whether an object would balance: its middle is above a narrow edge that its foot rests on."""
     import shapely
 
     edges = twin.edges(anchor)

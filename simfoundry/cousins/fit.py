@@ -1,4 +1,4 @@
-"""How much of a thing can be in a hollow at most, however it is turned: a bound that needs no physics."""
+"""Upper bound on the share of an object that fits into a cavity in any orientation, without physics."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from simfoundry.predicates.voxels import Cavity
 from simfoundry.scene.frames import Array, Pose
 
 TURNS = 240
-"""Orientations that are looked at, about 25 degrees apart."""
+"""Number of sampled orientations, about 25 degrees apart."""
 
 SAMPLES = 64
 """Points of the thing, as many as the predicate ``Inside`` asks about."""
 
 SURE = 0.4
-"""What has at most this share of itself in the hollow can never have :data:`ENCLOSED`, whatever lies between two of the
-orientations that are looked at."""
+"""An object whose best share is no larger cannot reach :data:`ENCLOSED` in an orientation between two samples."""
 assert SURE < ENCLOSED
 
 
@@ -31,7 +30,7 @@ def cavity_extents(hole: Cavity) -> Array:
 
 
 def largest_share(forms: Iterable[Form], extents: Array) -> float:
-    """The largest share of a thing's volume that a box of some extents [m] can hold, over its orientations."""
+    """Largest share of an object's volume that fits into a box of the given extents [m], in any sampled orientation."""
     found = [volume_samples(form, SAMPLES) for form in forms]
     points = np.concatenate(found)
     points = points[:: max(1, len(points) // SAMPLES)]
@@ -51,7 +50,7 @@ def largest_share(forms: Iterable[Form], extents: Array) -> float:
 
 
 def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Which values a window that begins at each value covers, shape (n, n)."""
+    """Mask of the values covered by a window that starts at each value, shape (n, n)."""
     away = values[None, :] - values[:, None]
     return np.asarray((away >= 0) & (away <= length))
 

@@ -73,7 +73,7 @@ class Support:
 
     @cached_property
     def middle(self) -> tuple[float, float]:
-        """A point well within the level [m]."""
+        """A point inside the level [m], away from its edges where possible."""
         if self.plane is None:
             x, y = self.corners.mean(axis=0).tolist()
             return x, y
@@ -117,9 +117,9 @@ class Support:
 
 
 def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
-    """Every level of an object on which things can stand, the lowest first; only those of some ``links`` by index.
+    """Find every level of an object on which something can stand, lowest first, optionally of some ``links`` only.
 
-    Strips narrower than :data:`NARROW` are none, nor are levels that the object itself encloses.
+    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are left out.
     """
     found = []
     for _, triangles in _levels(shape, links):
@@ -194,7 +194,7 @@ def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
 
 
 def _is_enclosed(support: Support, shape: Hulls) -> bool:
-    """Whether a hand cannot get to the middle of a level, because the object is nearly all around it."""
+    """Return whether the object encloses a level so far that a hand cannot reach its middle."""
     triangles = shape.corners[shape.triangles]
     if float(triangles[:, :, 2].max()) - support.height < STEP:
         return False

@@ -154,7 +154,7 @@ class Twin:
 
     @cached_property
     def obstacles(self) -> tuple[SceneObject, ...]:
-        """What is in the way beside objects: robots, and of those without a model a column where the base is."""
+        """Obstacles besides the objects: robots, or a column at the base of a robot whose model is missing."""
         absent = [(left.path.partition(".")[2], left.X_WB) for left in self.scene.left_out if left.X_WB is not None]
         there = {item.name for item in self.robot_items}
         return (*self.robot_items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
@@ -357,7 +357,7 @@ class Twin:
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
-    """Whether a level lies far below another, and under most of it."""
+    """Return whether a level is the floor: far below the ground level and under most of it."""
     import shapely
 
     if ground.height - level.height < UNDERFOOT:
@@ -372,7 +372,7 @@ def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
 
 
 def _column(name: str, X_WB: Pose) -> SceneObject:
-    """What stands in for a robot without a model: nothing else may stand where its base is."""
+    """Column that keeps the base of a robot free when its model is missing."""
     none = frozen_array(np.zeros(3), (3,))
     middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
     collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)

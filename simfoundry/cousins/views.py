@@ -1,4 +1,4 @@
-"""How much of a thing the cameras of a scene see: what is in the picture and has nothing before it."""
+"""Visibility of objects: the share of an object that is in a camera's picture and not occluded."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from simfoundry.scene.tessellate import tessellate
 from simfoundry.scene.visibility import first_hits, scattered_rays
 
 SEEN = 0.6
-"""At least this share of a thing is seen by one camera, or as much as the twin shows of it where that is less."""
+"""Share of an object that at least one camera must see, or the share seen in the twin if that is smaller."""
 
 CLOSEST = 0.01
-"""What is nearer to a camera than this along its axis [m] is not seen."""
+"""Near plane of a camera [m]."""
 
 RAYS = 16
 """Rays along each side of the rectangle around a thing in the picture: its share is found to about 3 %."""
@@ -29,9 +29,9 @@ SEGMENTS = 12
 
 @dataclass(frozen=True, eq=False)
 class VisibleSurface:
-    """What is seen of a thing: triangles [m] in its frame S, shape (m, 3, 3), and the pose of that.
+    """Visible surface of an object: triangles [m] in its frame S, shape (m, 3, 3), and the pose of S.
 
-    ``centre`` [m] in S, shape (3,), and ``radius`` [m] are those of a ball around it.
+    ``centre`` [m] in S, shape (3,), and ``radius`` [m] describe its bounding sphere.
     """
 
     triangles: Array
@@ -41,9 +41,9 @@ class VisibleSurface:
 
     @classmethod
     def of(cls, item: SceneObject) -> VisibleSurface:
-        """The surface of an object with its joints as it has them: of its visuals, or of its colliders without any.
+        """Collect the surface of an object at its joint positions: its visuals, or its colliders if it has none.
 
-        What is transparent hides nothing.
+        Transparent visuals are left out, since they hide nothing.
         """
         X_OL = link_poses(item)
         found = [np.zeros((0, 3, 3))]
@@ -73,7 +73,7 @@ def _triangles(geometry: Geometry) -> Array:
 
 
 def visible_share(camera: Camera, thing: VisibleSurface, others: Iterable[VisibleSurface]) -> float:
-    """The share of a thing's outline that a camera sees: in its picture, and with none of the others before it."""
+    """Share of an object's silhouette that lies in a camera's picture and is not occluded by other objects."""
     local = thing.seen_from(camera)
     corners = local.reshape(-1, 3)
     ahead = corners[corners[:, 2] > CLOSEST]
@@ -105,11 +105,11 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
     near = max(z - other.radius, CLOSEST)
     if z + other.radius < CLOSEST or near > depth:
         return np.zeros((0, 3, 3))
-    if z > other.radius + CLOSEST:  # all of it is ahead: what is left of the cone of the rectangle stays left of it
+    if z > other.radius + CLOSEST:  # the whole ball is ahead, so it may lie beside the cone of the rectangle
         for at, k in ((x, 0), (y, 1)):
-            if at - low[k] * z < -other.radius * np.hypot(1, low[k]) or at - high[k] * z > other.radius * np.hypot(
-                1, high[k]
-            ):
+            is_before = at - low[k] * z < -other.radius * np.hypot(1, low[k])
+            is_beyond = at - high[k] * z > other.radius * np.hypot(1, high[k])
+            if is_before or is_beyond:
                 return np.zeros((0, 3, 3))
     local = other.seen_from(camera)
     z = local[:, :, 2]
@@ -123,9 +123,9 @@ def _before(other: VisibleSurface, camera: Camera, low: Array, high: Array, dept
 def best_view(
     cameras: Sequence[Camera], name: str, surfaces: Mapping[str, VisibleSurface], enough: float = 1.0
 ) -> tuple[str, float]:
-    """The camera that sees most of what is called ``name``, and the share, with all others of ``surfaces`` there.
+    """Find the camera that sees the largest share of the object ``name``, occluded by the other ``surfaces``.
 
-    The first camera that sees ``enough`` of it will do.
+    The search ends at the first camera that sees the share ``enough``.
     """
     others = [surface for other, surface in surfaces.items() if other != name]
     best = (cameras[0].name, -1.0)

@@ -20,17 +20,17 @@ MAX_TURNED_DEG = 5.0
 
 
 def is_still(item: SceneObject, before: Pose, after: Pose, still_m: float, still_rad: float) -> bool:
-    """Whether an object neither moved nor turned by more between two poses; a ball may turn where it lies."""
+    """Return whether an object moved and turned by no more than the bounds; a ball may turn in place."""
     if float(np.linalg.norm(after.p - before.p)) > still_m:
         return False
     return is_ball(item) or after.angle_to(before) <= still_rad
 
 
 def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
-    """Whether a ball that was let go at rest for seconds is still within its diameter, as in a hollow that holds it.
+    """Return whether a ball released at rest has moved no farther than its diameter, as in a hollow that holds it.
 
-    Without rolling resistance it never comes to rest there, since every tenth of a millimetre of slope moves it. Where
-    nothing holds it, a slope of 0.1 degrees takes it several times as far.
+    Without rolling resistance a ball in a hollow keeps moving, since a height difference of 0.1 mm drives it. On
+    an open slope of only 0.1 degrees it rolls several times as far.
     """
     radius = ball_radius(item)
     return radius is not None and float(np.linalg.norm(after.p - before.p)) <= 2 * radius
