@@ -19,7 +19,7 @@ from simfoundry.review.style import STYLE
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 PAGE = "gallery.html"
 PICTURES = "pictures"
@@ -69,7 +69,7 @@ def draw(file: Path) -> bytes | None:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.compare import png_bytes
     from simfoundry.worlds.render import render
 
