@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.check.pages import findings_page
 from simfoundry.spec.editor.reference import reference
 from simfoundry.spec.editor.schema import schemas
