@@ -15,8 +15,8 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.load import load_capture
+from simfoundry.targets.build import TARGETS, build
 from simfoundry.worlds import ENGINES, open_world
-from simfoundry.worlds.build import TARGETS, build
 from simfoundry.worlds.rest import Motion, simulate
 
 Progress = Callable[[str, float], None]

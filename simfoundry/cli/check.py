@@ -40,8 +40,8 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
 
     Exit code 1 where there is an error or a warning. `simfoundry explain CODE` says more about a finding.
     """
+    from simfoundry.runtime.parallel import spread
     from simfoundry.spec.report.model import gather, renderer
-    from simfoundry.spec.spread import spread
 
     form = "json" if as_json else form
     files = documents(paths or (Path(),))

@@ -41,14 +41,14 @@ def command(
     if (form == "html") != (out is not None):
         raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
     if out is not None:
-        from simfoundry.outputs import ensure_replaceable
+        from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
         if out is not None:
-            from simfoundry.files import write_atomically
             from simfoundry.review.page import page
+            from simfoundry.runtime.files import write_atomically
 
             write_atomically(out, page(found).encode())
     if form == "json":

@@ -94,7 +94,7 @@ def _stream(check: bool, diff: bool) -> int:
 
 def _write(path: Path, text: str) -> None:
     """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = path.resolve()
     mode = target.stat().st_mode

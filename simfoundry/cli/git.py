@@ -179,7 +179,7 @@ def _read(file: Path) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     write_atomically(file.resolve(), text.encode("utf-8", "surrogateescape"))
 

@@ -65,7 +65,7 @@ def command(
 
 
 def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.spec.merge.texts import merge_texts, new_errors
 
     if out is not None:
@@ -122,7 +122,7 @@ def _by_lines(args: Sequence[str]) -> int:
 
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.kinds import KINDS, model_of
     from simfoundry.spec.load import load
@@ -166,7 +166,7 @@ def _text(path: Path) -> str:
 
 def _write(path: Path, text: str) -> None:
     """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = path.resolve()
     mode = target.stat().st_mode if target.exists() else None

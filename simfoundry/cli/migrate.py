@@ -20,7 +20,7 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
 
     PATHS are files, or folders with documents below them (default: here). A document's first key names its version.
     """
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
     from simfoundry.spec.diagnostics import Diagnostic, SpecError
     from simfoundry.spec.migrate import migrated
     from simfoundry.spec.text import YamlError, read

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import how_to_install
+from simfoundry.runtime.extras import how_to_install
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:

@@ -24,8 +24,8 @@ def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> 
     They hold what editors add to JSON Schema: snippets, Markdown, messages. Validators that refuse keywords which they
     do not know take them with --standard.
     """
-    from simfoundry.files import write_atomically
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.spec.schema import schemas
 
     texts = schemas(standard)

@@ -33,8 +33,8 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
     rest.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.files import write_atomically
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.scene.poses import with_state
     from simfoundry.spec.load import load_scene

@@ -177,7 +177,7 @@ def lowered(file: Path) -> SceneObject:
 
 def measured(file: Path, cache: Cache) -> Item:
     """A file with its facts, from the cache where they are; raises :class:`SpecError` for what is no thing."""
-    from simfoundry.worlds.inputs import record
+    from simfoundry.targets.inputs import record
 
     loaded = described(file)
     if loaded.errors:

@@ -12,7 +12,7 @@ from typing import Any
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.library import Item, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.cousins import CousinsSpec
@@ -99,7 +99,7 @@ class Recipe:
 
     def about(self) -> dict[str, Any]:
         """What a run is of: the same, the same bytes."""
-        from simfoundry.worlds.inputs import record
+        from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
         inputs["task"] = None if self.task_spec is None else to_data(self.task_spec)

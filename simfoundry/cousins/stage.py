@@ -17,8 +17,8 @@ from simfoundry.cousins.log import Reader
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
-from simfoundry.files import writing_atomically
-from simfoundry.outputs import MARK
+from simfoundry.runtime.files import writing_atomically
+from simfoundry.runtime.outputs import MARK
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
 from simfoundry.spec import base
@@ -111,7 +111,7 @@ def _whole(plan: Plan, recipe: Recipe, added: Objects, others: Mapping[str, Mapp
 
 
 def _build(whole: Any, path: Path) -> None:
-    from simfoundry.worlds.build import build
+    from simfoundry.targets.build import build
 
     build(whole, ("usd",), path.with_suffix(""))
 

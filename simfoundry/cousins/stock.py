@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from simfoundry.cousins.library import Item
 from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.recipe import Recipe
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.files import ASSET_SUFFIX, located
 
 if TYPE_CHECKING:

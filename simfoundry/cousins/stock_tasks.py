@@ -13,7 +13,7 @@ from simfoundry.cousins.log import WORK
 from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.task import TaskSpec
 from simfoundry.spec.text import YamlError, parse
 from simfoundry.spec.validate import validate

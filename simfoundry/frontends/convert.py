@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.errors import OutputError
-from simfoundry.files import replace_folder, write_atomically, write_file
 from simfoundry.frontends.build import build_asset, build_scene
 from simfoundry.frontends.drafts import Draft, Note
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.frontends.unforeseen import refusing_faults
+from simfoundry.runtime.files import replace_folder, write_atomically, write_file
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.project import project_root
 from simfoundry.spec.task import TaskSpec

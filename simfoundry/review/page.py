@@ -13,10 +13,10 @@ from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
-from simfoundry.outputs import MARK
 from simfoundry.review.compare import Comparison, Side
 from simfoundry.review.labels import Label, place_labels
 from simfoundry.review.style import STYLE
+from simfoundry.runtime.outputs import MARK
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.diff.poses import motion, words
 from simfoundry.spec.diff.words import Entry, summary

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.files import write_file
+from simfoundry.runtime.files import write_file
 from simfoundry.spec.files import MAX_PATH
 from simfoundry.spec.kinds import is_document
 from simfoundry.spec.text import YamlError, parse

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.pages import findings_page
 from simfoundry.spec.reference import reference
 from simfoundry.spec.schema import schemas

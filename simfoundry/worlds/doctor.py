@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import EXTRAS, install_line
 from simfoundry.models import images, meshes
+from simfoundry.runtime.extras import EXTRAS, install_line
 
 PYBULLET_REMEDY = (
     f"{install_line('pybullet')} (wheels exist up to Python 3.11 on Linux; elsewhere pip compiles it, which takes "
@@ -109,7 +109,7 @@ def _robots() -> Iterator[Part]:
 
 
 def _renderers() -> Iterator[Part]:
-    from simfoundry.worlds.gl import working_drivers
+    from simfoundry.render.gl import working_drivers
 
     drivers = working_drivers()
     for name in ("egl", "osmesa"):

@@ -17,7 +17,7 @@ from simfoundry.cousins.objects.variants import Variants, procedural, variants, 
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.cousins.reasons import ImpossibleError
 from simfoundry.errors import SimfoundryError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Mesh
 from simfoundry.spec.cousins import ObjectAxis, ObjectVariants

@@ -152,7 +152,7 @@ def test_defaults_are_not_written_and_required_fields_are() -> None:
 
 
 def test_the_text_is_written_in_one_step(tmp_path: Path) -> None:
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = tmp_path / "deep" / "a.scene.yaml"
     write_atomically(target, b"one")

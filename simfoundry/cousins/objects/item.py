@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions

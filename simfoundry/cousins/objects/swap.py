@@ -18,7 +18,7 @@ from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.objects.sources import Given, opened
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
 from simfoundry.cousins.reasons import ImpossibleError, Reason
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.base import Body
 from simfoundry.spec.cousins import ObjectAxis, ObjectVariants

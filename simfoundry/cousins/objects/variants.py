@@ -28,7 +28,7 @@ from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
 from simfoundry.cousins.objects.stretch import is_ball
 from simfoundry.cousins.objects.weigh import mesh_volume, weighed
 from simfoundry.cousins.reasons import Reason
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
 from simfoundry.spec.asset import AssetSpec

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
 from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.frontends.usd_spec.loading import home, stage_document
 from simfoundry.frontends.usd_spec.onto import written_into
 from simfoundry.frontends.usd_spec.reading import read_stage
 from simfoundry.frontends.usd_spec.stage import StageError
 from simfoundry.frontends.usd_spec.words import Note
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.flatten import relocated
 from simfoundry.spec.scene import SceneSpec

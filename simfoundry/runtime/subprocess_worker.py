@@ -24,7 +24,7 @@ from typing import IO, Any
 
 from simfoundry.errors import SimfoundryError
 
-_START = "from simfoundry.contain import serve; serve()"
+_START = "from simfoundry.runtime.subprocess_worker import serve; serve()"
 WAIT_S = 2.0
 """How often somebody who waits is told that the call goes on [s]: soon enough to be believed."""
 

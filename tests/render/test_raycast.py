@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from simfoundry.geometry.visibility import first_hits, pixel_rays, scattered_rays
+from simfoundry.render.raycast import Raycast, raycast
+from simfoundry.render.shading import encode_srgb
 from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import (
     Box,
@@ -25,10 +28,7 @@ from simfoundry.scene.model import (
     Sphere,
     Visual,
 )
-from simfoundry.scene.raycast import Raycast, raycast
-from simfoundry.scene.shading import encode_srgb
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.visibility import first_hits, pixel_rays, scattered_rays
 from tests.tabletop import INERTIA, box, front_camera, label_png, one, pose, rgba, tabletop
 
 GREY = rgba("808080")
@@ -279,7 +279,7 @@ def test_samples_smooth_the_colour_and_leave_the_rest_alone() -> None:
 def test_a_picture_drawn_in_bands_is_the_picture_drawn_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, camera = tabletop(), skewed_camera()
     whole = raycast(scene, camera, samples=2).color
-    monkeypatch.setattr("simfoundry.scene.raycast.BAND", 96 * 4 * 11)  # bands of 11 rows, the last of 6
+    monkeypatch.setattr("simfoundry.render.raycast.BAND", 96 * 4 * 11)  # bands of 11 rows, the last of 6
     banded = raycast(scene, camera, samples=2).color
     assert (np.abs(whole.astype(int) - banded) > 1).mean() < 1e-3
 
@@ -308,7 +308,7 @@ def test_a_thin_visual_offset_in_its_link_and_a_turned_object_compose() -> None:
 
 def test_two_processes_draw_the_same_bytes() -> None:
     code = (
-        "import hashlib; from tests.tabletop import *; from simfoundry.scene.raycast import raycast;"
+        "import hashlib; from tests.tabletop import *; from simfoundry.render.raycast import raycast;"
         "r = raycast(tabletop(), front_camera(96, 72), samples=2);"
         "print(hashlib.sha256(r.color.tobytes() + r.depth.tobytes() + r.objects.tobytes()).hexdigest())"
     )

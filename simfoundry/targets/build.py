@@ -13,8 +13,8 @@ from simfoundry.backends import BACKENDS
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.errors import SimfoundryError
-from simfoundry.files import replace_folder, scratch, strangers, write_files
-from simfoundry.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import replace_folder, scratch, strangers, write_files
+from simfoundry.runtime.outputs import ensure_folder_replaceable
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target
@@ -27,7 +27,7 @@ LOSSES = "loss.json"
 """What became of each field in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
 
 RECORD = "build.json"
-"""What a build was made from, in the build folder; see :mod:`simfoundry.worlds.inputs`."""
+"""What a build was made from, in the build folder; see :mod:`simfoundry.targets.inputs`."""
 
 MANIFEST = "manifest.json"
 """The hashes of the files of a target, in its folder."""

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.render.gl import Engine, RenderError, choose_engine
+from simfoundry.render.shading import HORIZON, KEY_DIRECTION, encode_srgb
+from simfoundry.render.simplify import coarsened
 from simfoundry.scene.model import Camera
-from simfoundry.scene.shading import HORIZON, KEY_DIRECTION, encode_srgb
-from simfoundry.worlds.coarse import coarsened
-from simfoundry.worlds.gl import Engine, RenderError, choose_engine
 
 if TYPE_CHECKING:
     import mujoco
@@ -36,7 +36,7 @@ class MujocoRenderer:
     """Draws one MuJoCo model off-screen; close it, or use it in a ``with`` statement.
 
     ``width`` and ``height`` [px] are the largest picture it will draw. A ``quick`` one draws small pictures in a third
-    of the time on a processor: meshes without what such a picture does not show (:mod:`simfoundry.worlds.coarse`),
+    of the time on a processor: meshes without what such a picture does not show (:mod:`simfoundry.render.simplify`),
     smaller shadow maps, and four pixels for one in place of the driver's multisampling.
     """
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
+from simfoundry.render.shading import Points, background, encode_srgb, shade, studio
+from simfoundry.render.surface import Surface, scene_surface
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Camera, Scene
-from simfoundry.scene.shading import Points, background, encode_srgb, shade, studio
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.surface import Surface, scene_surface
-from simfoundry.scene.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
 
 BAND = 1_300_000
 """How many rays are shaded at once: about 1 GB of memory."""

@@ -11,8 +11,8 @@ from unittest import mock
 
 import pytest
 
-from simfoundry import files
-from simfoundry.files import STALE_S, replace_folder, staged, strangers, write_atomically, write_files
+from simfoundry.runtime import files
+from simfoundry.runtime.files import STALE_S, replace_folder, staged, strangers, write_atomically, write_files
 from tests.cli.command import python
 
 
@@ -102,7 +102,7 @@ def test_a_new_run_clears_what_killed_ones_left(tmp_path: Path) -> None:
 def test_a_killed_process_leaves_nothing_to_the_next(tmp_path: Path) -> None:
     folder(tmp_path / "out", a="old")
     program = (
-        "import os, signal, sys; from pathlib import Path; from simfoundry.files import staged\n"
+        "import os, signal, sys; from pathlib import Path; from simfoundry.runtime.files import staged\n"
         "with staged(Path(sys.argv[1])) as s:\n"
         "    (s / 'a').write_text('half'); os.kill(os.getpid(), signal.SIGKILL)"
     )

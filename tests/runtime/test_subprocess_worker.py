@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.contain import FailedError, Limits, Worker, say
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker, say
 
-HERE = "tests.test_contain"
+HERE = "tests.runtime.test_subprocess_worker"
 
 
 def double(values: np.ndarray) -> np.ndarray:

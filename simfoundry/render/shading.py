@@ -9,10 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, frozen_array, look_at
-from simfoundry.scene.model import LightType, Mesh, Scene
-from simfoundry.scene.surface import Surface
-from simfoundry.scene.visibility import (
+from simfoundry.geometry.visibility import (
     NEAREST,
     Hits,
     area_normals,
@@ -23,6 +20,9 @@ from simfoundry.scene.visibility import (
     turned,
     unit,
 )
+from simfoundry.render.surface import Surface
+from simfoundry.scene.frames import Array, frozen_array, look_at
+from simfoundry.scene.model import LightType, Mesh, Scene
 
 SHADOW_BIAS = 2e-4
 """Something that is closer to a point than this along the light [m] is the point's own surface."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.contain import FailedError, Limits, Worker, say
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker, say
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.scene import SceneSpec
@@ -21,7 +21,7 @@ SILENT_S = 900.0
 LEAST_MEMORY = 6 * 2**30
 """Bytes of address space that a worker has at least; of a large machine it has its share."""
 
-FUNCTION = "simfoundry.worlds.batch:compile_job"
+FUNCTION = "simfoundry.targets.batch:compile_job"
 """What the workers call."""
 
 COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
@@ -125,9 +125,9 @@ def compile_job(job: Job) -> Outcome:
     from simfoundry.scene.lower import lower
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load_scene
+    from simfoundry.targets import inputs
+    from simfoundry.targets.build import TargetsError, build, is_current
     from simfoundry.targets.find import find_target
-    from simfoundry.worlds import inputs
-    from simfoundry.worlds.build import TargetsError, build, is_current
 
     failed = Outcome(str(job.scene), str(job.out), FAILED)
     try:
@@ -169,7 +169,7 @@ def _read_back(job: Job) -> Outcome:
     """The outcome of a build that is up to date."""
     import json
 
-    from simfoundry.worlds.build import LOSSES, MANIFEST
+    from simfoundry.targets.build import LOSSES, MANIFEST
 
     losses = json.loads((job.out / LOSSES).read_bytes())
     entries = {target: json.loads((job.out / target / MANIFEST).read_bytes())["entry"] for target in losses}

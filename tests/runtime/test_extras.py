@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.extras import EXTRAS, MissingExtraError, how_to_install, install_line, need_extra
+from simfoundry.runtime.extras import EXTRAS, MissingExtraError, how_to_install, install_line, need_extra
 from tests.cli.command import python, without
 from tests.conftest import PACKAGE, REPOSITORY
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.files import write_atomically
-from simfoundry.outputs import MARK
+from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.outputs import MARK
 
 Image = NDArray[np.uint8]
 """An sRGB picture, uint8, shape (h, w, 3)."""
