@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.contain import FailedError, Limits, Worker
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]

@@ -20,7 +20,7 @@ from simfoundry.frontends.importer import Options, import_file
 from simfoundry.frontends.task_export import ExportError, export_task
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.frontends.bddl.scenes import write_scene

@@ -6,18 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
 from simfoundry.frontends.fault_guard import refusing_faults
 from simfoundry.frontends.usd.compiled.loading import home, stage_document
 from simfoundry.frontends.usd.compiled.reading import read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError
 from simfoundry.frontends.usd.compiled.values import Note
 from simfoundry.frontends.usd.compiled.write_back import written_into
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.flatten import relocated
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.validate import validate
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 
 
 @dataclass(frozen=True)
