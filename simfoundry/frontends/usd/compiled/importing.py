@@ -13,6 +13,8 @@ from simfoundry.frontends.usd.compiled.stage import StageError
 from simfoundry.frontends.usd.compiled.values import Note
 from simfoundry.frontends.usd.compiled.write_back import written_into
 from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.change.flatten import relocated
+from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_yaml
