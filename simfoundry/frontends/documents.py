@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.document_data import Built, Shelf, color_data, pose_data, rounded, text_of
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
-from simfoundry.frontends.names import Names, plain_name
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft
+from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_data
@@ -20,7 +20,7 @@ from simfoundry.spec.yaml.write import to_data
 
 def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetSpec:
     """The asset document of a body."""
-    links, joints = Names("link"), Names("joint")
+    links, joints = NameTable("link"), NameTable("joint")
     order = [body.root, *(n for n in body.links if n != body.root)]
     link_names = {n: links.name(n) for n in order}
     joint_names = {j.name: joints.name(j.name) for j in body.joints}
@@ -244,7 +244,7 @@ def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
     )
 
 
-def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
+def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft that is one body, as NAME.asset.yaml in the folder ``base``."""
     built = Built()
     shelf = Shelf(base, f"{name}_files", root, built.files)
@@ -253,12 +253,12 @@ def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     return built
 
 
-def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
+def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> Built:
     """The documents and files of a draft, as NAME.scene.yaml in the folder ``base``."""
     built = Built()
     folder = f"{name}_files"
     shelf = Shelf(base / folder, ".", root)
-    names, objects, assets = Names("thing"), {}, {}
+    names, objects, assets = NameTable("thing"), {}, {}
     bodies: dict[str, str] = {}
     for body in draft.bodies:
         bodies[body.name] = called = names.name(body.name)
@@ -283,7 +283,7 @@ def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built
     data["relations"] = tuple(draft.relations)
     if draft.background is not None:
         data["background"] = {"mesh": f"{folder}/{shelf.place(draft.background)}"}
-    lights = Names("light")
+    lights = NameTable("light")
     data["lights"] = {
         lights.name(light.name): {
             "type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1.0)),
@@ -304,7 +304,7 @@ def _state(joint: JointDraft) -> Any:
     return pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
 
 
-def _no_contact(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> tuple[tuple[str, str], ...]:
+def _no_contact(draft: ModelDraft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> tuple[tuple[str, str], ...]:
     """Pairs that pass through each other: whole things where all their links do."""
     links: dict[tuple[str, str], list[tuple[str, str]]] = {}
     for (a, one), (b, other) in draft.no_contact:
@@ -329,8 +329,8 @@ def _link_path(body: BodyDraft, link: str, bodies: dict[str, str], assets: dict[
     return f"{called}.{list(assets[called].links)[order.index(link)]}"
 
 
-def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:
-    names, out = Names("camera"), {}
+def _cameras(draft: ModelDraft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:
+    names, out = NameTable("camera"), {}
     originals = {body.name: body for body in draft.bodies}
     for camera in draft.cameras:
         data: dict[str, Any] = {"size": camera.size, "fx": camera.fx, "fy": camera.fy}
@@ -355,5 +355,5 @@ def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec])
     return out
 
 
-def _head(draft: Draft) -> str:
+def _head(draft: ModelDraft) -> str:
     return draft.description

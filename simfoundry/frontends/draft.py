@@ -22,7 +22,7 @@ Place = tuple[str, str]
 """A body and a link of it, by name."""
 
 
-class NoteKind(StrEnum):
+class ImportNoteKind(StrEnum):
     """How what the documents say differs from what the file said."""
 
     DROPPED = "dropped"
@@ -31,13 +31,13 @@ class NoteKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Note:
+class ImportNote:
     """One thing that could not be taken over as it stood.
 
     ``what`` it is in the file, ``why``, the same for all things of that kind, and the ``detail`` of this one.
     """
 
-    kind: NoteKind
+    kind: ImportNoteKind
     what: str
     why: str
     detail: str = ""
@@ -206,7 +206,7 @@ class RobotDraft:
 
 
 @dataclass(eq=False)
-class Draft:
+class ModelDraft:
     """All that one file says, and ``notes`` on what it says beyond that."""
 
     name: str
@@ -221,19 +221,19 @@ class Draft:
     """What is seen around everything, in the frame of the world."""
     no_contact: list[tuple[Place, Place]] = field(default_factory=list)
     """Links of different bodies that pass through each other."""
-    notes: list[Note] = field(default_factory=list)
+    notes: list[ImportNote] = field(default_factory=list)
     description: str = ""
     density: float | None = None
     """Density [kg/m^3] that the user gives to what states no mass; None for what the format takes."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
-        """Note what is left out."""
-        self.notes.append(Note(NoteKind.DROPPED, what, why, detail))
+        """ImportNote what is left out."""
+        self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
     def changed(self, what: str, why: str, detail: str = "") -> None:
-        """Note what is said in another way than the file says it."""
-        self.notes.append(Note(NoteKind.CHANGED, what, why, detail))
+        """ImportNote what is said in another way than the file says it."""
+        self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
 
     def assumed(self, what: str, why: str, detail: str = "") -> None:
-        """Note what the file does not say, and what is taken for it."""
-        self.notes.append(Note(NoteKind.ASSUMED, what, why, detail))
+        """ImportNote what the file does not say, and what is taken for it."""
+        self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))

@@ -14,7 +14,7 @@ import numpy as np
 from simfoundry.errors import OutputError
 from simfoundry.frontends.document_data import Built, text_of
 from simfoundry.frontends.documents import build_asset, build_scene
-from simfoundry.frontends.draft import Draft, Note
+from simfoundry.frontends.draft import ImportNote, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.fault_guard import refusing_faults
 from simfoundry.runtime.files import replace_folder, write_atomically, write_file
@@ -39,7 +39,7 @@ USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 @dataclass(frozen=True)
-class Options:
+class ImportOptions:
     """How to import: folders of packages by name, and whether files that exist are replaced."""
 
     packages: Mapping[str, Path] = field(default_factory=dict)
@@ -53,7 +53,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Report:
+class ImportReport:
     """What came of one file: where it went and what of it is not as it was; or, in ``error``, why it was refused."""
 
     source: str
@@ -65,7 +65,7 @@ class Report:
     cameras: int = 0
     lights: int = 0
     meshes: int = 0
-    notes: tuple[Note, ...] = ()
+    notes: tuple[ImportNote, ...] = ()
     names: tuple[tuple[str, str], ...] = ()
     more: tuple[str, ...] = ()
     error: str = ""
@@ -89,13 +89,13 @@ class Report:
         }
 
 
-def read(path: Path, options: Options = Options()) -> Draft:
+def read(path: Path, options: ImportOptions = ImportOptions()) -> ModelDraft:
     """What a file says; raises :class:`ImportRefusedError`."""
     reader = _reader(path)
     return reader(path, options)
 
 
-def _reader(path: Path) -> Callable[[Path, Options], Draft]:
+def _reader(path: Path) -> Callable[[Path, ImportOptions], ModelDraft]:
     suffix = path.suffix.lower()
     if suffix == ".urdf":
         return _read_urdf
@@ -115,19 +115,19 @@ def _reader(path: Path) -> Callable[[Path, Options], Draft]:
     raise ImportRefusedError(path, "its kind is not known", hint=VALID)
 
 
-def _read_urdf(path: Path, options: Options) -> Draft:
+def _read_urdf(path: Path, options: ImportOptions) -> ModelDraft:
     from simfoundry.frontends.urdf import read_urdf
 
     return read_urdf(path, options.packages, options.density)
 
 
-def _read_usd(path: Path, options: Options) -> Draft:
+def _read_usd(path: Path, options: ImportOptions) -> ModelDraft:
     from simfoundry.frontends.usd.reader import read_usd
 
     return read_usd(path, options.density)
 
 
-def _read_json(path: Path, options: Options) -> Draft:
+def _read_json(path: Path, options: ImportOptions) -> ModelDraft:
     from simfoundry.frontends.omnigibson.scene import read_json, read_omnigibson
     from simfoundry.frontends.urdf.folder import is_poses, read_poses
 
@@ -137,7 +137,7 @@ def _read_json(path: Path, options: Options) -> Draft:
     return read_omnigibson(path, options.packages, options.density)
 
 
-def _read_mjcf(path: Path, options: Options) -> Draft:
+def _read_mjcf(path: Path, options: ImportOptions) -> ModelDraft:
     from simfoundry.frontends.mjcf import read_mjcf
 
     if options.density is not None:
@@ -148,7 +148,7 @@ def _read_mjcf(path: Path, options: Options) -> Draft:
     return read_mjcf(path, options.packages)
 
 
-def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
+def import_file(path: Path, out: Path, options: ImportOptions = ImportOptions()) -> ImportReport:
     """Import a file to NAME.scene.yaml or NAME.asset.yaml, ``out``, with what it needs in NAME_files beside it.
 
     Raises :class:`ImportRefusedError` for a file that cannot be imported, whatever goes wrong with it, and
@@ -158,7 +158,7 @@ def import_file(path: Path, out: Path, options: Options = Options()) -> Report:
         return _import(path, out, options)
 
 
-def _import(path: Path, out: Path, options: Options) -> Report:
+def _import(path: Path, out: Path, options: ImportOptions) -> ImportReport:
     if path.suffix.lower() in (*TASKS, BDDL):
         return _import_task(path, out, options)
     kind = next((k for k in (SCENE, ASSET) if out.name.endswith(k)), None)
@@ -180,7 +180,7 @@ def _import(path: Path, out: Path, options: Options) -> Report:
     return _report(path, out, draft, built, masses)
 
 
-def _import_task(path: Path, out: Path, options: Options) -> Report:
+def _import_task(path: Path, out: Path, options: ImportOptions) -> ImportReport:
     """Import a task of the release, of LIBERO or of BEHAVIOR."""
     from simfoundry.spec.load import load
 
@@ -201,10 +201,10 @@ def _import_task(path: Path, out: Path, options: Options) -> Report:
     if errors:
         raise ImportRefusedError(path, errors[0].message, hint=errors[0].hint)
     write_atomically(out, text_of(spec).encode())
-    return Report(str(path), str(out), draft.format, notes=tuple(draft.notes))
+    return ImportReport(str(path), str(out), draft.format, notes=tuple(draft.notes))
 
 
-def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]) -> tuple[TaskSpec, Draft]:
+def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]) -> tuple[TaskSpec, ModelDraft]:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_kind
@@ -223,7 +223,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
 
 
 def _write(
-    draft: Draft, kind: str, name: str, out: Path, folder: Path, source: Path
+    draft: ModelDraft, kind: str, name: str, out: Path, folder: Path, source: Path
 ) -> tuple[Built, Mapping[str, float]]:
     """Write everything beside its place, check it there, and move it; what was built, and the masses assumed in it."""
     root = project_root(out)
@@ -251,7 +251,7 @@ def _write(
     return built, {} if scene is None else _assumed_masses(draft, built, scene)
 
 
-def _assumed_masses(draft: Draft, built: Built, scene: Scene) -> dict[str, float]:
+def _assumed_masses(draft: ModelDraft, built: Built, scene: Scene) -> dict[str, float]:
     """Masses [kg] of links that state none and move, by `object.link`, or by link where there is one object."""
     out = {}
     by_name = {item.name: item for item in scene.objects}
@@ -271,7 +271,7 @@ def _fill(folder: Path, built: Built) -> None:
         write_file(folder / name, data)
 
 
-def _without_bad_meshes(draft: Draft, built: Built, found: list[Diagnostic], source: Path) -> bool:
+def _without_bad_meshes(draft: ModelDraft, built: Built, found: list[Diagnostic], source: Path) -> bool:
     """Leave out flat colliders, which nothing can touch, and what cannot be shown; whether there was any."""
     from simfoundry.frontends.mass_repair import make_sound
 
@@ -323,11 +323,11 @@ def _check(folder: Path, document: str, root: Path) -> tuple[Scene | None, list[
         return None, [d for d in error.diagnostics if d.severity is Severity.ERROR]
 
 
-def _report(path: Path, out: Path, draft: Draft, built: Built, masses: Mapping[str, float]) -> Report:
+def _report(path: Path, out: Path, draft: ModelDraft, built: Built, masses: Mapping[str, float]) -> ImportReport:
     links = sum(len(body.links) for body in draft.bodies)
     joints = sum(len(body.joints) for body in draft.bodies)
     meshes = sum(name.lower().endswith((".obj", ".stl", ".glb", ".ply")) for name in built.files)
-    return Report(
+    return ImportReport(
         str(path), str(out), draft.format, len(draft.bodies), links, joints, len(draft.cameras), len(draft.lights),
         meshes, tuple(draft.notes), tuple(built.names.items()), assumed_masses=masses,
     )  # fmt: skip

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.frames import Array, Pose
 
@@ -36,7 +36,7 @@ WORLD = ("world", "map", "universe")
 """Names of a root link that stand for the world."""
 
 
-def make_sound(draft: Draft, file: str) -> None:
+def make_sound(draft: ModelDraft, file: str) -> None:
     """Give every link of every body a mass and an inertia that simulators accept; what is changed is noted.
 
     Joints that start beyond a limit start at it.
@@ -52,7 +52,7 @@ def make_sound(draft: Draft, file: str) -> None:
                 _mend_inertia(draft, body, link)
 
 
-def _start_inside(draft: Draft, joint: JointDraft) -> None:
+def _start_inside(draft: ModelDraft, joint: JointDraft) -> None:
     target = joint.drive.target if joint.drive is not None else None
     if joint.limits is not None and target is not None and not joint.limits[0] <= target <= joint.limits[1]:
         why = "it pulls to a place beyond the limits of its joint, which cannot be said"
@@ -67,7 +67,7 @@ def _start_inside(draft: Draft, joint: JointDraft) -> None:
     joint.position = inside
 
 
-def _melt(draft: Draft, body: BodyDraft) -> None:
+def _melt(draft: ModelDraft, body: BodyDraft) -> None:
     """Join links without a mass to their neighbours at fixed joints."""
     for link in list(body.links.values()):
         if link.mass or link.density is not None:
@@ -84,7 +84,7 @@ def _melt(draft: Draft, body: BodyDraft) -> None:
             _absorb(draft, body, link, below[0])
 
 
-def _join(draft: Draft, body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraft) -> None:
+def _join(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft, joint: JointDraft) -> None:
     """Make a child without a mass a part of its parent."""
     _join_contacts(draft, body, parent, child)
     for part in child.parts:
@@ -99,7 +99,7 @@ def _join(draft: Draft, body: BodyDraft, parent: LinkDraft, child: LinkDraft, jo
     _reparent(draft, body, child.name, parent.name, joint.X_PC)
 
 
-def _join_contacts(draft: Draft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
+def _join_contacts(draft: ModelDraft, body: BodyDraft, parent: LinkDraft, child: LinkDraft) -> None:
     """Let the pairs that never touch speak of ``parent`` in place of ``child``, as far as they mean the same.
 
     A pair leaves out all contact of a link, so it cannot speak of the shapes of one of two that are joined.
@@ -129,7 +129,7 @@ def _touches(link: LinkDraft) -> bool:
     return any(part.use != "visual" for part in link.parts)
 
 
-def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
+def _absorb(draft: ModelDraft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) -> None:
     """Give a frame without a mass or shape what is fixed to it, so that the frame stays where it is."""
     child, X_PC = body.links[joint.child], joint.X_PC
     frame.parts = child.parts
@@ -159,7 +159,7 @@ def _absorb(draft: Draft, body: BodyDraft, frame: LinkDraft, joint: JointDraft) 
         body.fixed = True
 
 
-def _reparent(draft: Draft, body: BodyDraft, old: str, new: str, X_NO: Pose) -> None:
+def _reparent(draft: ModelDraft, body: BodyDraft, old: str, new: str, X_NO: Pose) -> None:
     """Hang what a link carries, joints and cameras, on another link, in which its frame has the pose ``X_NO``."""
     for joint in body.joints:
         if joint.parent == old:
@@ -174,7 +174,7 @@ def _at(X_PC: Pose) -> str:
     return f"at ({x}, {y}, {z})"
 
 
-def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
+def _weigh(draft: ModelDraft, body: BodyDraft, link: LinkDraft, file: str) -> None:
     """A mass for a link that states none."""
     root = link.name == body.root
     if root and (link.mass == 0 or link.name.lower() in WORLD):
@@ -198,7 +198,7 @@ def _weigh(draft: Draft, body: BodyDraft, link: LinkDraft, file: str) -> None:
         raise ImportRefusedError(file, message, hint="give it an inertial")
 
 
-def take_density(draft: Draft, link: LinkDraft, usual: str, is_still: bool = False) -> None:
+def take_density(draft: ModelDraft, link: LinkDraft, usual: str, is_still: bool = False) -> None:
     """Weigh a link without a mass by the user's density, or else by the usual one; of what stands still say nothing.
 
     Of these only the latter is an assumption of the importer, which is warned about.
@@ -221,7 +221,7 @@ def feather_link(name: str, carried: float) -> LinkDraft:
     return LinkDraft(name, mass=mass, com=np.zeros(3), inertia=ball(mass), assumed="import")
 
 
-def _mend_inertia(draft: Draft, body: BodyDraft, link: LinkDraft) -> None:
+def _mend_inertia(draft: ModelDraft, body: BodyDraft, link: LinkDraft) -> None:
     """An inertia that no body has is replaced by that of the shapes; one that misses by rounding is rounded up.
 
     None at all is that of a point, where a fixed joint makes the link one with another.
@@ -258,7 +258,7 @@ def _mend_inertia(draft: Draft, body: BodyDraft, link: LinkDraft) -> None:
         _as_ball(draft, link, reason, detail)
 
 
-def _as_ball(draft: Draft, link: LinkDraft, reason: str, detail: str = "") -> None:
+def _as_ball(draft: ModelDraft, link: LinkDraft, reason: str, detail: str = "") -> None:
     assert link.mass is not None
     link.com = np.zeros(3) if link.com is None else link.com
     link.inertia = ball(link.mass)

@@ -1,4 +1,4 @@
-"""Names of other formats as names of the language: lower-case letters, digits and `_`, each once."""
+"""NameTable of other formats as names of the language: lower-case letters, digits and `_`, each once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def plain_name(text: str, otherwise: str = "thing") -> str:
     return (name if name[0].isalpha() else f"{otherwise}_{name}")[:LONGEST].rstrip("_")
 
 
-class Names:
+class NameTable:
     """Gives each thing of one kind a name of its own; ``renamed`` says which names had to change.
 
     None is called ``world``, which formats keep for what does not move.

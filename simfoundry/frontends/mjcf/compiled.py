@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.backends.mjcf.texts import MARK
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LightDraft, LinkDraft, MeshDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LightDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft
 from simfoundry.frontends.mass_repair import SURFACE
 from simfoundry.scene.frames import Pose
 
@@ -47,7 +47,7 @@ def said(mujoco: Any, model: Any) -> Said | None:
     return Said(texts, numbers) if MARK in texts else None
 
 
-def restore(draft: Draft, own: Said, placed: Mapping[str, Pose], free: Mapping[str, str]) -> None:
+def restore(draft: ModelDraft, own: Said, placed: Mapping[str, Pose], free: Mapping[str, str]) -> None:
     """Give a draft the names of its scene, and put together what are parts of one object.
 
     ``placed`` are the poses of MuJoCo's bodies in the world, and ``free`` the names of their free joints, by body.
@@ -78,7 +78,7 @@ def _link_name(qualified: str, owner: str, own: Said) -> str:
     return own.texts[f"{owner}:root"] if qualified == owner else qualified.removeprefix(f"{owner}.")
 
 
-def _name_places(draft: Draft, owners: Mapping[str, BodyDraft], own: Said) -> None:
+def _name_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: Said) -> None:
     """Rename the links of what is said of several bodies: of cameras that ride on them, of contacts left out."""
 
     def place(body: str, link: str) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.compiled_robot import robot_draft
-from simfoundry.frontends.draft import Draft
+from simfoundry.frontends.draft import ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mjcf.compiled import Said
 from simfoundry.frontends.mjcf.elements import read_camera
@@ -16,7 +16,7 @@ from simfoundry.scene.frames import Pose
 SAID, MOUNT = ":robot", ":mount"
 
 
-def take_robots(draft: Draft, path: Path, mujoco: Any, model: Any, own: Said) -> Any:
+def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: Said) -> Any:
     """Put the robots of a file and the cameras that ride on them into ``draft``; returns the model without them."""
     names = [name.removesuffix(SAID) for name in own.texts if name.endswith(SAID)]
     roots = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name): name for name in names}
@@ -43,7 +43,7 @@ def _words(path: Path, name: str, own: Said) -> dict[str, Any]:
     return words
 
 
-def _take_camera(draft: Draft, mujoco: Any, model: Any, own: Said, k: int, robot: str) -> None:
+def _take_camera(draft: ModelDraft, mujoco: Any, model: Any, own: Said, k: int, robot: str) -> None:
     """A camera on one of the robot's frames; where no text says on which, on the link that carries it."""
     camera = read_camera(draft, mujoco, model, k)
     if camera is None:

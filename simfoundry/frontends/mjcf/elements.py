@@ -11,11 +11,11 @@ import numpy as np
 from simfoundry.frontends.draft import (
     BodyDraft,
     CameraDraft,
-    Draft,
     DriveDraft,
     JointDraft,
     LightDraft,
     MimicDraft,
+    ModelDraft,
 )
 from simfoundry.frontends.xmltree import Element
 from simfoundry.scene.frames import Pose
@@ -35,7 +35,7 @@ def _named(mujoco: Any, model: Any, kind: str, number: int) -> str:
     return f"`{name}`" if name else f"number {number + 1}"
 
 
-def add_equalities(draft: Draft, mujoco: Any, model: Any, joints: JointOwners) -> None:
+def add_equalities(draft: ModelDraft, mujoco: Any, model: Any, joints: JointOwners) -> None:
     """Joints that follow joints; every other equality is noted."""
     for k in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[k]))
@@ -56,7 +56,7 @@ def add_equalities(draft: Draft, mujoco: Any, model: Any, joints: JointOwners) -
         follower.mimic = MimicDraft(leader.name, coefficients[1], offset)
 
 
-def add_actuators(draft: Draft, mujoco: Any, model: Any, data: Any, joints: JointOwners) -> None:
+def add_actuators(draft: ModelDraft, mujoco: Any, model: Any, data: Any, joints: JointOwners) -> None:
     """Position and velocity servos as drives, springs of joints too; every other actuator is noted."""
     for k in range(model.nu):
         what = f"actuator {_named(mujoco, model, 'actuator', k)}"
@@ -94,7 +94,7 @@ def add_actuators(draft: Draft, mujoco: Any, model: Any, data: Any, joints: Join
         draft.changed(what, "a drive holds the joint with the same stiffness")
 
 
-def add_contacts(draft: Draft, mujoco: Any, model: Any, owners: Owners, own: bool = False) -> None:
+def add_contacts(draft: ModelDraft, mujoco: Any, model: Any, owners: Owners, own: bool = False) -> None:
     """Pairs of links that never touch, by `<exclude>` and by masks; what goes beyond that is noted.
 
     The pairs and masks of a file of our ``own`` follow from the surfaces of their geoms.
@@ -146,7 +146,7 @@ def _linked(model: Any, one: int, two: int) -> bool:
     return int(model.body_parentid[two]) == one or int(model.body_parentid[one]) == two
 
 
-def _exclude(draft: Draft, owners: Owners, one: int, two: int, what: str) -> None:
+def _exclude(draft: ModelDraft, owners: Owners, one: int, two: int, what: str) -> None:
     if one not in owners or two not in owners:
         draft.dropped(what, "contact is left out between links of things, not with the world")
         return
@@ -161,7 +161,7 @@ def _exclude(draft: Draft, owners: Owners, one: int, two: int, what: str) -> Non
         body.no_contact.append(pair)
 
 
-def add_cameras(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
+def add_cameras(draft: ModelDraft, mujoco: Any, model: Any, owners: Owners) -> None:
     """Cameras that are fixed in the world or to a body."""
     for k in range(model.ncam):
         camera = read_camera(draft, mujoco, model, k)
@@ -175,7 +175,7 @@ def add_cameras(draft: Draft, mujoco: Any, model: Any, owners: Owners) -> None:
         draft.cameras.append(camera)
 
 
-def read_camera(draft: Draft, mujoco: Any, model: Any, k: int) -> CameraDraft | None:
+def read_camera(draft: ModelDraft, mujoco: Any, model: Any, k: int) -> CameraDraft | None:
     """The k-th camera, in the frame of its body; None, with a note, where it is no pinhole."""
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_CAMERA, k) or f"camera_{k}"
     if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
@@ -205,7 +205,7 @@ def _is_orthographic(model: Any, camera: int) -> bool:
     return bool(getattr(model, "cam_orthographic", np.zeros(model.ncam))[camera])
 
 
-def add_lights(draft: Draft, mujoco: Any, model: Any) -> None:
+def add_lights(draft: ModelDraft, mujoco: Any, model: Any) -> None:
     """Lights that stand in the world."""
     for k in range(model.nlight):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_LIGHT, k) or f"light_{k + 1}"
@@ -232,7 +232,7 @@ _COUNTED = (
 )  # fmt: skip
 
 
-def count_left_out(draft: Draft, mujoco: Any, model: Any, roots: list[Element]) -> None:
+def count_left_out(draft: ModelDraft, mujoco: Any, model: Any, roots: list[Element]) -> None:
     """Note every element that is left out, by kind and name."""
     for field, kind in _COUNTED:
         for k in range(int(getattr(model, field, 0))):
@@ -256,7 +256,7 @@ def count_left_out(draft: Draft, mujoco: Any, model: Any, roots: list[Element]) 
     _contact_details(draft, model)
 
 
-def _contact_details(draft: Draft, model: Any) -> None:
+def _contact_details(draft: ModelDraft, model: Any) -> None:
     """Note contact parameters beyond Coulomb friction."""
     touching = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
     counts = {

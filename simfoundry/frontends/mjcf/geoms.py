@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
 from simfoundry.backends.mjcf.bounce import rebound
-from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.draft import MeshDraft, ModelDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Pose
@@ -29,10 +29,10 @@ UNSET = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's colour of a geom that gives none."""
 
 
-class Geoms:
+class MjcfGeoms:
     """Turns geoms into parts; a mesh that many geoms use is written once."""
 
-    def __init__(self, mujoco: Any, model: Any, draft: Draft, own: bool = False) -> None:
+    def __init__(self, mujoco: Any, model: Any, draft: ModelDraft, own: bool = False) -> None:
         self.mujoco, self.model, self.draft, self.own = mujoco, model, draft, own
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
         self.textured_shapes = 0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.file_search import NotFoundError, Search, refused
 from simfoundry.frontends.mass_repair import feather_link, make_sound
@@ -25,7 +25,7 @@ from simfoundry.frontends.mjcf.elements import (
     add_lights,
     count_left_out,
 )
-from simfoundry.frontends.mjcf.geoms import Geoms
+from simfoundry.frontends.mjcf.geoms import MjcfGeoms
 from simfoundry.frontends.xmltree import Element, read_xml
 from simfoundry.scene.frames import Array, Pose
 
@@ -52,7 +52,7 @@ NO_LENGTH = 1e-9
 """Vectors shorter than this have no direction; MuJoCo normalizes all others."""
 
 
-def read_mjcf(path: Path, packages: Mapping[str, Path] | None = None) -> Draft:
+def read_mjcf(path: Path, packages: Mapping[str, Path] | None = None) -> ModelDraft:
     """The scene of an MJCF file; raises :class:`ImportRefusedError` with MuJoCo's own reason where it is none."""
     import mujoco
 
@@ -138,14 +138,14 @@ class _Mjcf:
     def __init__(self, path: Path, mujoco: Any, model: Any, roots: list[Element]) -> None:
         self.path, self.mujoco, self.roots = path, mujoco, roots
         name = roots[0].get("model") or path.stem
-        self.draft = Draft(name if name != "MuJoCo Model" else path.stem, "MJCF")
+        self.draft = ModelDraft(name if name != "MuJoCo Model" else path.stem, "MJCF")
         self.own = said(mujoco, model)
         self.model = model = model if self.own is None else take_robots(self.draft, path, mujoco, model, self.own)
         self.data = mujoco.MjData(model)
         if model.nkey:
             mujoco.mj_resetDataKeyframe(model, self.data, 0)
         mujoco.mj_kinematics(model, self.data)
-        self.geoms = Geoms(mujoco, model, self.draft, own=self.own is not None)
+        self.geoms = MjcfGeoms(mujoco, model, self.draft, own=self.own is not None)
         self.free: dict[str, str] = {}
         """By body, the name of its free joint."""
         self.owner: dict[int, tuple[BodyDraft, str, Pose]] = {}
@@ -170,7 +170,7 @@ class _Mjcf:
         """A name like ``wish`` for a link or joint that the file does not have; nothing else is called so."""
         return _free_name(wish, self.taken[kind])
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         model = self.model
         x, y, z = (float(v) for v in model.opt.gravity)
         self.draft.gravity = (x, y, z)

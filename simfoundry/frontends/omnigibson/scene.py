@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, LinkDraft, MeshDraft, PartDraft, RobotDraft
+from simfoundry.frontends.draft import BodyDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft, RobotDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mass_repair import make_sound
 from simfoundry.frontends.urdf import read_urdf
@@ -30,7 +30,7 @@ ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM":
 LEVELS = 5
 
 
-def read_omnigibson(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> Draft:
+def read_omnigibson(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> ModelDraft:
     """The scene of a JSON file of the release; raises :class:`ImportRefusedError`.
 
     ``density`` [kg/m^3] is for links that state no mass.
@@ -59,7 +59,7 @@ class _Scene:
     def __init__(self, path: Path, packages: Mapping[str, Path], density: float | None) -> None:
         self.path, self.packages = path, packages
         self.data = read_json(path)
-        self.draft = Draft(path.stem, "OmniGibson", density=density)
+        self.draft = ModelDraft(path.stem, "OmniGibson", density=density)
         self.infos = self.at(self.data, "objects_info", "init_info")
         self.states = self.at(self.data, "state", "registry", "object_registry")
         self.listed = self.object_list()
@@ -87,7 +87,7 @@ class _Scene:
         )
         return {}
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         for name, info in self.infos.items():
             args, state = info.get("args") or {}, self.states.get(name) or {}
             kind = str(info.get("class_name", ""))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.compiled_robot import robot_draft
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, ModelDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.scene.frames import Pose
@@ -28,9 +28,9 @@ def is_poses(data: object) -> bool:
     return bool(entries) and all(isinstance(entry, dict) and "urdf" in entry for entry in entries)
 
 
-def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]) -> Draft:
+def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]) -> ModelDraft:
     """The scene of a ``poses.json``; raises :class:`ImportRefusedError`."""
-    draft = Draft(path.parent.name, "URDF")
+    draft = ModelDraft(path.parent.name, "URDF")
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
     for name, entry in data.items():
         try:
@@ -49,7 +49,9 @@ def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]
     return draft
 
 
-def _body(draft: Draft, path: Path, name: str, entry: Mapping[str, Any], packages: Mapping[str, Path]) -> BodyDraft:
+def _body(
+    draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], packages: Mapping[str, Path]
+) -> BodyDraft:
     """One URDF with what its entry says of it; notes of what was left out say which it was."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
@@ -68,7 +70,7 @@ def _body(draft: Draft, path: Path, name: str, entry: Mapping[str, Any], package
     return body
 
 
-def _put_together(draft: Draft, body: BodyDraft, said: Mapping[str, Any], path: Path) -> None:
+def _put_together(draft: ModelDraft, body: BodyDraft, said: Mapping[str, Any], path: Path) -> None:
     """Make a part of an object that lies loose a part of it again."""
     owner = next((b for b in draft.bodies if b.name == said["object"]), None)
     if owner is None or said["parent"] not in owner.links:

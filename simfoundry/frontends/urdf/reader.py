@@ -12,11 +12,11 @@ import numpy as np
 from simfoundry.assets.errors import LARGEST, MeshError
 from simfoundry.frontends.draft import (
     BodyDraft,
-    Draft,
     JointDraft,
     LinkDraft,
     MeshDraft,
     MimicDraft,
+    ModelDraft,
     PartDraft,
     PrimitiveShape,
     Rgba,
@@ -41,7 +41,7 @@ _READ_IN_LINK = ("inertial", "visual", "collision", "contact")
 _READ_IN_CONTACT = ("lateral_friction", "restitution", "spinning_friction", "rolling_friction", "inertia_scaling")
 
 
-def read_urdf(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> Draft:
+def read_urdf(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> ModelDraft:
     """The one body of a URDF, ``density`` [kg/m^3] for links that state no mass.
 
     Raises :class:`ImportRefusedError` with the line where it cannot be read.
@@ -55,7 +55,7 @@ class _Urdf:
     def __init__(self, path: Path, packages: Mapping[str, Path], density: float | None) -> None:
         self.path, self.search = path, Search(path, packages)
         self.root = read_xml(path, "robot")
-        self.draft = Draft(self.root.get("name") or path.stem, "URDF", density=density)
+        self.draft = ModelDraft(self.root.get("name") or path.stem, "URDF", density=density)
         self.left: Counter[str] = Counter()
         self.meshes: dict[tuple[Path, tuple[float, float, float]], MeshDraft] = {}
         self.pieces: dict[tuple[Path, tuple[float, float, float]], list[tuple[str, MeshDraft]]] = {}
@@ -66,7 +66,7 @@ class _Urdf:
             if material.tag == "material" and name and material.children:
                 self.colors.setdefault(name, material)
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         links: dict[str, LinkDraft] = {}
         for element in self.root.all("link"):
             link = self.link(element)

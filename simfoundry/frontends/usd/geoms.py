@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.draft import MeshDraft, ModelDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Array, Pose
@@ -30,7 +30,7 @@ TURNED = {
 
 
 @dataclass(frozen=True)
-class Surface:
+class UsdSurface:
     """What a physics material says; None where it says nothing."""
 
     friction: float | None = None
@@ -38,10 +38,10 @@ class Surface:
     density: float | None = None
 
 
-class Geoms:
+class UsdGprims:
     """Turns gprims of a stage into parts."""
 
-    def __init__(self, pxr: Any, draft: Draft, to_kg: float, to_m: float) -> None:
+    def __init__(self, pxr: Any, draft: ModelDraft, to_kg: float, to_m: float) -> None:
         self.pxr, self.draft, self.to_kg, self.to_m = pxr, draft, to_kg, to_m
 
     def part(self, prim: Any, X_LG: Array) -> PartDraft | None:
@@ -190,13 +190,13 @@ class Geoms:
         self.draft.changed(f"{kind} `{prim.GetPath()}`", f"a mesh of {len(made.faces)} triangles stands for it")
         return MeshPart(np.asarray(made.vertices, dtype=np.float64), np.asarray(made.faces, dtype=np.int32))
 
-    def surface(self, prim: Any) -> Surface:
+    def surface(self, prim: Any) -> UsdSurface:
         """The physics material that is bound to a gprim."""
         physics, shade = self.pxr.UsdPhysics, self.pxr.UsdShade
         material, _ = shade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         target = material.GetPrim() if material else None
         if not target or not target.HasAPI(physics.MaterialAPI):
-            return Surface()
+            return UsdSurface()
         api = physics.MaterialAPI(target)
 
         def said(attribute: Any) -> float | None:
@@ -206,7 +206,7 @@ class Geoms:
         if static is not None and dynamic is not None and abs(static - dynamic) > 1e-6:
             self.draft.changed(f"material `{target.GetPath()}`", "it has one friction here, the dynamic one")
         density = said(api.GetDensityAttr())
-        return Surface(
+        return UsdSurface(
             dynamic if dynamic is not None else static,
             said(api.GetRestitutionAttr()),
             density * self.to_kg / self.to_m**3 if density else None,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import Draft, DriveDraft
+from simfoundry.frontends.draft import DriveDraft, ModelDraft
 from simfoundry.scene.frames import Array, Pose
 
 FAR = 1000.0
@@ -52,7 +52,7 @@ class UsdJoint:
 
 
 def read_joint(
-    draft: Draft, pxr: Any, prim: Any, end: Callable[[list[Any]], End], units: tuple[float, float]
+    draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], End], units: tuple[float, float]
 ) -> UsdJoint:
     """A joint of the stage; what of it cannot be said is noted. ``units`` are metres and kilograms per unit."""
     joint = pxr.UsdPhysics.Joint(prim)
@@ -72,7 +72,7 @@ def _local(position: Any, rotation: Any, scale: Array) -> Pose:
     return Pose.of(p, q if any(q) else (1.0, 0.0, 0.0, 0.0))
 
 
-def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float, float]) -> None:
+def _kind(draft: ModelDraft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float, float]) -> None:
     physics, kind, what = pxr.UsdPhysics, prim.GetTypeName(), f"joint `{made.path}`"
     match kind:
         case "PhysicsFixedJoint":
@@ -100,7 +100,7 @@ def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float,
             draft.dropped(f"motion of {what}", f"the language has no {kind}; it is fixed")
 
 
-def _limited(draft: Draft, made: UsdJoint, what: str, turns: bool, bounds: tuple[Any, Any], to_m: float) -> None:
+def _limited(draft: ModelDraft, made: UsdJoint, what: str, turns: bool, bounds: tuple[Any, Any], to_m: float) -> None:
     """The type and limits of a joint with one axis."""
     factor = math.radians(1.0) if turns else to_m
     low, high = (None if b is None or not math.isfinite(b) or abs(b) > 1e30 else float(b) * factor for b in bounds)
@@ -117,7 +117,7 @@ def _limited(draft: Draft, made: UsdJoint, what: str, turns: bool, bounds: tuple
         draft.changed(what, f"it has no limits; {FAR:g} m to either side stand for that")
 
 
-def _dynamics(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, token: str, units: tuple[float, float]) -> None:
+def _dynamics(draft: ModelDraft, pxr: Any, prim: Any, made: UsdJoint, token: str, units: tuple[float, float]) -> None:
     """Damping, friction, armature and drive; angular quantities are for degrees in the stage."""
     to_m, to_kg = units
     turns = token == "angular"
@@ -153,7 +153,7 @@ def _first(prim: Any, names: tuple[str, ...]) -> float:
     return 0.0
 
 
-def _six_axes(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, what: str, units: tuple[float, float]) -> None:
+def _six_axes(draft: ModelDraft, pxr: Any, prim: Any, made: UsdJoint, what: str, units: tuple[float, float]) -> None:
     """A joint whose axes are locked one by one: fixed, of one axis, a ball or free; any other is noted."""
     free = []
     for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):

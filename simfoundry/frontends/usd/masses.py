@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import Draft, LinkDraft
+from simfoundry.frontends.draft import LinkDraft, ModelDraft
 from simfoundry.frontends.mass_repair import USUAL_DENSITY, take_density
-from simfoundry.frontends.usd.geoms import Geoms
+from simfoundry.frontends.usd.geoms import UsdGprims
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 
 
 @dataclass
-class Body:
+class UsdBody:
     """A rigid body of the stage.
 
     ``X_WB`` is its frame in the world, ``scale`` that of its units [m per unit]; ``X_BL`` is the frame of its link in
@@ -29,7 +29,9 @@ class Body:
     X_BL: Pose = IDENTITY
 
 
-def weigh(pxr: Any, draft: Draft, body: Body, colliders: list[Any], geoms: Geoms, units: tuple[float, float]) -> None:
+def weigh(
+    pxr: Any, draft: ModelDraft, body: UsdBody, colliders: list[Any], geoms: UsdGprims, units: tuple[float, float]
+) -> None:
     """Mass properties in UsdPhysics' order: mass of the body, its density, masses and materials of its colliders.
 
     ``units`` are the metres and kilograms of one unit of the stage.
@@ -61,7 +63,7 @@ def weigh(pxr: Any, draft: Draft, body: Body, colliders: list[Any], geoms: Geoms
         draft.assumed(f"mass of `{link.name}`", "none is given and nothing of it touches; 1 kg, as PhysX takes it")
 
 
-def _inertia(body: Body, api: Any, unit: float) -> None:
+def _inertia(body: UsdBody, api: Any, unit: float) -> None:
     """Centre of mass and inertia of a body where the stage gives them, in the frame of its link."""
     link, X_LB = body.link, body.X_BL.inverse()
     com = api.GetCenterOfMassAttr().Get()

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.file_search import Search
 from simfoundry.frontends.mass_repair import make_sound
 from simfoundry.frontends.usd.compiled.stage import error_text
-from simfoundry.frontends.usd.geoms import Geoms, is_collider
+from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
 from simfoundry.frontends.usd.joints import UsdJoint, read_joint
-from simfoundry.frontends.usd.masses import Body, weigh
+from simfoundry.frontends.usd.masses import UsdBody, weigh
 from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.scene.frames import Array, Pose
 
@@ -38,7 +38,7 @@ _EXPECTED = {
 }
 
 
-def read_usd(path: Path, density: float | None = None) -> Draft:
+def read_usd(path: Path, density: float | None = None) -> ModelDraft:
     """The scene of a USD file, ``density`` [kg/m^3] for what states no mass; raises :class:`ImportRefusedError`."""
     from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
@@ -76,19 +76,19 @@ class _Usd:
         self.to_m = float(usd.GetStageMetersPerUnit(stage)) or 1.0
         self.to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
         default = stage.GetDefaultPrim()
-        self.draft = Draft(default.GetName() if default else path.stem, "USD", density=density)
+        self.draft = ModelDraft(default.GetName() if default else path.stem, "USD", density=density)
         self.W = np.eye(4)
         self.W[:3, :3] *= self.to_m
         if usd.GetStageUpAxis(stage) == "Y":
             self.W[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) @ self.W[:3, :3]
         self.transforms = usd.XformCache()
-        self.geoms = Geoms(pxr, self.draft, self.to_kg, self.to_m)
-        self.bodies: dict[str, Body] = {}
+        self.geoms = UsdGprims(pxr, self.draft, self.to_kg, self.to_m)
+        self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
         """By path of a body: what it became part of, and as which link."""
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
         self.gravity(prims)
         for prim in prims:
@@ -169,11 +169,11 @@ class _Usd:
         out[:3, :3], out[:3, 3] = rotation, X_WP[:3, 3]
         return Pose.from_matrix(out), scales
 
-    def body(self, prim: Any) -> Body:
+    def body(self, prim: Any) -> UsdBody:
         X_WP, scale = self.frame(prim)
-        return Body(prim, X_WP, scale, LinkDraft(str(prim.GetPath())))
+        return UsdBody(prim, X_WP, scale, LinkDraft(str(prim.GetPath())))
 
-    def owner(self, prim: Any) -> Body | None:
+    def owner(self, prim: Any) -> UsdBody | None:
         """The nearest rigid body above a prim, or that it is."""
         while prim and not prim.IsPseudoRoot():
             if str(prim.GetPath()) in self.bodies:
@@ -181,7 +181,7 @@ class _Usd:
             prim = prim.GetParent()
         return None
 
-    def add_part(self, body: Body, prim: Any) -> None:
+    def add_part(self, body: UsdBody, prim: Any) -> None:
         if self.geoms.use(prim) == "none":
             return
         part = self.geoms.part(prim, np.asarray(body.X_WB.inverse().matrix @ self.matrix(prim)))
@@ -208,7 +208,7 @@ class _Usd:
         for path, prims in statics.items():
             prim = self.stage.GetPrimAtPath(path)
             X_WP, scale = self.frame(prim)
-            made = Body(prim, X_WP, scale, LinkDraft("base"))
+            made = UsdBody(prim, X_WP, scale, LinkDraft("base"))
             for gprim in prims:
                 self.add_part(made, gprim)
             if not made.link.parts:
@@ -264,7 +264,7 @@ class _Usd:
     def is_root(self, path: str) -> bool:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
-    def tree(self, root: str, left: dict[str, Body], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
+    def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
         """One thing: its root, and all that joints carry from there."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
@@ -378,7 +378,7 @@ class _Usd:
             ]
         return shared[-1] if len(shared) > 1 else str(self.bodies[paths[0]].prim.GetName())
 
-    def colliders(self, body: Body) -> list[Any]:
+    def colliders(self, body: UsdBody) -> list[Any]:
         """The colliders of a rigid body."""
         below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
         return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

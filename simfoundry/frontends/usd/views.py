@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, CameraDraft, Draft, LightDraft
+from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, ModelDraft
 from simfoundry.scene.frames import Array, Pose
 
 WIDTH = 640
@@ -29,7 +29,7 @@ def _pose(X_WP: Array) -> Pose:
     return Pose.from_matrix(out)
 
 
-def add_cameras(draft: Draft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
+def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
     """Perspective cameras; those below a rigid body ride on its link."""
     for prim in prims:
         if not prim.IsA(pxr.UsdGeom.Camera):
@@ -62,7 +62,7 @@ def add_cameras(draft: Draft, pxr: Any, prims: list[Any], matrix: Matrix, mounts
         draft.cameras.append(made)
 
 
-def add_lights(draft: Draft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
+def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
     """Distant, sphere and dome lights; others are noted."""
     for prim in prims:
         if not (prim.IsA(pxr.UsdLux.BoundableLightBase) or prim.IsA(pxr.UsdLux.NonboundableLightBase)):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, import_file
+from simfoundry.frontends.importer import ImportOptions, import_file
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, JointType
 from tests.frontends.conftest import Importing
@@ -232,7 +232,7 @@ def test_an_unforeseen_error_is_a_refusal_with_its_line(tmp_path: Path, monkeypa
     with pytest.raises(
         ImportRefusedError, match=r"m\.xml:3: the importer failed .*KeyError: 'pad', at frontends/documents"
     ):
-        import_file(source, tmp_path / "m.scene.yaml", Options())
+        import_file(source, tmp_path / "m.scene.yaml", ImportOptions())
 
 
 @pytest.mark.parametrize(
@@ -266,5 +266,5 @@ def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: st
     (tmp_path / "secret.stl").write_text("solid a\nendsolid a\n")
     source.write_text(text)
     with pytest.raises(ImportRefusedError, match=reason):
-        import_file(source, tmp_path / "one/two/a.scene.yaml", Options())
+        import_file(source, tmp_path / "one/two/a.scene.yaml", ImportOptions())
     assert [p.name for p in source.parent.iterdir()] == ["a.xml"]
