@@ -117,7 +117,7 @@ def _is_ours(path: Path) -> bool:
     """Whether a file is a stage that was compiled from one of our documents."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
-    from simfoundry.frontends.fault_guard import refusing_faults
+    from simfoundry.frontends.errors import refusing_faults
     from simfoundry.frontends.usd.compiled import StageError, carrier
     from simfoundry.frontends.usd.compiled.stage import open_stage
 

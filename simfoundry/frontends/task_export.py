@@ -46,7 +46,7 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
 
 
 def atoms(condition: Any) -> list[tuple[Call, bool]]:
-    """The predicates of a conjunction, each with whether it must hold; raises :class:`TaskExportError` for another goal."""
+    """Return the predicates of a conjunction, each with its truth value; raises :class:`TaskExportError` for others."""
     tag, below = parts(condition)
     if tag == "text":
         return [(parse_call(below[0]), True)]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import OutputError
-from simfoundry.frontends.fault_guard import refusing_faults
+from simfoundry.frontends.errors import refusing_faults
 from simfoundry.frontends.usd.compiled.loading import home, stage_document
 from simfoundry.frontends.usd.compiled.reading import read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError
