@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.backends.mjcf.bounce import rebound
+from simfoundry.backends.mjcf.restitution import rebound
 from simfoundry.frontends.drafts import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name

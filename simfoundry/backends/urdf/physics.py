@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 from simfoundry.backends.artifact import json_text, rounded
-from simfoundry.backends.robot_urdf import RobotUrdf
+from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Drive, Geometry, Joint, JointType, Link, Scene
 from simfoundry.scene.touching import silent_pairs

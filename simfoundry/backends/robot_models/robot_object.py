@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robots import MujocoRobot, RobotModelError
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError
 from simfoundry.scene.convex import hull_mesh
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import joint_transform
