@@ -41,7 +41,7 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower_file
     from simfoundry.spec.load import load_kind
-    from simfoundry.spec.task import TaskSpec
+    from simfoundry.spec.models.task import TaskSpec
 
     loaded = load_kind(task, "task/1")
     spec = loaded.spec

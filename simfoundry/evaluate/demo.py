@@ -44,8 +44,8 @@ from simfoundry.scene.robot import Robot
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
+from simfoundry.spec.models.robot import ROBOTS, RobotSpec
 from simfoundry.spec.project import Project, find_project, markers
-from simfoundry.spec.robot import ROBOTS, RobotSpec
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 from simfoundry.worlds.footing import center_of_mass

@@ -13,9 +13,9 @@ import numpy as np
 from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.frontends.pieces import Built, Shelf, color_data, pose_data, rounded, text_of
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.write import to_data
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_data
 
 
 def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetSpec:

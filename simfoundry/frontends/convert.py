@@ -19,8 +19,8 @@ from simfoundry.frontends.pieces import Built, text_of
 from simfoundry.frontends.unforeseen import refusing_faults
 from simfoundry.runtime.files import replace_folder, write_atomically, write_file
 from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import project_root
-from simfoundry.spec.task import TaskSpec
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Scene
@@ -208,7 +208,7 @@ def _read_task(path: Path, scene_file: Path, out: Path, bound: Mapping[str, str]
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_kind
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     loaded = load_kind(scene_file, "scene/1")
     lowered = lower(loaded, Cache.default(), fetch=False)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.scene.frames import IDENTITY, Array, Pose
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]

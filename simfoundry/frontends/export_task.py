@@ -15,8 +15,8 @@ import yaml
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.frames import rpy_from_quat
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.spec.expressions import Call, parse_call, parts
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.task import TaskSpec
 
 FORMATS = ("libero", "behavior", "omnigibson")
 

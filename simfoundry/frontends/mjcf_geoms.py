@@ -14,7 +14,7 @@ from simfoundry.frontends.drafts import Draft, MeshDraft, PartDraft, PrimitiveSh
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Pose
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 GROUND = 20.0
 """Width [m] of the box that stands for a plane without an end."""

@@ -18,7 +18,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.masses import make_sound
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.scene.frames import Pose, from_xyzw
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 MAX_BYTES = 100_000_000
 TABLE = (4.0, 4.0, 0.04)

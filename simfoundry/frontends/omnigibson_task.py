@@ -13,10 +13,10 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import Names, plain_name
 from simfoundry.frontends.pieces import rounded
 from simfoundry.scene.model import Scene
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.text import YamlError
-from simfoundry.spec.text import read as read_yaml
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.text import YamlError
+from simfoundry.spec.yaml.text import read as read_yaml
 
 BINARY = {
     "OnTop": "OnTop", "OnTopAABB": "OnTop", "Inside": "Inside", "InsideAABB": "Inside", "Under": "Under",

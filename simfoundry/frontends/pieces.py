@@ -13,9 +13,9 @@ import numpy as np
 from simfoundry.frontends.drafts import LinkDraft, MeshDraft, PartDraft, Rgba
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Pose, rpy_from_quat
-from simfoundry.spec.base import Model
-from simfoundry.spec.tree import plain_tree
-from simfoundry.spec.write import to_data, write_tree
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import to_data, write_tree
 
 DIGITS = 9
 """Significant digits of imported numbers: more than any simulator keeps, and no rounding noise."""

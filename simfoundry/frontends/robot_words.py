@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from simfoundry.frontends.drafts import RobotDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.frames import Pose
-from simfoundry.spec.robot import RobotSpec
+from simfoundry.spec.models.robot import RobotSpec
 
 
 def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:

@@ -13,7 +13,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.robot_words import robot_draft
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.scene.frames import Pose
-from simfoundry.spec.base import CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
 _KNOWN = ("effort limit", "velocity limit", "texture laid")
 """Notes on what stands in every file of ours: limits that URDF demands, textures that its meshes name as well."""

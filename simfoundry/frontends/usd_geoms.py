@@ -13,7 +13,7 @@ from simfoundry.frontends.drafts import Draft, MeshDraft, PartDraft, PrimitiveSh
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 ALIKE = 1e-6
 """Share by which scales may differ and still be one."""

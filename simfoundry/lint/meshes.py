@@ -15,14 +15,14 @@ from simfoundry.assets.faults import (
     profile_off_axis,
     shape_crosses_itself,
 )
-from simfoundry.spec.base import LatheShape, PrismShape, Shape
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.base import LatheShape, PrismShape, Shape
+from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.models.asset import AssetSpec
 
 SMALLEST_AREA = 1e-8
 """A profile or outline of less than this [m^2] has no area; as in lowering."""

@@ -14,9 +14,9 @@ from simfoundry.scene.bodies import GREY
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import Background, Mesh, Visual
-from simfoundry.spec import scene as spec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models import scene as spec
 
 
 def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:

@@ -30,8 +30,8 @@ from simfoundry.scene.model import (
     Sphere,
     Visual,
 )
-from simfoundry.spec.asset import Inertial, Part
-from simfoundry.spec.base import (
+from simfoundry.spec.models.asset import Inertial, Part
+from simfoundry.spec.models.base import (
     Body,
     BoxShape,
     CapsuleShape,

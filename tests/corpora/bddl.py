@@ -15,7 +15,7 @@ from simfoundry.frontends.bddl import read_problem
 from simfoundry.frontends.convert import Options, import_file
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.spec.load import load
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
 from tests.frontends.bddl_scenes import write_scene
 

@@ -34,10 +34,10 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.frames import frozen_array
 from simfoundry.scene.model import Mesh, Scene
 from simfoundry.scene.summary import bounds
-from simfoundry.spec.base import Estimate, LatheShape
-from simfoundry.spec.cousins import Change
 from simfoundry.spec.load import load
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import Estimate, LatheShape
+from simfoundry.spec.models.cousins import Change
+from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 
 ASSETS = REPOSITORY / "specs" / "assets"

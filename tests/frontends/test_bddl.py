@@ -20,7 +20,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.export_task import ExportError, export_task
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.frontends.bddl_scenes import write_scene

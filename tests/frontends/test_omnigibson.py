@@ -14,9 +14,9 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.scene.frames import Pose, quat_from_rpy, to_xyzw
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.write import to_data
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.write import to_data
 
 CUP = """<robot name="cup"><link name="base_link">
   <inertial><mass value="0.21"/><inertia ixx="1e-4" iyy="1.1e-4" izz="1.2e-4" ixy="0" ixz="0" iyz="0"/></inertial>

@@ -16,9 +16,9 @@ from simfoundry.frontends.usd_spec.importing import import_stage, import_usd
 from simfoundry.frontends.usd_spec.stage import StageError
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import parse
-from simfoundry.spec.write import to_data
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.write import to_data
 from tests.cli.command import run
 from tests.frontends.stages import CABINET, DESK, OVERLAY, Project, project
 

@@ -23,8 +23,8 @@ from simfoundry.scene.lower import lower, lower_file
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.write import to_data, to_yaml
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.yaml.write import to_data, to_yaml
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.frontends.stages import DESK, Project, project

@@ -15,7 +15,7 @@ from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene
-from simfoundry.spec.robot import ROBOTS
+from simfoundry.spec.models.robot import ROBOTS
 from simfoundry.worlds import open_world
 from tests.robots.reach import grasp_and_lift
 

@@ -30,8 +30,8 @@ from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
 from simfoundry.scene.summary import bounds
-from simfoundry.spec.base import Material
-from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.cousins import ObjectVariants
 
 T = TypeVar("T", bound=BaseModel)
 

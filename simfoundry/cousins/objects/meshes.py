@@ -14,7 +14,7 @@ from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Mesh
-from simfoundry.spec.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, Part
 
 FOLDER = "meshes"
 """Where the meshes of variants lie, beside their documents."""

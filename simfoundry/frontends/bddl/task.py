@@ -19,7 +19,7 @@ from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.pieces import rounded
 from simfoundry.scene.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 
 BINARY = {
     "on": "OnTop", "ontop": "OnTop", "in": "Inside", "inside": "Inside", "under": "Under", "nextto": "NextTo",

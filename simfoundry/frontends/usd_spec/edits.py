@@ -17,7 +17,7 @@ from simfoundry.frontends.usd_spec.words import Note, short, srgb
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
-from simfoundry.spec.write import to_data
+from simfoundry.spec.yaml.write import to_data
 
 MOVED_M = 1e-4
 """What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""

@@ -13,11 +13,11 @@ from simfoundry.frontends.usd_spec.reading import read_stage
 from simfoundry.frontends.usd_spec.stage import StageError
 from simfoundry.frontends.usd_spec.words import Note
 from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.change.flatten import relocated
+from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.flatten import relocated
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.validate import validate
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 
 
 @dataclass(frozen=True)

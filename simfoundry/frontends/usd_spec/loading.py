@@ -13,7 +13,7 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.project import project_root
-from simfoundry.spec.text import Document, Node
+from simfoundry.spec.yaml.text import Document, Node
 
 KIND = "scene/1"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Set
 from typing import Any
 
-from simfoundry.spec.expressions import Call, ExpressionError, parse_call
+from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call
 
 Data = dict[str, Any]
 

@@ -11,12 +11,12 @@ from simfoundry.frontends.usd_spec.edits import differs
 from simfoundry.frontends.usd_spec.names import renamed
 from simfoundry.spec.compose import EXCLUSIVE, compose
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.types import models_at
 from simfoundry.spec.project import project_root
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import YamlError, read
-from simfoundry.spec.tree import Tree, read_tree, with_data
-from simfoundry.spec.types import models_at
-from simfoundry.spec.write import write_tree
+from simfoundry.spec.yaml.text import YamlError, read
+from simfoundry.spec.yaml.tree import Tree, read_tree, with_data
+from simfoundry.spec.yaml.write import write_tree
 
 KIND = "scene/1"
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from simfoundry.frontends.usd_spec.stage import UNKNOWN, Part, links_of
 from simfoundry.frontends.usd_spec.words import Note
-from simfoundry.spec.scene import DEFAULT_VARIANT, ObjectSpec
-from simfoundry.spec.variants import GEOMETRY, OF_GEOMETRY, variant_of
-from simfoundry.spec.write import to_data
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec
+from simfoundry.spec.models.variants import GEOMETRY, OF_GEOMETRY, variant_of
+from simfoundry.spec.yaml.write import to_data
 
 Data = dict[str, Any]
 Edit = Callable[[Part], tuple[Data, tuple[Note, ...]]]
