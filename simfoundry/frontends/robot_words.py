@@ -1,4 +1,4 @@
-"""Robots in files that SimFoundry compiled: what is said of them there, see :mod:`simfoundry.backends.robot_models.robot_fields`."""
+"""Robots in files that SimFoundry compiled, see :mod:`simfoundry.backends.robot_models.robot_fields`."""
 
 from __future__ import annotations
 
