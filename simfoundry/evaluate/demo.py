@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.backends.robot_object import as_object
-from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.control import Controller, physics_steps
 from simfoundry.evaluate.expert.grasps import down, grasps

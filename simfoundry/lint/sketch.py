@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.lint.frames import WORLD, Frame, about, frame_of, looking, turned
 from simfoundry.lint.placing import place_all
 from simfoundry.lint.solids import Solid, hull_of_points, solid_of
@@ -205,7 +205,7 @@ def _motion(joint: JointSpec, position: float) -> Frame:
 
 def _mesh(file: Path, scale: float, body: Body) -> tuple[Solid, ...]:
     """A mesh as its hull; nothing where it cannot be used, which is another finding."""
-    from simfoundry.assets.facts import mesh_facts
+    from simfoundry.assets.mesh_summary import mesh_facts
 
     try:
         facts = mesh_facts(file)

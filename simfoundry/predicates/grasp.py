@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.backends.robots import mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.predicates.batch import Poses, StateBatch
 from simfoundry.predicates.distance import Distances
 from simfoundry.predicates.shapes import Bodies, Body, Thing

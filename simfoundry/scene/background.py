@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
 from simfoundry.scene.bodies import GREY

@@ -12,7 +12,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, hull, mesh_colliders
-from simfoundry.assets.faults import LEAST_VOLUME, MeshError, no_volume, not_closed
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, no_volume, not_closed
 from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, lathe_parts
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.primitives import Primitive

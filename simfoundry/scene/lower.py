@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen

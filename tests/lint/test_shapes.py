@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.prism import checked_outline
 from simfoundry.lint.meshes import shape_fault

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.cousins.objects.item import Item, item_of_mesh, lay, lowered
 from simfoundry.cousins.objects.meshes import FOLDER, joined

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, read_parts
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts

@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.cousins.objects.checks import Twin, faults
 from simfoundry.cousins.objects.item import Item, lay, lowered
 from simfoundry.cousins.objects.likeness import Apart, Likeness, likeness
