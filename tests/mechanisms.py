@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.scene.model import (
     Collider,
     Cylinder,

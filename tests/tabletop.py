@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import (
     Box,
     Camera,

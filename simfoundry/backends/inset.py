@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
 
 

@@ -34,7 +34,7 @@ from simfoundry.backends.urdf import (
     whole,
 )
 from simfoundry.backends.urdf_physics import silent_between
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
     Collider,

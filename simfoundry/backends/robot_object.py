@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.backends.robots import MujocoRobot, RobotModelError
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.convex import hull_mesh
-from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import joint_transform
 from simfoundry.scene.model import (
     Box,

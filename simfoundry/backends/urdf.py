@@ -24,7 +24,7 @@ from simfoundry.backends.robot_words import robot_words
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf_physics import physics_manifest
 from simfoundry.backends.xmltext import DECLARATION, xml_text
-from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
     Background,

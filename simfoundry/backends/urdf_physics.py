@@ -7,7 +7,7 @@ from typing import Protocol
 
 from simfoundry.backends.artifact import json_text, rounded
 from simfoundry.backends.robot_urdf import RobotUrdf
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Drive, Geometry, Joint, JointType, Link, Scene
 from simfoundry.scene.touching import silent_pairs
 from simfoundry.scene.trees import Tree, trees

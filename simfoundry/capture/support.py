@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.prism import prism_mesh
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mjcf_own import Said
 from simfoundry.frontends.mjcf_rest import read_camera
 from simfoundry.frontends.robot_words import robot_draft
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 SAID, MOUNT = ":robot", ":mount"
 

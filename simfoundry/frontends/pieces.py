@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.frontends.drafts import LinkDraft, MeshDraft, PartDraft, Rgba
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.base import Model
 from simfoundry.spec.tree import plain_tree
 from simfoundry.spec.write import to_data, write_tree

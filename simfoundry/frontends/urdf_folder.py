@@ -12,7 +12,7 @@ from simfoundry.frontends.drafts import BodyDraft, Draft, JointDraft, LinkDraft,
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.robot_words import robot_draft
 from simfoundry.frontends.urdf import read_urdf
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.spec.base import CapsuleShape, CylinderShape, Round, SphereShape
 
 _KNOWN = ("effort limit", "velocity limit", "texture laid")

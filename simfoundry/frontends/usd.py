@@ -20,7 +20,7 @@ from simfoundry.frontends.usd_joints import UsdJoint, read_joint
 from simfoundry.frontends.usd_masses import Body, weigh
 from simfoundry.frontends.usd_rest import add_cameras, add_lights
 from simfoundry.frontends.usd_spec.stage import error_text
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 WORLD = ""
 """The path that stands for the world among those of bodies."""

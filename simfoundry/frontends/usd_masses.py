@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.frontends.drafts import Draft, LinkDraft
 from simfoundry.frontends.masses import USUAL_DENSITY, take_density
 from simfoundry.frontends.usd_geoms import Geoms
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 
 
 @dataclass

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from simfoundry.geometry.cavity import UPWARD, Cavity, cavity, cavity_upward
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.volume_samples import volume_samples
 from simfoundry.predicates.batch import Index, rotate
-from simfoundry.predicates.samples import volume_samples
 from simfoundry.predicates.shapes import Form, PredicateError, Thing
 from simfoundry.predicates.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.view import View
-from simfoundry.predicates.voxels import UPWARD, Cavity, cavity, cavity_upward
-from simfoundry.scene.frames import Array
 
 SAMPLES = 64
 """Points of a thing whose depth is measured."""

@@ -11,8 +11,8 @@ import numpy as np
 from simfoundry.backends.robot_object import RobotObject, as_object
 from simfoundry.backends.robots import mujoco_model, read_robot
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.frames import IDENTITY, Array
-from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.geometry.frames import IDENTITY, Array
+from simfoundry.geometry.hulls import Hulls, hulls
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
 from simfoundry.scene.robot import Robot
 

@@ -9,7 +9,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import (
+from simfoundry.geometry.frames import Array, frozen_array, look_at
+from simfoundry.geometry.ray_casts import (
     NEAREST,
     Hits,
     area_normals,
@@ -21,7 +22,6 @@ from simfoundry.geometry.visibility import (
     unit,
 )
 from simfoundry.render.surface import Surface
-from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.model import LightType, Mesh, Scene
 
 SHADOW_BIAS = 2e-4

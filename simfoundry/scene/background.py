@@ -10,9 +10,9 @@ import numpy as np
 from simfoundry.assets.faults import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene.bodies import GREY
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import Background, Mesh, Visual
 from simfoundry.spec import scene as spec
 from simfoundry.spec.diagnostics import SpecError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from simfoundry.assets.convex import hull
 from simfoundry.assets.faults import MeshError
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
 
 

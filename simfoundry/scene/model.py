@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.splat import Gaussians
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.source import Source
 

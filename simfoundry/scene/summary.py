@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Joint, JointType, Mesh, Scene, SceneObject, Sphere
 from simfoundry.spec.base import Estimate

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Cylinder, Drive, Scene, Sphere
 from simfoundry.verify import rigs
 from simfoundry.verify.facts import Moment

@@ -9,7 +9,7 @@ from itertools import combinations, product
 import numpy as np
 
 from simfoundry.backends.urdf import capsule_parts
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import (
     Box,

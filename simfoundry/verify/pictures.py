@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.frames import look_at
+from simfoundry.geometry.frames import look_at
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.summary import world_bounds
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.scene.model import (
     Box,
     Collider,

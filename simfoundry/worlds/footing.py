@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject, Sphere
 from simfoundry.scene.state import SceneState

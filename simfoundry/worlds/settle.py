@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds

@@ -17,7 +17,7 @@ from simfoundry.backends.artifact import Artifact, Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bounce import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
-from simfoundry.scene.frames import IDENTITY
+from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Cylinder, Mesh, Scene, Sphere, Visual
 from tests.mechanisms import mechanisms, rough

@@ -12,7 +12,7 @@ from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN, compile_pybullet, projection_matrix
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import Mesh, Scene, Sphere
 from tests.mechanisms import mechanisms, rough
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid, textured_object, wedge_mesh

@@ -18,8 +18,8 @@ from simfoundry.cousins.placing import Demands, Region, There, find, rectangles_
 from simfoundry.cousins.solids import Solids
 from simfoundry.cousins.support import Support, support_of
 from simfoundry.cousins.twin import Twin
-from simfoundry.scene.frames import IDENTITY, Pose, quat_from_rpy
-from simfoundry.scene.hulls import hulls
+from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
+from simfoundry.geometry.hulls import hulls
 from simfoundry.scene.model import Box, Collider, Cylinder, Geometry, Link, SceneObject
 from simfoundry.spec.cousins import SceneAxis
 from tests.cousins.conftest import twin_of

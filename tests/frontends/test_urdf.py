@@ -10,7 +10,7 @@ import pytest
 
 from simfoundry.frontends.convert import Options, import_file
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Cylinder, JointType, Mesh
 from tests.cli.command import run

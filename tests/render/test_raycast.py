@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import first_hits, pixel_rays, scattered_rays
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.ray_casts import first_hits, pixel_rays, scattered_rays
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.render.shading import encode_srgb
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import (
     Box,
     Camera,

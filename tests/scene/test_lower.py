@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from simfoundry.assets import decompose
 from simfoundry.assets.cache import Cache
-from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
+from simfoundry.geometry.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Box, JointType, Link, Mesh, Scene, Sphere

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.scene.hulls import PROUD
+from simfoundry.geometry.hulls import PROUD
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Capsule, SceneObject, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, place_all

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import lower
 from simfoundry.scene.summary import bounds, summary, tree, world_bounds
 from simfoundry.spec.load import load_scene

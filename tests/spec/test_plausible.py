@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY
 from simfoundry.spec.base import (
     Body,
     BoxShape,

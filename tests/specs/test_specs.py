@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.expressions import parse_call, texts

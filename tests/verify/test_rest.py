@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene, Sphere
 from simfoundry.scene.state import SceneState
 from simfoundry.verify.facts import Moment, pose_numbers

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene, Sphere
 from simfoundry.scene.state import SceneState

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import (
     Capsule,

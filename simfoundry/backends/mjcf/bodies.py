@@ -9,7 +9,7 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.mjcf.contacts import Contacts, twin_body
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.scene.meshfile import has_texture
 from simfoundry.scene.model import (
     Background,

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss, number
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import Collider, Cylinder, Link, Mesh, Scene
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.meshfile import obj_bytes, texture_name
 from simfoundry.scene.model import Mesh
 

@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_round import search
 from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_box
-from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Box
 
 SMALLEST = 0.004

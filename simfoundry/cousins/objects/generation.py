@@ -23,10 +23,10 @@ from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Varia
 from simfoundry.cousins.objects.retrieval import USUAL
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.models.images import ImageEditor
 from simfoundry.models.meshes import MeshMaker
 from simfoundry.render.raycast import raycast
-from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
 from simfoundry.scene.summary import bounds

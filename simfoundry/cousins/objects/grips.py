@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.crossings import Span, bounds, crossings, solid
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.crossings import Span, bounds, crossings, solid
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
 

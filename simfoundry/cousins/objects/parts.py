@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.poses import pose
 from simfoundry.spec.asset import AssetSpec, Part
 from simfoundry.spec.base import (

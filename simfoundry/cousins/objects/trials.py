@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simfoundry.cousins.reasons import Reason
+from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.predicates import Judge
 from simfoundry.predicates.shapes import PredicateError
-from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.model import Box, Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState

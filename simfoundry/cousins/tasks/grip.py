@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.voxels import distances
-from simfoundry.scene.frames import Pose, quat_from_rpy
-from simfoundry.scene.hulls import hulls
+from simfoundry.geometry.cavity import distances
+from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.hulls import hulls
 from simfoundry.scene.model import SceneObject
 
 TURNS = 6

@@ -17,7 +17,7 @@ from simfoundry.frontends.drafts import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
 from simfoundry.frontends.pieces import rounded
-from simfoundry.scene.frames import rpy_from_quat
+from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
 from simfoundry.spec.task import TaskSpec
 

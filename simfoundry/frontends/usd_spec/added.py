@@ -14,7 +14,7 @@ from simfoundry.frontends.usd_spec.edits import pose_data
 from simfoundry.frontends.usd_spec.stage import factored
 from simfoundry.frontends.usd_spec.views import camera_pose, lens, light_place, light_type
 from simfoundry.frontends.usd_spec.words import Note, as_name, short, srgb
-from simfoundry.scene.frames import Array, Pose, quat_from_matrix
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 if TYPE_CHECKING:
     from pxr import Usd

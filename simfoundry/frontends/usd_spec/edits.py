@@ -14,7 +14,7 @@ from simfoundry.frontends.usd_spec.shapes import scaled
 from simfoundry.frontends.usd_spec.stage import Part, fallback, links_of
 from simfoundry.frontends.usd_spec.variants import edited_variants
 from simfoundry.frontends.usd_spec.words import Note, short, srgb
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.write import to_data

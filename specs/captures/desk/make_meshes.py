@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Mesh
 

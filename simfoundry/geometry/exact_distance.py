@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.predicates.batch import Index, Poses
 from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 
 LIFT = 0.001

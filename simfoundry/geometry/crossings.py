@@ -9,11 +9,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Geometry, SceneObject
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.tessellate import tessellate
 
 SEGMENTS = 32
 """Sides of round shapes."""

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, SceneObject, Sphere
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.lathe import lathe_mesh
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 Faces = NDArray[np.int32]

@@ -11,8 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from simfoundry.assets.convex import hull
-from simfoundry.scene.frames import Pose, frozen_array
-from simfoundry.scene.hulls import PROUD
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.hulls import PROUD
 from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
 from simfoundry.spec.place import Place

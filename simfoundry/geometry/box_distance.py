@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.shapes import Form
-from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Box
 
 ROUNDING = 1e-6

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.box_distance import BoxField, box_field
+from simfoundry.geometry.exact_distance import LIFT, Candidates, Exact
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.batch import Index, Poses, rotate
-from simfoundry.predicates.boxfield import BoxField, box_field
-from simfoundry.predicates.exact import LIFT, Candidates, Exact
 from simfoundry.predicates.shapes import Bodies, Form, Thing
 from simfoundry.predicates.thresholds import TOUCH
 from simfoundry.predicates.view import UP, View
-from simfoundry.scene.frames import Array
 
 FAR = 0.05
 """Distances beyond this [m] are bounds: no farther than the truth."""

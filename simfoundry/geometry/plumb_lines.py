@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.hulls import Index, hulls
 from simfoundry.predicates.batch import Poses, rotate
 from simfoundry.predicates.shapes import Form, Thing
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
-from simfoundry.scene.hulls import Index, hulls
 from simfoundry.scene.model import Box, Collider, SceneObject
 
 SEAM = 1e-6
