@@ -35,17 +35,16 @@ from simfoundry.backends.urdf import (
 )
 from simfoundry.backends.urdf_physics import silent_between
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.model import (
     Camera,
     Collider,
     Drive,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
     Mimic,
     Scene,
     SceneObject,

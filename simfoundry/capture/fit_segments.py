@@ -12,8 +12,8 @@ from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
 from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box
 from simfoundry.geometry.tessellate import tessellate
-from simfoundry.scene.model import Box
 
 Progress = Callable[[str, float], None]
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from simfoundry.geometry.cavity import Cavity
+from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.shapes import Form
 from simfoundry.predicates.thresholds import ENCLOSED
 
 TURNS = 240

@@ -24,7 +24,8 @@ from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.predicates.batch import Poses, StateBatch, rotations
+from simfoundry.geometry.poses import Poses, rotations
+from simfoundry.predicates.batch import StateBatch
 from simfoundry.spec.cousins import SceneAxis
 
 STARTS = 4

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.predicates.batch import rotations
+from simfoundry.geometry.poses import rotations
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Link, Scene, SceneObject
 

@@ -29,7 +29,6 @@ from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
-from simfoundry.geometry.crossings import solid
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
@@ -40,10 +39,10 @@ from simfoundry.runtime.files import staged, write_atomically, write_files
 from simfoundry.runtime.outputs import ensure_folder_replaceable
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.spec.robot import ROBOTS, RobotSpec
 from simfoundry.worlds import open_world

@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 
 from simfoundry.geometry.cavity import outside_part
+from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
-from simfoundry.predicates.shapes import Form
 
 TRIED = 512
 """Points that are tried in the box of each part."""

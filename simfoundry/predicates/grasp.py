@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.backends.robots import mujoco_model
-from simfoundry.geometry.distance import Distances
 from simfoundry.geometry.frames import Array
-from simfoundry.predicates.batch import Poses, StateBatch
+from simfoundry.geometry.poses import Poses
+from simfoundry.predicates.batch import StateBatch
+from simfoundry.predicates.distances import Distances
 from simfoundry.predicates.shapes import Bodies, Body, Thing
 from simfoundry.predicates.thresholds import PRESS, TOUCH
 from simfoundry.predicates.view import View

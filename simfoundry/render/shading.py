@@ -21,8 +21,9 @@ from simfoundry.geometry.ray_casts import (
     turned,
     unit,
 )
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.render.surface import Surface
-from simfoundry.scene.model import LightType, Mesh, Scene
+from simfoundry.scene.model import LightType, Scene
 
 SHADOW_BIAS = 2e-4
 """Something that is closer to a point than this along the light [m] is the point's own surface."""

@@ -19,17 +19,8 @@ from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Link,
-    Mesh,
-    Sphere,
-    Visual,
-)
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.spec.asset import Inertial, Part
 from simfoundry.spec.base import (
     Body,

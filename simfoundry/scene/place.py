@@ -14,11 +14,12 @@ from functools import lru_cache
 import numpy as np
 
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
-from simfoundry.geometry.hulls import Hulls, hulls
+from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.vertical_contact import heights
 from simfoundry.geometry.walls import hollow, surrounded
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.place import Place
 
 CLEARANCE = 1e-4

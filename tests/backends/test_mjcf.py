@@ -18,8 +18,9 @@ from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bounce import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.geometry.frames import IDENTITY
+from simfoundry.geometry.shapes import Cylinder, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Collider, Cylinder, Mesh, Scene, Sphere, Visual
+from simfoundry.scene.model import Collider, Scene, Visual
 from tests.mechanisms import mechanisms, rough
 from tests.scenes import all_scenes, box, cabinet, full_scene, pose, primitives_scene, scene_of, solid, textured_object
 

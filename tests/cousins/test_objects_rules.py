@@ -30,10 +30,11 @@ from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.frames import frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.predicates.shapes import Bodies
 from simfoundry.runtime.files import write_atomically
-from simfoundry.scene.model import Mesh, Scene
-from simfoundry.scene.summary import bounds
+from simfoundry.scene.model import Scene
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.base import Estimate, LatheShape
 from simfoundry.spec.cousins import Change
 from simfoundry.spec.load import load

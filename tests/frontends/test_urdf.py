@@ -11,8 +11,9 @@ import pytest
 from simfoundry.frontends.convert import Options, import_file
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Cylinder, JointType, Mesh
+from simfoundry.scene.model import JointType
 from tests.cli.command import run
 from tests.frontends.conftest import Importing
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from simfoundry.assets.convex import hull
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.hulls import PROUD
-from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
 from simfoundry.spec.place import Place
 from tests.placing import (

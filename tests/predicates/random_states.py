@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.poses import rotate, rotations
 from simfoundry.predicates import Poses, StateBatch
-from simfoundry.predicates.batch import rotate, rotations
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

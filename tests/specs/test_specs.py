@@ -12,8 +12,8 @@ import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.expressions import parse_call, texts
 from simfoundry.spec.format import format_file
 from simfoundry.spec.load import load

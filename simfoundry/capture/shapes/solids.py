@@ -6,8 +6,8 @@ import numpy as np
 
 from simfoundry.assets.lathe import ring_faces
 from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.geometry.tessellate import closed_mesh
-from simfoundry.scene.model import Mesh
 
 
 def loft_mesh(rings: Array) -> Mesh:

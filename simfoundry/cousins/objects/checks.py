@@ -15,9 +15,9 @@ from simfoundry.cousins.objects.stuff import Sort, sort_of
 from simfoundry.cousins.objects.trials import Outcome, moves, rests, stands
 from simfoundry.cousins.reasons import Reason
 from simfoundry.geometry.tessellate import tessellate
-from simfoundry.lint.report import length
+from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, SceneObject, Visual
-from simfoundry.scene.summary import bounds
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.expressions import Call
 from simfoundry.spec.plausible import HEAVIEST, LIGHTEST
 

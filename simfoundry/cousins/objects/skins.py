@@ -17,8 +17,8 @@ from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.cousins.objects.silhouettes import FLAT, LOW
 from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
 from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
 from simfoundry.spec.asset import AssetSpec, Part
 from simfoundry.spec.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 

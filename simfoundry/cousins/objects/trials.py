@@ -9,12 +9,13 @@ import numpy as np
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box
 from simfoundry.predicates import Judge
 from simfoundry.predicates.shapes import PredicateError
-from simfoundry.scene.model import Box, Collider, Link, Scene, SceneObject, Visual
+from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import bounds
 from simfoundry.spec.expressions import Call
 from simfoundry.spec.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld

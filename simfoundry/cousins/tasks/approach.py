@@ -101,7 +101,7 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 def _obstacles(setting: Setting, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
     """All other objects that are near enough to be in the way."""
     from simfoundry.cousins.tasks.trial import item_in
-    from simfoundry.geometry.hulls import hulls
+    from simfoundry.scene.object_shapes import hulls
 
     twin = setting.twin
     found = []

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.cavity import distances
 from simfoundry.geometry.frames import Pose, quat_from_rpy
-from simfoundry.geometry.hulls import hulls
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import hulls
 
 TURNS = 6
 """Ways in which fingers close, over half a turn."""

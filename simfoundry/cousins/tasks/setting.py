@@ -16,7 +16,7 @@ from simfoundry.cousins.tasks.approach import ABOVE, Approach, approaches
 from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.twin import Twin
 from simfoundry.geometry.frames import Array, Pose
-from simfoundry.lint.report import length
+from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.state import SceneState

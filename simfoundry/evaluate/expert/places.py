@@ -9,13 +9,14 @@ from itertools import islice
 
 import numpy as np
 
-from simfoundry.geometry.crossings import Solid, met, solid
+from simfoundry.geometry.crossings import Solid, met
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.geometry.hulls import Hulls, hulls
+from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.vertical_contact import heights
 from simfoundry.geometry.walls import DIRECTIONS, WALLED, hollow
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls, solid
 from simfoundry.scene.state import SceneState
 
 TURNS = 8
