@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
 
 Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ from simfoundry.cousins.twin import Twin, TwinError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.poses import Poses, rotations
 from simfoundry.predicates.batch import StateBatch
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
 """How often all things are placed anew where one finds no place."""

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.backends.robot_object import as_object
-from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.control import Controller, physics_steps
 from simfoundry.evaluate.expert.grasps import down, grasps
@@ -43,8 +43,8 @@ from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.robot import ROBOTS, RobotSpec
 from simfoundry.spec.project import Project, find_project, markers
-from simfoundry.spec.robot import ROBOTS, RobotSpec
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 from simfoundry.worlds.footing import center_of_mass

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.convex import hull
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere

@@ -17,10 +17,10 @@ from simfoundry.lint.views import unseen_of
 from simfoundry.lint.widths import grasp_width
 from simfoundry.scene.lengths import length, number
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.expressions import Call, parse_call, parts, texts
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.robot import RobotSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.task import TaskSpec
 
 CARRYING = ("Grasped", "Lifted", "OnTop", "Inside")
 """Predicates whose first argument a robot takes between its fingers; others may be had by pushing."""

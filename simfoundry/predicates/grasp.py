@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.backends.robots import mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
 from simfoundry.predicates.batch import StateBatch

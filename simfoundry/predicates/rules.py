@@ -19,7 +19,7 @@ from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
 from simfoundry.predicates.terms import Terms
 from simfoundry.predicates.view import UP, View, over
 from simfoundry.scene.lengths import length
-from simfoundry.spec.expressions import Call
+from simfoundry.spec.models.expressions import Call
 
 STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
 """The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""

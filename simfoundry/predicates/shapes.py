@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from simfoundry.backends.robot_object import RobotObject, as_object
-from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose

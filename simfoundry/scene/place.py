@@ -20,7 +20,7 @@ from simfoundry.geometry.walls import hollow, surrounded
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.object_shapes import hulls
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 
 CLEARANCE = 1e-4
 """How far above what carries it a thing is put [m], so that nothing interpenetrates."""

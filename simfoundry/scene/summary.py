@@ -9,8 +9,8 @@ from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds
-from simfoundry.spec.base import Estimate
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.base import Estimate
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from simfoundry.backends.artifact import Artifact
 from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker, say
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 SILENT_S = 900.0
 """More than a decomposition may take, during which a worker says nothing [s]."""

@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime import parallel as spreading
 from simfoundry.runtime.parallel import TRIAL, spread
+from simfoundry.spec.check.pages import page
+from simfoundry.spec.check.report import as_github, as_text
+from simfoundry.spec.check.report.model import FORMATS, Checked, Report, gather, renderer
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity
-from simfoundry.spec.pages import page
-from simfoundry.spec.report import as_github, as_text
-from simfoundry.spec.report.model import FORMATS, Checked, Report, gather, renderer
-from simfoundry.spec.text import Document, read
+from simfoundry.spec.yaml.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
 
@@ -436,8 +436,8 @@ UNNEEDED = (
     "rich",
     "multiprocessing",
     "concurrent.futures",
-    "simfoundry.spec.pages",
-    *(f"simfoundry.spec.report.as_{form}" for form in ("json", "sarif", "github")),
+    "simfoundry.spec.check.pages",
+    *(f"simfoundry.spec.check.report.as_{form}" for form in ("json", "sarif", "github")),
 )
 
 

@@ -35,10 +35,10 @@ from simfoundry.predicates.shapes import Bodies
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import Scene
 from simfoundry.scene.object_shapes import bounds
-from simfoundry.spec.base import Estimate, LatheShape
-from simfoundry.spec.cousins import Change
 from simfoundry.spec.load import load
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import Estimate, LatheShape
+from simfoundry.spec.models.cousins import Change
+from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 
 ASSETS = REPOSITORY / "specs" / "assets"

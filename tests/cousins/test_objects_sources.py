@@ -28,8 +28,8 @@ from simfoundry.geometry.tessellate import tessellate
 from simfoundry.models.web import ModelError
 from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.object_shapes import bounds
-from simfoundry.spec.base import Material
-from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.cousins import ObjectVariants
 from tests.cousins.test_objects_rules import ASSETS, item
 
 T = TypeVar("T", bound=BaseModel)

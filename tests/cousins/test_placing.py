@@ -22,7 +22,7 @@ from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry
 from simfoundry.scene.model import Collider, Link, SceneObject
 from simfoundry.scene.object_shapes import hulls
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 from tests.cousins.conftest import twin_of
 
 sizes = st.floats(0.01, 0.3)

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from simfoundry.spec.expressions import PREDICATES
-from simfoundry.spec.kinds import is_document
-from simfoundry.spec.reference import EXAMPLES
-from simfoundry.spec.robot import ROBOTS
+from simfoundry.spec.editor.reference import EXAMPLES
+from simfoundry.spec.models.expressions import PREDICATES
+from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.models.robot import ROBOTS
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 

@@ -12,7 +12,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.object_shapes import bounds, world_bounds
 from simfoundry.scene.summary import summary, tree
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from tests.tabletop import box, one, rgba
 
 SCENE = """\

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import BoxShape, Model, Pose
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.text import parse
-from simfoundry.spec.validate import validate
-from simfoundry.spec.write import number, to_data, to_yaml
+from simfoundry.spec.check.validate import validate
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import BoxShape, Model, Pose
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.write import number, to_data, to_yaml
 from tests.spec.strategies import ASSETS, SCENES, TEXTS
 
 

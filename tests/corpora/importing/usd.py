@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.convert import Report
+from simfoundry.frontends.importer import Report
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene
