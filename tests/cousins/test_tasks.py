@@ -21,8 +21,8 @@ from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.cousins.tasks.written import checked, write
 from simfoundry.errors import MissingEngineError
+from simfoundry.geometry.frames import Pose
 from simfoundry.lint.run import lint
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.cousins import TaskAxis

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.crossings import Span, bounds, crossings, solid
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.crossings import Span, bounds, crossings
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 
 YAWS = 12

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.voxels import distances
-from simfoundry.scene.frames import Pose, quat_from_rpy
-from simfoundry.scene.hulls import hulls
+from simfoundry.geometry.cavity import distances
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import hulls
 
 TURNS = 6
 """Ways in which fingers close, over half a turn."""

@@ -15,8 +15,8 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.approach import ABOVE, Approach, approaches
 from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.twin import Twin
-from simfoundry.lint.report import length
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.state import SceneState
