@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.scene.crossings import TOGETHER, Solid, bounds, face_normal, part_spans
+from simfoundry.geometry.crossings import TOGETHER, Solid, bounds, face_normal, part_spans
 
 DIRECTIONS = 12
 """Closing directions over half a turn, every 15 degrees from the one that most of the side faces look along: boxes and

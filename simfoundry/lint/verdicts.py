@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece
 from simfoundry.lint.frames import Vec
-from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.things import Thing, bounds, extent, is_even, landing, middle
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 FAR_OFF = 0.03

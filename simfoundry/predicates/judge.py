@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.batch import StateBatch
 from simfoundry.predicates.rules import RULES, Context
 from simfoundry.predicates.shapes import Bodies, PredicateError
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import parse_call, parts

@@ -20,10 +20,10 @@ from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.cousins.tasks.written import checked, write
 from simfoundry.errors import MissingEngineError
+from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.lint.run import lint
-from simfoundry.scene.crossings import solid
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.cousins import TaskAxis

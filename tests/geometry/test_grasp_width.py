@@ -9,8 +9,8 @@ import pytest
 
 from simfoundry.cousins.objects.item import lowered
 from simfoundry.geometry.grasp_width import grasp_width
-from simfoundry.scene.crossings import solid
 from simfoundry.scene.lower import lower_file
+from simfoundry.scene.object_shapes import solid
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.asset import AssetSpec
 from tests.conftest import REPOSITORY

@@ -14,11 +14,10 @@ from simfoundry.cousins.objects.stuff import Sort, sort_of
 from simfoundry.cousins.objects.trials import Outcome, moves, rests, stands
 from simfoundry.cousins.reasons import Reason
 from simfoundry.geometry.grasp_width import grasp_width
-from simfoundry.lint.report import length
-from simfoundry.scene.crossings import solid
+from simfoundry.geometry.tessellate import tessellate
+from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, SceneObject, Visual
-from simfoundry.scene.summary import bounds
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.object_shapes import bounds, solid
 from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
 from simfoundry.spec.models.expressions import Call
 

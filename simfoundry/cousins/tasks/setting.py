@@ -14,12 +14,12 @@ import numpy as np
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.approach import ABOVE, Approach, approaches
 from simfoundry.cousins.twin import Twin
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.grasp_width import grasp_width
-from simfoundry.lint.report import length
-from simfoundry.scene.crossings import solid
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec

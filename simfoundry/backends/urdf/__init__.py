@@ -19,28 +19,15 @@ from weakref import WeakKeyDictionary
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.names import check_names
-from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, robot_urdf
-from simfoundry.backends.robot_words import robot_words
+from simfoundry.backends.robot_models.robot_fields import robot_words
+from simfoundry.backends.robot_models.robot_urdf import ROBOT, RobotUrdf, robot_urdf
 from simfoundry.backends.surroundings import splat_losses, variant_losses
-from simfoundry.backends.urdf_physics import physics_manifest
+from simfoundry.backends.urdf.physics import physics_manifest
 from simfoundry.backends.xmltext import DECLARATION, xml_text
-from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
-from simfoundry.scene.model import (
-    Background,
-    Box,
-    Capsule,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
 
@@ -78,7 +65,7 @@ Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
-_TEMPLATES = Path(__file__).parent / "templates"
+_TEMPLATES = Path(__file__).parents[1] / "templates"
 _LOADERS = {"load.py": "urdf_load.py"} | {
     f"load_{simulator}.py": f"{simulator}_load.py" for simulator in ("drake", "genesis", "sapien")
 }

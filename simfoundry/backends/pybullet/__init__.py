@@ -16,12 +16,12 @@ import numpy as np
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, rounded
 from simfoundry.backends.features import Cell, approximated, dropped, exact
-from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.names import check_names
-from simfoundry.backends.resistance import Resistance, resistance
-from simfoundry.backends.robot_urdf import ROBOT, RobotUrdf, Write, robot_urdf
-from simfoundry.backends.rotors import with_rotors
-from simfoundry.backends.stiffness import stable_drives, stiffness_losses
+from simfoundry.backends.pybullet.inset import inset_hull
+from simfoundry.backends.pybullet.resistance import Resistance, resistance
+from simfoundry.backends.pybullet.rotors import with_rotors
+from simfoundry.backends.robot_models.robot_urdf import ROBOT, RobotUrdf, Write, robot_urdf
+from simfoundry.backends.stable_drives import stable_drives, stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf import (
     Dialect,
@@ -33,19 +33,18 @@ from simfoundry.backends.urdf import (
     urdf_files,
     whole,
 )
-from simfoundry.backends.urdf_physics import silent_between
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.backends.urdf.physics import silent_between
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.model import (
     Camera,
     Collider,
     Drive,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
     Mimic,
     Scene,
     SceneObject,
@@ -112,7 +111,7 @@ NEAR, FAR = 0.01, 100.0
 SKIN = 1e-3
 """Thickness of the skin around a convex mesh that is loaded from URDF [m]."""
 
-_LOADER = Path(__file__).parent / "templates" / "pybullet_load.py"
+_LOADER = Path(__file__).parents[1] / "templates" / "pybullet_load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Geometry, SceneObject
-from simfoundry.scene.state import SceneState
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
 
 SEGMENTS = 32
 """Sides of round shapes."""
@@ -60,41 +58,23 @@ class Span:
         return self.end - self.start
 
 
-_planes: WeakKeyDictionary[object, tuple[Array, Array, Array]] = WeakKeyDictionary()
-
-
-def solid(
-    item: SceneObject,
-    state: SceneState | None = None,
-    links: Iterable[str] | None = None,
-    keep: Callable[[Array], bool] = lambda corners: True,
-) -> Solid:
-    """The colliders of an object, or of some of its links, in a state; those whose corners [m] are to ``keep``.
-
-    Without a state it stands where its scene has it.
-    """
-    chosen = None if links is None else set(links)
-    X_OL = link_poses(item) if state is None else link_poses(item, state.of_object(item))
-    X_WO = item.X_WO if state is None else state.poses[item.name]
+def solid_of(shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True) -> Solid:
+    """The half-spaces of posed shapes; of those whose corners [m] are to ``keep``."""
     normals, offsets, corners = [], [], []
-    for link in item.links:
-        if chosen is not None and link.name not in chosen:
+    for geometry, X_WG in shapes:
+        n, d, c = _half_spaces(geometry)
+        placed = X_WG.apply(c)
+        if not keep(placed):
             continue
-        for piece in link.colliders:
-            if piece not in _planes:
-                _planes[piece] = _half_spaces(piece.geometry)
-            n, d, c = _planes[piece]
-            X_WG = X_WO @ X_OL[link.name] @ piece.X_LG
-            if not keep(X_WG.apply(c)):
-                continue
-            normals.append(n @ X_WG.rotation.T)
-            offsets.append(d + normals[-1] @ X_WG.p)
-            corners.append(X_WG.apply(c))
+        normals.append(n @ X_WG.rotation.T)
+        offsets.append(d + normals[-1] @ X_WG.p)
+        corners.append(placed)
     first = np.cumsum([0, *(len(n) for n in normals[:-1])])
     owner = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
     return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners), owner)
 
 
+@lru_cache(maxsize=4096)
 def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
     """Outward normals, offsets and corners of a convex geometry in its own frame, from the faces of its surface."""
     surface = tessellate(geometry, SEGMENTS)

@@ -16,11 +16,11 @@ import json
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
-from simfoundry.backends.mjcf.bounce import CRITICAL_REBOUND
 from simfoundry.backends.mjcf.contacts import Contacts
+from simfoundry.backends.mjcf.restitution import CRITICAL_REBOUND
 from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.backends.robot_words import robot_words
-from simfoundry.backends.robots import mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
+from simfoundry.backends.robot_models.robot_fields import robot_words
 from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
 
 MARK = "simfoundry:scene"
