@@ -20,8 +20,7 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models import base
-from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.models.asset import Drive as DriveSpec
+from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec
 from simfoundry.spec.models.positions import Written, position
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_names, variant_of
@@ -62,7 +61,7 @@ class ObjectLowering:
             self.findings.append(source.finding(error.code, path, str(error), error.hint))
 
     def _builder(
-        self, owner: str, name: str, body: base.Body, materials: dict[str, base.Material], weighed: bool
+        self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
         """A builder of a link of the object ``owner``, which reports what takes long."""
 
@@ -182,7 +181,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         friction=spec.friction,
         armature=spec.armature,
         position=position,
-        motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
+        motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
         closed=spec.closed,
