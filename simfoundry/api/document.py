@@ -7,20 +7,20 @@ from typing import Any, ClassVar, Self
 
 from pydantic import TypeAdapter, ValidationError
 
-from simfoundry.api.entries import DataPath, Entry, UnknownNameError, field_type, to_plain
+from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.spec.base import DocumentSpec, Model
-from simfoundry.spec.data import to_data
+from simfoundry.spec.change.diff.renames import Rename, copied, renamed
+from simfoundry.spec.change.edit_text import ABSENT, edit_text, own_data
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
-from simfoundry.spec.diff.renames import Rename, copied, renamed
-from simfoundry.spec.edit_text import ABSENT, edit_text, own_data
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.types import models_at
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.data import to_data
+from simfoundry.spec.models.types import models_at
+from simfoundry.spec.yaml.write import to_yaml
 
 
-class Document(Entry):
+class EditableDocument(DocumentEntry):
     """A document of one kind. Its values are edited in place; nothing reaches the disk before :meth:`save`.
 
     Edits are kept as data beside the text. Whatever reads the document (``check``, ``lower``, ``save``) sees the edited
@@ -55,7 +55,7 @@ class Document(Entry):
         """The text of the document with the edits in it."""
         if self._data == self._before:
             return self._source
-        from simfoundry.spec.text import parse, read
+        from simfoundry.spec.yaml.text import parse, read
 
         base: Any = ABSENT
         if self._loaded.bases:
@@ -67,7 +67,7 @@ class Document(Entry):
     @property
     def changes(self) -> list[str]:
         """The edits since the document was loaded or saved, in words: ``mug mass 0.31 → 0.3 kg``."""
-        from simfoundry.spec.diff.words import describe, text
+        from simfoundry.spec.change.diff.words import describe, text
 
         return text(describe(self._before, self._data, self._model))
 
@@ -142,7 +142,7 @@ class Document(Entry):
 
     def _files(self) -> list[str]:
         """Return the files that the document names relative to its folder."""
-        from simfoundry.spec.types import file_patterns
+        from simfoundry.spec.models.types import file_patterns
 
         found: list[str] = []
         for pattern in file_patterns(self._model):

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeV
 from pydantic import TypeAdapter
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.base import Model
-from simfoundry.spec.data import to_data
+from simfoundry.spec.change.diff.renames import copied
+from simfoundry.spec.change.edit_text import ABSENT
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.diff.renames import copied
-from simfoundry.spec.edit_text import ABSENT
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.data import to_data
 
 if TYPE_CHECKING:
-    from simfoundry.api.document import Document
+    from simfoundry.api.document import EditableDocument
 
 Got = TypeVar("Got")
 Given = TypeVar("Given", contravariant=True)
@@ -32,14 +32,14 @@ class UnknownNameError(SimfoundryError, KeyError):
         return str(self.args[0])
 
 
-class Entry:
+class DocumentEntry:
     """An entry of a document, as one object or one material. It holds no values: it reads and writes the document."""
 
     _model: ClassVar[type[Model]]
-    _document: Document
+    _document: EditableDocument
     _at: DataPath
 
-    def __init__(self, document: Document, path: DataPath) -> None:
+    def __init__(self, document: EditableDocument, path: DataPath) -> None:
         object.__setattr__(self, "_document", document)
         object.__setattr__(self, "_at", path)
 
@@ -75,7 +75,7 @@ class Entry:
             super().__setattr__(name, value)
 
 
-class Field(Generic[Got, Given]):
+class ValueField(Generic[Got, Given]):
     """A field of an entry: what is written, else its default; None and ``del`` remove what is written."""
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -84,8 +84,8 @@ class Field(Generic[Got, Given]):
     @overload
     def __get__(self, entry: None, owner: type) -> Self: ...
     @overload
-    def __get__(self, entry: Entry, owner: type) -> Got: ...
-    def __get__(self, entry: Entry | None, owner: type) -> Self | Got:
+    def __get__(self, entry: DocumentEntry, owner: type) -> Got: ...
+    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | Got:
         """Return the value, typed as its model has it."""
         if entry is None:
             return self
@@ -97,19 +97,19 @@ class Field(Generic[Got, Given]):
         typed: Got = TypeAdapter(field_type(entry._model, self.name)).validate_python(value, strict=True)
         return typed
 
-    def __set__(self, entry: Entry, value: Given) -> None:
+    def __set__(self, entry: DocumentEntry, value: Given) -> None:
         """Write a value; raises :class:`SpecError` if it is none that may stand here."""
         entry.update({self.name: value})
 
-    def __delete__(self, entry: Entry) -> None:
+    def __delete__(self, entry: DocumentEntry) -> None:
         """Remove what is written."""
         entry.update({self.name: None})
 
 
-E = TypeVar("E", bound=Entry)
+E = TypeVar("E", bound=DocumentEntry)
 
 
-class Part(Generic[E]):
+class EntryField(Generic[E]):
     """A field that is an entry itself, as a pose: its own fields can be set one by one, or all by a mapping."""
 
     def __init__(self, kind: type[E]) -> None:
@@ -121,24 +121,24 @@ class Part(Generic[E]):
     @overload
     def __get__(self, entry: None, owner: type) -> Self: ...
     @overload
-    def __get__(self, entry: Entry, owner: type) -> E: ...
-    def __get__(self, entry: Entry | None, owner: type) -> Self | E:
+    def __get__(self, entry: DocumentEntry, owner: type) -> E: ...
+    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | E:
         """Return the entry."""
         return self if entry is None else self.kind(entry._document, (*entry._at, self.name))
 
-    def __set__(self, entry: Entry, value: E | Model | Mapping[str, object] | None) -> None:
+    def __set__(self, entry: DocumentEntry, value: E | Model | Mapping[str, object] | None) -> None:
         """Replace the whole entry."""
         entry.update({self.name: value})
 
-    def __delete__(self, entry: Entry) -> None:
+    def __delete__(self, entry: DocumentEntry) -> None:
         """Remove the entry."""
         entry.update({self.name: None})
 
 
-class Members(MutableMapping[str, E]):
+class EntryMapping(MutableMapping[str, E]):
     """The members of a section by name, as ``scene.objects``."""
 
-    def __init__(self, document: Document, path: DataPath, kind: type[E]) -> None:
+    def __init__(self, document: EditableDocument, path: DataPath, kind: type[E]) -> None:
         self._document, self._at, self._kind = document, path, kind
 
     def __getitem__(self, name: str) -> E:
@@ -195,10 +195,10 @@ class Members(MutableMapping[str, E]):
         return f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, self._names())}"
 
 
-class Expressions(MutableSequence[str]):
+class ExpressionList(MutableSequence[str]):
     """A list of expressions that is edited in place, as ``scene.relations``."""
 
-    def __init__(self, document: Document, path: DataPath) -> None:
+    def __init__(self, document: EditableDocument, path: DataPath) -> None:
         self._document, self._at = document, path
 
     @overload

@@ -19,10 +19,10 @@ def load_scene_document(path: Path) -> SceneDocument:
 
 
 def _imported(path: Path) -> SceneDocument:
-    from simfoundry.frontends.convert import import_file
+    from simfoundry.frontends.importer import import_file
 
     if path.suffix.lower().startswith(".usd"):
-        from simfoundry.frontends.usd_spec import load_usd
+        from simfoundry.frontends.usd.compiled import load_usd
 
         loaded = load_usd(path, {})  # a stage that was compiled from a document carries it
         if loaded.spec is not None:

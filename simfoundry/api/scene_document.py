@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.api.document import Document
-from simfoundry.api.entries import Entry, Expressions, Field, Members, Part
-from simfoundry.spec import base, place, robot, scene
+from simfoundry.api.document import EditableDocument
+from simfoundry.api.entries import DocumentEntry, EntryField, EntryMapping, ExpressionList, ValueField
+from simfoundry.spec.models import base, place, robot, scene
 
 if TYPE_CHECKING:
     import mujoco
@@ -28,37 +28,37 @@ ShapeSpec = (
 Values = Mapping[str, object]
 """Fields as they stand in the YAML: ``{"box": [0.1, 0.1, 0.1]}``."""
 
-Text = Field[str | None, str | None]
-Names = Field[tuple[str, ...], Sequence[str] | None]
-Number = Field[float, float | None]
-OptionalNumber = Field[float | None, float | None]
-Flag = Field[bool, bool | None]
-Quantity = Field[float | base.Estimate | None, float | base.Estimate | Values | None]
-Position = Field[Vector, Sequence[float] | None]
-Color = Field[tuple[float, ...] | None, Sequence[float] | None]
-Origin = Field[base.Origin | None, base.Origin | Values | None]
+Text = ValueField[str | None, str | None]
+Names = ValueField[tuple[str, ...], Sequence[str] | None]
+Number = ValueField[float, float | None]
+OptionalNumber = ValueField[float | None, float | None]
+Flag = ValueField[bool, bool | None]
+Quantity = ValueField[float | base.Estimate | None, float | base.Estimate | Values | None]
+Position = ValueField[Vector, Sequence[float] | None]
+Color = ValueField[tuple[float, ...] | None, Sequence[float] | None]
+Origin = ValueField[base.Origin | None, base.Origin | Values | None]
 
 
-class PoseEntry(Entry):
+class PoseEntry(DocumentEntry):
     """A pose in its parent: position [m], and a rotation in at most one of three ways."""
 
-    _model = base.Pose
+    _model = base.PoseSpec
     xyz = Position()
     yaw_deg = OptionalNumber()
-    rpy_deg = Field[Vector | None, Sequence[float] | None]()
-    quat_wxyz = Field[Quaternion | None, Sequence[float] | None]()
+    rpy_deg = ValueField[Vector | None, Sequence[float] | None]()
+    quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
 
 
-class CameraPoseEntry(Entry):
+class CameraPoseEntry(DocumentEntry):
     """The pose of a camera: position [m], with a point to look at or a rotation."""
 
     _model = base.CameraPose
     xyz = Position()
-    look_at = Field[Vector | None, Sequence[float] | None]()
-    quat_wxyz = Field[Quaternion | None, Sequence[float] | None]()
+    look_at = ValueField[Vector | None, Sequence[float] | None]()
+    quat_wxyz = ValueField[Quaternion | None, Sequence[float] | None]()
 
 
-class MaterialEntry(Entry):
+class MaterialEntry(DocumentEntry):
     """A material: density [kg/m^3], friction coefficients, restitution and colour."""
 
     _model = base.Material
@@ -70,14 +70,14 @@ class MaterialEntry(Entry):
     color = Color()
 
 
-class ObjectEntry(Entry):
+class ObjectEntry(DocumentEntry):
     """An object: its shape or asset, mass [kg] or density [kg/m^3], surface, and where it is."""
 
     _model = scene.ObjectSpec
     category = Text()
     labels = Names()
     fixed = Flag()
-    shape = Field[ShapeSpec | None, ShapeSpec | Values | None]()
+    shape = ValueField[ShapeSpec | None, ShapeSpec | Values | None]()
     asset = Text()
     scale = Number()
     visual = Text()
@@ -87,98 +87,98 @@ class ObjectEntry(Entry):
     density = Quantity()
     friction = OptionalNumber()
     restitution = OptionalNumber()
-    collision = Field[str, base.Collision | None]()
-    solid = Field[str, base.Solid | None]()
-    pose = Part(PoseEntry)
-    place = Field[place.Place | None, place.Place | Values | None]()
-    joints = Field[Mapping[str, object], Values | None]()
+    collision = ValueField[str, base.Collision | None]()
+    solid = ValueField[str, base.Solid | None]()
+    pose = EntryField(PoseEntry)
+    place = ValueField[place.Place | None, place.Place | Values | None]()
+    joints = ValueField[Mapping[str, object], Values | None]()
     variant = Text()
-    variants = Field[Mapping[str, scene.VariantSpec], Values | None]()
+    variants = ValueField[Mapping[str, scene.VariantSpec], Values | None]()
     origin = Origin()
 
 
-class RobotEntry(Entry):
+class RobotEntry(DocumentEntry):
     """A robot: its model, where its base is, and its posture."""
 
     _model = robot.RobotSpec
-    model = Field[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
-    pose = Part(PoseEntry)
-    joints = Field[str | Mapping[str, float], str | Mapping[str, float] | None]()
+    model = ValueField[str | robot.RobotFiles, str | robot.RobotFiles | Values]()
+    pose = EntryField(PoseEntry)
+    joints = ValueField[str | Mapping[str, float], str | Mapping[str, float] | None]()
     reach = OptionalNumber()
     opening = OptionalNumber()
 
 
-class CameraEntry(Entry):
+class CameraEntry(DocumentEntry):
     """A pinhole camera: size [px], focal lengths [px], principal point [px], pose."""
 
     _model = scene.CameraSpec
-    size = Field[tuple[int, int], Sequence[int]]()
+    size = ValueField[tuple[int, int], Sequence[int]]()
     fx = Number()
     fy = Number()
     cx = OptionalNumber()
     cy = OptionalNumber()
-    pose = Part(CameraPoseEntry)
+    pose = EntryField(CameraPoseEntry)
     mount = Text()
 
 
-class LightEntry(Entry):
+class LightEntry(DocumentEntry):
     """A light: distant, point or dome."""
 
     _model = scene.LightSpec
-    type = Field[str, str]()
+    type = ValueField[str, str]()
     intensity = Number()
     color = Color()
     direction = Position()
     xyz = Position()
 
 
-class SceneDocument(Document):
+class SceneDocument(EditableDocument):
     """A scene document: ``scene.objects["mug"].mass = 0.3``, then ``scene.save()``."""
 
     _model, _kind = scene.SceneSpec, "scene/1"
 
-    name = Field[str, str]()
+    name = ValueField[str, str]()
     description = Text()
     viewpoint = Text()
     gravity = Position()
-    background = Field[scene.Background | None, scene.Background | Values | None]()
-    no_contact = Field[tuple[tuple[str, str], ...], Sequence[Sequence[str]] | None]()
-    allow = Field[Mapping[str, object], Values | None]()
+    background = ValueField[scene.BackgroundSpec | None, scene.BackgroundSpec | Values | None]()
+    no_contact = ValueField[tuple[tuple[str, str], ...], Sequence[Sequence[str]] | None]()
+    allow = ValueField[Mapping[str, object], Values | None]()
     origin = Origin()
 
     @property
-    def objects(self) -> Members[ObjectEntry]:
+    def objects(self) -> EntryMapping[ObjectEntry]:
         """The objects by name."""
-        return Members(self, ("objects",), ObjectEntry)
+        return EntryMapping(self, ("objects",), ObjectEntry)
 
     @property
-    def materials(self) -> Members[MaterialEntry]:
+    def materials(self) -> EntryMapping[MaterialEntry]:
         """The materials by name."""
-        return Members(self, ("materials",), MaterialEntry)
+        return EntryMapping(self, ("materials",), MaterialEntry)
 
     @property
-    def robots(self) -> Members[RobotEntry]:
+    def robots(self) -> EntryMapping[RobotEntry]:
         """The robots by name."""
-        return Members(self, ("robots",), RobotEntry)
+        return EntryMapping(self, ("robots",), RobotEntry)
 
     @property
-    def cameras(self) -> Members[CameraEntry]:
+    def cameras(self) -> EntryMapping[CameraEntry]:
         """The cameras by name."""
-        return Members(self, ("cameras",), CameraEntry)
+        return EntryMapping(self, ("cameras",), CameraEntry)
 
     @property
-    def lights(self) -> Members[LightEntry]:
+    def lights(self) -> EntryMapping[LightEntry]:
         """The lights by name."""
-        return Members(self, ("lights",), LightEntry)
+        return EntryMapping(self, ("lights",), LightEntry)
 
     @property
-    def relations(self) -> Expressions:
+    def relations(self) -> ExpressionList:
         """What should hold, as ``OnTop(cup, desk)``: a list that is edited in place."""
-        return Expressions(self, ("relations",))
+        return ExpressionList(self, ("relations",))
 
     @relations.setter
     def relations(self, texts: Sequence[str]) -> None:
-        Expressions(self, ("relations",))[:] = list(texts)
+        ExpressionList(self, ("relations",))[:] = list(texts)
 
     def lower(self) -> Scene:
         """Return the scene with everything resolved; raises :class:`SpecError` with every finding."""

@@ -9,12 +9,12 @@ from simfoundry.capture.annotate import SUPPORT, Substance, kind_of
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support import Thickness
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.poses import pose_spec
-from simfoundry.scene.tessellate import tessellate
-from simfoundry.spec.base import (
+from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,
     CylinderShape,
@@ -23,14 +23,14 @@ from simfoundry.spec.base import (
     LatheShape,
     Material,
     Origin,
+    PoseSpec,
     Prism,
     PrismShape,
     Round,
     Shape,
     SphereShape,
 )
-from simfoundry.spec.base import Pose as PoseSpec
-from simfoundry.spec.scene import CameraSpec, ObjectSpec
+from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 SUPPORT_NAME = "table"
 

@@ -24,12 +24,12 @@ from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.load import load_capture, load_scene
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import Settled, settle

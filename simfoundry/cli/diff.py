@@ -11,7 +11,7 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_opt
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.review.compare import Comparison
+    from simfoundry.spec.change.compare import DocumentComparison
 
 
 @click.command()
@@ -36,7 +36,7 @@ def command(
         return _driver(what)
     import tempfile
 
-    from simfoundry.review.arguments import open_pair, pairs
+    from simfoundry.spec.change.git.arguments import open_pair, pairs
 
     if (form == "html") != (out is not None):
         raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
@@ -65,14 +65,14 @@ def command(
 
 
 def _driver(arguments: tuple[str, ...]) -> int:
-    from simfoundry.review.driver import driver_lines
+    from simfoundry.spec.change.git.driver import driver_lines
 
     for line in driver_lines(arguments, Path.cwd()):
         click.echo(printable(line))
     return DONE
 
 
-def _print(found: list[Comparison]) -> None:
+def _print(found: list[DocumentComparison]) -> None:
     for comparison in found:
         if len(found) > 1:
             click.echo(printable(comparison.name))
@@ -82,7 +82,7 @@ def _print(found: list[Comparison]) -> None:
         click.echo("no document differs")
 
 
-def _print_findings(found: list[Comparison]) -> None:
+def _print_findings(found: list[DocumentComparison]) -> None:
     from simfoundry.spec.diagnostics import render
 
     findings = [d for c in found for d in c.findings]
@@ -91,12 +91,12 @@ def _print_findings(found: list[Comparison]) -> None:
         click.echo(render(findings, texts=texts), err=True)
 
 
-def plain(comparison: Comparison) -> dict[str, Any]:
+def plain(comparison: DocumentComparison) -> dict[str, Any]:
     """What changed as plain data."""
     from dataclasses import asdict
 
-    from simfoundry.spec.diff.changes import to_json
-    from simfoundry.spec.diff.words import summary
+    from simfoundry.spec.change.diff.changes import to_json
+    from simfoundry.spec.change.diff.words import summary
 
     return {
         "name": comparison.name,

@@ -26,8 +26,8 @@ def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json:
     """
     from simfoundry.runtime.files import write_atomically
     from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.spec.change.flatten import digest, flatten
     from simfoundry.spec.diagnostics import SpecError
-    from simfoundry.spec.flatten import digest, flatten
     from simfoundry.spec.load import load
 
     loaded = load(file)

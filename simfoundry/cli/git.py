@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
-from simfoundry.spec.kinds import KINDS, suffix
+from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
 PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")

@@ -41,7 +41,7 @@ def command(
     they are written into .simfoundry/schemas/.
     """
     from simfoundry.runtime.files import write_atomically
-    from simfoundry.spec.new import NewError, kind_and_path, make
+    from simfoundry.spec.editor.new import NewError, kind_and_path, make
 
     try:
         kind, path = kind_and_path(words)

@@ -30,7 +30,7 @@ def command(scene: Path, camera: str | None, out: Path | None, engine: str, forc
     from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.render import choose_engine, render
 
     loaded = load_scene(scene)

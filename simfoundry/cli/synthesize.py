@@ -27,7 +27,7 @@ def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, 
     from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)

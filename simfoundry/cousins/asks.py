@@ -15,14 +15,14 @@ from simfoundry.cousins.sides import DROPPED, SIDES, sets_of, side_axis
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Thing
 from simfoundry.cousins.twin import Twin
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
 from simfoundry.predicates.thresholds import ENCLOSED
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
 from simfoundry.scene.place import CLEARANCE
-from simfoundry.spec.cousins import SceneAxis
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.expressions import parse_call, texts
+from simfoundry.spec.models.cousins import SceneAxis
+from simfoundry.spec.models.expressions import parse_call, texts
 
 DOUBTED = 2
 """What may fit with a part of it only is dropped so many times as often as a candidate does before it is refused: what
@@ -197,8 +197,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     """Whether most of a thing is outside of the cavity, however it is turned."""
     from simfoundry.cousins.drops import DROPS
     from simfoundry.cousins.fit import SURE, cavity_extents, largest_share
+    from simfoundry.geometry.cavity import cavity
     from simfoundry.predicates.shapes import Bodies
-    from simfoundry.predicates.voxels import cavity
 
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]

@@ -19,7 +19,7 @@ from simfoundry.runtime.files import write_atomically
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 PAGE = "gallery.html"
 PICTURES = "pictures"
@@ -70,7 +70,7 @@ def draw(file: Path) -> bytes | None:
     from simfoundry.render.montage import png_bytes
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.render import render
 
     loaded = load_scene(file)

@@ -23,9 +23,10 @@ from simfoundry.cousins.sides import DROPPED
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
-from simfoundry.predicates.batch import Poses, StateBatch, rotations
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.poses import Poses, rotations
+from simfoundry.predicates.batch import StateBatch
+from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
 """How often all things are placed anew where one finds no place."""

@@ -17,12 +17,12 @@ from simfoundry.cousins.log import Reader
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
-from simfoundry.spec import base
-from simfoundry.spec.text import parse
+from simfoundry.spec.models import base
+from simfoundry.spec.yaml.text import parse
 
 SET, TWIN = "cousin", "twin"
 """The variant set, and its variant that is the twin."""
@@ -94,9 +94,9 @@ def _whole(plan: Plan, recipe: Recipe, added: Objects, others: Mapping[str, Mapp
     from simfoundry.cousins.overlay import relative
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.spec.tree import plain_tree
-    from simfoundry.spec.write import write_tree
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.spec.yaml.tree import plain_tree
+    from simfoundry.spec.yaml.write import write_tree
 
     data: dict[str, Any] = {
         "simfoundry": "scene/1",
@@ -127,7 +127,7 @@ def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str,
     for thing, data in objects.items():
         chosen = _variant(data["asset"]) if "asset" in data and thing not in added else ""
         choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
-        X_WO = pose(base.Pose(**data["pose"])) if "pose" in data else home[thing]
+        X_WO = pose(base.PoseSpec(**data["pose"])) if "pose" in data else home[thing]
         lines += [f'                over "{thing}"{choice}', "                {", *_placed(X_WO), "                }"]
     return "\n".join([*lines, "            }", "        }", ""])
 

@@ -20,16 +20,18 @@ from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.shapes import Cylinder
 from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
-from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Collider, Cylinder, Joint, Link, Scene, SceneObject
+from simfoundry.scene.model import Collider, Joint, Link, Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.touching import weld_groups
-from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Condition, parse_call, texts
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle

@@ -8,8 +8,8 @@ from simfoundry.lint.report import warning
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.verdicts import verdict
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.expressions import parse_call
 
 OF_ROBOTS = ("Grasped", "Lifted", "Released")
 """Predicates about what robots do: a scene may well start with a thing in a gripper."""

@@ -9,17 +9,18 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from simfoundry.lint.frames import frame_of
-from simfoundry.lint.report import Path_, length, number, warning
+from simfoundry.lint.report import Path_, warning
 from simfoundry.lint.sketch import Changes, Sketch, sketch
 from simfoundry.lint.things import Thing
 from simfoundry.lint.verdicts import judge, verdict
 from simfoundry.lint.views import unseen_of
 from simfoundry.lint.widths import grasp_width
+from simfoundry.scene.lengths import length, number
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.expressions import Call, parse_call, parts, texts
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.robot import RobotSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.task import TaskSpec
 
 CARRYING = ("Grasped", "Lifted", "OnTop", "Inside")
 """Predicates whose first argument a robot takes between its fingers; others may be had by pushing."""

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.backends.robots import mujoco_model
-from simfoundry.predicates.batch import Poses, StateBatch
-from simfoundry.predicates.distance import Distances
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Poses
+from simfoundry.predicates.batch import StateBatch
+from simfoundry.predicates.distances import Distances
 from simfoundry.predicates.shapes import Bodies, Body, Thing
 from simfoundry.predicates.thresholds import PRESS, TOUCH
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import Array
 from simfoundry.scene.robot import Gripper
 
 STILL = 0.001

@@ -9,17 +9,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.lint.report import length
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import thresholds as at
-from simfoundry.predicates.distance import FAR, Distances
+from simfoundry.predicates.distances import FAR, Distances
 from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
 from simfoundry.predicates.inside import held_depth
 from simfoundry.predicates.plumb import Meeting, centre_of_mass, meet
 from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
 from simfoundry.predicates.terms import Terms
 from simfoundry.predicates.view import UP, View, over
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.expressions import Call
+from simfoundry.scene.lengths import length
+from simfoundry.spec.models.expressions import Call
 
 STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
 """The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.view import View
-from simfoundry.scene.frames import Array
 
 Words = Callable[[float, bool], str]
 """What a term says of its value, given whether it holds."""

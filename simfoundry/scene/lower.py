@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
+from simfoundry.geometry.frames import IDENTITY, Pose, look_at
+from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY, Pose, look_at
-from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import (
     Background,
     Camera,
@@ -36,22 +36,21 @@ from simfoundry.scene.model import (
 )
 from simfoundry.scene.poses import pose as pose
 from simfoundry.scene.source import Source
-from simfoundry.spec import base
-from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.asset import Drive as DriveSpec
-from simfoundry.spec.data import to_data
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.positions import Written, position
-from simfoundry.spec.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
-from simfoundry.spec.variants import variant_names, variant_of
+from simfoundry.spec.models import base
+from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec
+from simfoundry.spec.models.data import to_data
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.positions import Written, position
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.robot import Robot
-    from simfoundry.spec import scene as spec_scene
+    from simfoundry.spec.models import scene as spec_scene
 
 Progress = Callable[[str, int, int], None]
 
@@ -133,7 +132,7 @@ def _misfits(loaded: Loaded, spec: SceneSpec, objects: Mapping[str, SceneObject]
         yield loaded.finding("SF210", ("objects", name, "place"), error.message, error.hint)
 
 
-def _background(loaded: Loaded, spec: spec_scene.Background) -> Background:
+def _background(loaded: Loaded, spec: spec_scene.BackgroundSpec) -> Background:
     from simfoundry.scene.background import lower_background
 
     return lower_background(loaded, spec, pose(spec.pose))
@@ -276,7 +275,7 @@ class _Lowering:
             self.progress(said, self.done, self.count)
 
     def builder(
-        self, owner: str, name: str, body: base.Body, materials: dict[str, base.Material], weighed: bool
+        self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
         """A builder of a link of the object ``owner``, which reports what takes long."""
 
@@ -394,7 +393,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         friction=spec.friction,
         armature=spec.armature,
         position=position,
-        motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
+        motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
         closed=spec.closed,

@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from simfoundry.runtime.files import write_atomically
-from simfoundry.spec.pages import findings_page
-from simfoundry.spec.reference import reference
-from simfoundry.spec.schema import schemas
+from simfoundry.spec.check.pages import findings_page
+from simfoundry.spec.editor.reference import reference
+from simfoundry.spec.editor.schema import schemas
 
 
 def generated() -> dict[str, str]:

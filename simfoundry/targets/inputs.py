@@ -18,13 +18,13 @@ import simfoundry
 from simfoundry.scene.robot_files import companions
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.scene.robots import OWN_MODELS, lower_robot
-from simfoundry.spec.asset import AssetSpec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.robot import RobotSpec
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.variants import variant_names, variant_of
-from simfoundry.spec.write import to_data
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.yaml.write import to_data
 from simfoundry.targets.find import Target
 
 LIBRARIES = (

@@ -95,7 +95,7 @@ def _robots() -> Iterator[Part]:
     """The known robots: whether a model of each is here, and else what brings it."""
     from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
-    from simfoundry.spec.robot import ROBOTS, RobotSpec
+    from simfoundry.spec.models.robot import ROBOTS, RobotSpec
 
     for name, known in ROBOTS.items():
         found, remedy = "", ""

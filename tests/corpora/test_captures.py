@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose as lowered_pose
 from simfoundry.scene.model import Scene
-from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.load import load_capture
+from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.targets.build import TARGETS, build
 from tests.corpora.captures import main, totals
 from tests.corpora.realtables import consumers, worlds

@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from simfoundry.spec.expressions import PREDICATES
-from simfoundry.spec.kinds import is_document
-from simfoundry.spec.reference import EXAMPLES
-from simfoundry.spec.robot import ROBOTS
+from simfoundry.spec.editor.reference import EXAMPLES
+from simfoundry.spec.models.expressions import PREDICATES
+from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.models.robot import ROBOTS
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 
@@ -95,13 +95,13 @@ def keys(kind: str, part: str) -> set[str]:
         ("|", "scene", "Document"),
         (f"{OBJECT}|", "scene", "ObjectSpec"),
         (f"{OBJECT}shape:\n      |", "scene", "Shape"),
-        (f"{OBJECT}pose:\n      |", "scene", "Pose"),
+        (f"{OBJECT}pose:\n      |", "scene", "PoseSpec"),
         (f"{OBJECT}place:\n      |", "scene", "Place"),
         (f"{SCENE}robots:\n  arm:\n    |", "scene", "RobotSpec"),
         (f"{SCENE}cameras:\n  front:\n    |", "scene", "CameraSpec"),
         (f"{SCENE}materials:\n  wood:\n    |", "scene", "Material"),
         (f"{OVERLAY}objects:\n  cup:\n    |", "scene", "ObjectSpec"),
-        (f"{OVERLAY}objects:\n  cup:\n    pose:\n      |", "scene", "Pose"),
+        (f"{OVERLAY}objects:\n  cup:\n    pose:\n      |", "scene", "PoseSpec"),
         (f"{TASK}subtasks:\n  pick:\n    |", "task", "Subtask"),
         (f"{TASK}reset:\n  |", "task", "Reset"),
         (f"{ASSET}joints:\n  slide:\n    |", "asset", "JointSpec"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.lint.verdicts import judge, verdict
-from simfoundry.spec.expressions import PREDICATES, parse_call
+from simfoundry.spec.models.expressions import PREDICATES, parse_call
 from tests.lint.scenes import BOWL, drawn, found, written
 
 CUP = "shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2"

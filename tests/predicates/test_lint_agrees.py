@@ -13,8 +13,8 @@ from simfoundry.lint.verdicts import verdict
 from simfoundry.predicates import Judge, PredicateError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import PREDICATES, parse_call
 from simfoundry.spec.load import load
+from simfoundry.spec.models.expressions import PREDICATES, parse_call
 from tests.lint.scenes import BOWL, written
 
 SHAPES = {

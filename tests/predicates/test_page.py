@@ -2,9 +2,9 @@
 
 from simfoundry.predicates.page import MEANING, PAGE, table
 from simfoundry.predicates.rules import RULES
-from simfoundry.spec.aliases import ALIASES
-from simfoundry.spec.expressions import PREDICATES, parse_call
-from simfoundry.spec.spelling import call
+from simfoundry.spec.models.aliases import ALIASES
+from simfoundry.spec.models.expressions import PREDICATES, parse_call
+from simfoundry.spec.yaml.spelling import call
 from tests.conftest import REPOSITORY
 
 

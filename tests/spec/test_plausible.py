@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY
-from simfoundry.spec.base import (
-    Body,
+from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST, implausible, volume
+from simfoundry.spec.models.base import (
+    BodySpec,
     BoxShape,
     CapsuleShape,
     CylinderShape,
@@ -19,7 +20,6 @@ from simfoundry.spec.base import (
     Shape,
     SphereShape,
 )
-from simfoundry.spec.plausible import HEAVIEST, LIGHTEST, implausible, volume
 
 SHAPES: list[Shape] = [
     BoxShape(box=(0.1, 0.2, 0.3)),
@@ -33,7 +33,7 @@ SHAPES: list[Shape] = [
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_the_volume_is_that_of_the_solid(shape: Shape) -> None:
-    builder = BodyBuilder("thing", Body(density=1000.0), {}, None)
+    builder = BodyBuilder("thing", BodySpec(density=1000.0), {}, None)
     builder.add_shape("shape", shape, IDENTITY, None)
     # A lathe is lowered with 48 sides and so a little smaller than the round body.
     rel = 1e-9 if not isinstance(shape, LatheShape) else 0.005

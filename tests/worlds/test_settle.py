@@ -11,11 +11,11 @@ import pytest
 
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.twin import bare
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.worlds import ENGINES, World, open_world
 from simfoundry.worlds.base import Contact
 from simfoundry.worlds.footing import supporters

@@ -8,9 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.spec.expressions import Call, parse_call, texts
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Call, parse_call, texts
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 
 CARRIED = ("Grasped", "Lifted", "OnTop", "Inside")
 """Predicates whose first argument a robot takes between its fingers."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.frontends.convert import Options, Report, import_file
+from simfoundry.frontends.importer import Options, Report, import_file
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

@@ -1,0 +1,307 @@
+"""Types that every document shares: names, numbers with units, poses, shapes, quantities with doubt."""
+
+# Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+PartName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$", max_length=129)]
+"""``cabinet``, or ``cabinet.drawer``: one link of it."""
+WIRE_KEY = r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
+"""What keys of the messages of policies look like: ``observation/wrist_image_left``."""
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Code = Annotated[str, StringConstraints(pattern=r"^SF[0-9]{3}$")]
+Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
+FARTHEST = 1e6
+"""No position [m] is farther out and no size [m] larger: there single precision, in which many simulators reckon, is
+6 cm coarse."""
+Coordinate = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST, allow_inf_nan=False)]
+Length = Annotated[float, Field(gt=0, le=FARTHEST, allow_inf_nan=False)]
+Vec2 = tuple[Number, Number]
+Vec3 = tuple[Number, Number, Number]
+Point2 = tuple[Coordinate, Coordinate]
+Point3 = tuple[Coordinate, Coordinate, Coordinate]
+Size3 = tuple[Length, Length, Length]
+
+WORLD = "world"
+"""What formats keep for what does not move: MuJoCo calls its first body so, and readers of URDF a link."""
+Color = Annotated[
+    Annotated[tuple[Fraction, Fraction, Fraction], Tag("rgb")]
+    | Annotated[tuple[Fraction, Fraction, Fraction, Fraction], Tag("rgba")],
+    Discriminator(lambda v: "rgba" if isinstance(v, tuple | list) and len(v) == 4 else "rgb"),
+]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Marks a text that names a file relative to its document, so that another document can take it over."""
+
+
+FileName = Annotated[str, Reference()]
+
+
+class Model(BaseModel):
+    """A part of a document: immutable, strict, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+
+
+def exclusive(model: Model, *names: str, needed: bool = False) -> None:
+    """Raise a finding unless at most one (or, with ``needed``, exactly one) of the fields is given."""
+    written = model.model_fields_set
+    given = [n for n in names if n in written and getattr(model, n) is not None]
+    if len(given) == 1 or not (given or needed):
+        return
+    listed = ", ".join(f"`{n}`" for n in names)
+    if given:
+        context = {"listed": listed, "n": len(given), "at": given[1]}
+        raise PydanticCustomError("sf107", "give one of {listed}, not {n}", context)
+    raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
+
+
+class PoseSpec(Model):
+    """Where a frame is in its parent; the rotation is given in at most one of three ways."""
+
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
+    yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
+    rpy_deg: Vec3 | None = Field(
+        None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
+    )
+    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(None, description="Quaternion, w first.")
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> Self:
+        exclusive(self, "yaw_deg", "rpy_deg", "quat_wxyz")
+        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
+        return self
+
+
+class CameraPose(Model):
+    """Where a camera is: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
+
+    xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
+    look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
+    quat_wxyz: tuple[Number, Number, Number, Number] | None = Field(
+        None, description="Rotation of the camera axes (x right, y down, z forward) in the world, w first."
+    )
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> Self:
+        exclusive(self, "look_at", "quat_wxyz", needed=True)
+        if self.quat_wxyz is not None and abs(sum(v * v for v in self.quat_wxyz) - 1) > 1e-3:
+            raise PydanticCustomError("sf104", "`quat_wxyz` must have length 1", {"at": "quat_wxyz"})
+        if self.look_at is not None and math.dist(self.look_at, self.xyz) < 1e-6:
+            raise PydanticCustomError("sf104", "a camera cannot look at its own position", {"at": "look_at"})
+        return self
+
+
+class Estimate(Model):
+    """A number that was estimated, not measured."""
+
+    value: Positive = Field(description="The value to use [kg, or kg/m^3].")
+    range: tuple[Positive, Positive] | None = Field(
+        None, description="The lowest and highest plausible value [kg, or kg/m^3]."
+    )
+    by: str = Field("unknown", max_length=64, description="Who or what estimated it.")
+
+    @model_validator(mode="after")
+    def _inside(self) -> Self:
+        if self.range is not None and not self.range[0] <= self.value <= self.range[1]:
+            raise PydanticCustomError("sf104", "`value` lies outside `range`", {"at": "value"})
+        return self
+
+
+Quantity = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[Estimate, Tag("estimate")],
+    Discriminator(lambda v: "estimate" if isinstance(v, dict | Estimate) else "number"),
+]
+
+
+def quantity_value(quantity: float | Estimate | None) -> float | None:
+    """The plain number of a quantity."""
+    return quantity.value if isinstance(quantity, Estimate) else quantity
+
+
+class Round(Model):
+    """Radius and height of a cylinder or capsule, which stand along z."""
+
+    radius: Length = Field(description="Radius [m].")
+    height: Length = Field(description="Height [m]; of a capsule that of its cylindrical part, without the caps.")
+
+
+class Prism(Model):
+    """An outline extruded along z: table tops, trays, tiles."""
+
+    outline: tuple[Point2, ...] = Field(
+        min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
+    )
+    height: Length = Field(description="Full height [m].")
+
+
+class Lathe(Model):
+    """A profile turned about z: bowls, cups, bottles, plates, rings of any section that reaches the axis."""
+
+    profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
+        min_length=3,
+        max_length=256,
+        description="Corners as (radius, height) [m] in order, from the axis around the solid back to the axis.",
+    )
+
+
+class BoxShape(Model):
+    """A box centred on its frame."""
+
+    box: Size3 = Field(description="Full extents along x, y, z [m].")
+
+
+class SphereShape(Model):
+    """A sphere centred on its frame."""
+
+    sphere: Length = Field(description="Radius [m].")
+
+
+class CylinderShape(Model):
+    """A cylinder along z, centred on its frame."""
+
+    cylinder: Round
+
+
+class CapsuleShape(Model):
+    """A capsule along z, centred on its frame."""
+
+    capsule: Round
+
+
+class PrismShape(Model):
+    """A prism along z, centred on its frame in height."""
+
+    prism: Prism
+
+
+class LatheShape(Model):
+    """A body of revolution about z; its heights are those of the profile."""
+
+    lathe: Lathe
+
+
+SHAPE_KEYS = ("box", "sphere", "cylinder", "capsule", "prism", "lathe")
+
+
+def _shape_tag(value: Any) -> str:
+    keys = value.keys() if isinstance(value, dict) else type(value).model_fields if isinstance(value, Model) else ()
+    return next((k for k in SHAPE_KEYS if k in keys), "box")
+
+
+Shape = Annotated[
+    Annotated[BoxShape, Tag("box")]
+    | Annotated[SphereShape, Tag("sphere")]
+    | Annotated[CylinderShape, Tag("cylinder")]
+    | Annotated[CapsuleShape, Tag("capsule")]
+    | Annotated[PrismShape, Tag("prism")]
+    | Annotated[LatheShape, Tag("lathe")],
+    Discriminator(_shape_tag),
+]
+
+
+class CousinOf(Model):
+    """Which cousin of its twin a document is: the same recipe, seed and index give the same again."""
+
+    recipe: Name = Field(description="The recipe by name.")
+    seed: Annotated[int, Field(ge=0)] = Field(description="What the recipe's random choices started from.")
+    index: Annotated[int, Field(ge=1)] = Field(description="Which of the recipe's candidates it is, from 1 on.")
+    by: str = Field("simfoundry", max_length=64, description="The program that made it.")
+
+
+class Origin(Model):
+    """Where a description comes from, and how well it fits what was seen."""
+
+    capture: str | None = Field(None, description="The capture it was estimated from.")
+    fit: NonNegative | None = Field(None, description="Median distance of the seen points from the fitted surface [m].")
+    confidence: Fraction | None = Field(None, description="How far to trust it, 0 to 1.")
+    note: str | None = Field(None, max_length=200, description="What was assumed.")
+    cousin: CousinOf | None = Field(None, description="Which cousin it is, where a recipe made it.")
+
+
+class Material(Model):
+    """What things are made of."""
+
+    density: Positive | None = Field(None, description="Density [kg/m^3].")
+    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair slides at the geometric mean.")
+    torsional_friction: NonNegative = Field(
+        0.0,
+        description="Resistance against spinning on a contact: its torque over the normal force [m]; a pair has the "
+        "larger of its two.",
+    )
+    rolling_friction: NonNegative = Field(
+        0.0,
+        description="Resistance against rolling on a contact: its torque over the normal force [m]; a pair has the "
+        "larger of its two.",
+    )
+    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair bounces at the geometric mean.")
+    color: Color | None = Field(None, description="sRGB colour, red, green, blue and optionally opacity, each 0 to 1.")
+
+
+Collision = Literal["auto", "hull", "decompose", "none"]
+Solid = Literal["exact", "hull"]
+
+
+class BodySpec(Model):
+    """Fields of everything that has mass and a surface."""
+
+    material: Name | None = Field(None, description="A name from `materials`.")
+    mass: Quantity | None = Field(None, description="Mass [kg].")
+    density: Quantity | None = Field(None, description="Density [kg/m^3], over the solid volume.")
+    friction: NonNegative | None = Field(None, description="Coulomb friction coefficient; default: the material's.")
+    restitution: Fraction | None = Field(None, description="Restitution; default: the material's.")
+    color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
+    collision: Collision = Field(
+        "auto",
+        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, cylinder, "
+        "sphere or hull where it is nearly convex and parts where not, `none` no contact. A primitive collides as one.",
+    )
+    solid: Solid = Field(
+        "exact", description="What carries the mass of a mesh: its own volume (it must be closed), or its convex hull."
+    )
+
+
+class Conflict(Model):
+    """Two edits of one value that a merge could not unite; the document holds ours until somebody decides."""
+
+    base: Any = Field(None, description="What both started from.")
+    ours: Any = Field(None, description="What this side made of it; it stands in the document.")
+    theirs: Any = Field(None, description="What the other side made of it.")
+
+
+Silence = Annotated[
+    Annotated[Reason, Tag("everywhere")] | Annotated[dict[str, Reason], Tag("places")],
+    Discriminator(lambda v: "places" if isinstance(v, dict) else "everywhere"),
+]
+
+
+class DocumentSpec(Model):
+    """What every kind of document can say."""
+
+    extends: FileName | None = Field(
+        None,
+        description="A document of the same kind that this one changes, relative to this document. Mappings are joined "
+        "key by key, all else is replaced, and `null` removes.",
+    )
+    name: Name = Field(description="What it is called: lower-case letters, digits and `_`.")
+    description: str | None = Field(None, description="For people.")
+    allow: dict[Code, Silence] = Field(
+        {},
+        description="Warnings that are meant to be, each with the reason: `SF402: why`, or for one thing alone "
+        "`SF402: {cup: why}`.",
+    )
+    conflicts: dict[str, Conflict] = Field(
+        {}, description="What a merge left to decide, by path: mend the value there, then remove the entry."
+    )
