@@ -140,7 +140,7 @@ def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
     return _Span(start, end)
 
 
-def _until(kind: type[yaml.Event], events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
+def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
     """Yield events up to one of a kind, whose end goes to ``ends``."""
     for event in events:
         if isinstance(event, kind):

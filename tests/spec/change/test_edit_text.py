@@ -152,9 +152,9 @@ def test_any_edit_of_any_spec_gives_the_data_that_is_wanted(path: Path, seed: in
 
 
 def test_an_overlay_says_only_what_it_changes() -> None:
-    base = {"objects": {"mug": {"mass": 0.2, "pose": {"xyz": (0, 0, 0)}}, "bowl": {"mass": 1.0}}}
+    base: Data = {"objects": {"mug": {"mass": 0.2, "pose": {"xyz": (0, 0, 0)}}, "bowl": {"mass": 1.0}}}
     own: Data = {"objects": {"bowl": {"mass": 2.0}}}
-    before = {"objects": {"mug": {"mass": 0.2, "pose": {"xyz": (0, 0, 0)}}, "bowl": {"mass": 2.0}}}
+    before: Data = {"objects": {"mug": {"mass": 0.2, "pose": {"xyz": (0, 0, 0)}}, "bowl": {"mass": 2.0}}}
     after = copy.deepcopy(before)
     after["objects"]["mug"]["mass"] = 0.3
     assert own_data(own, before, after, base) == {"objects": {"bowl": {"mass": 2.0}, "mug": {"mass": 0.3}}}
