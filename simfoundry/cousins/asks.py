@@ -16,7 +16,7 @@ from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Thing
 from simfoundry.cousins.twin import Twin
 from simfoundry.predicates import PredicateError
-from simfoundry.predicates.thresholds import ENCLOSED
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
 from simfoundry.scene.place import CLEARANCE
@@ -197,7 +197,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     """Whether most of a thing is outside of the cavity, however it is turned."""
     from simfoundry.cousins.drops import DROPS
     from simfoundry.cousins.fit import SURE, cavity_extents, largest_share
-    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.judging.bodies import Bodies
     from simfoundry.predicates.voxels import cavity
 
     bodies = Bodies(twin.scene)

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from simfoundry.predicates.judging.bodies import Form
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.predicates.samples import volume_samples
-from simfoundry.predicates.shapes import Form
-from simfoundry.predicates.thresholds import ENCLOSED
 from simfoundry.predicates.voxels import Cavity
 from simfoundry.scene.frames import Array, Pose
 

@@ -23,7 +23,7 @@ from simfoundry.cousins.sides import DROPPED
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
-from simfoundry.predicates.batch import Poses, StateBatch, rotations
+from simfoundry.predicates.judging.states import Poses, StateBatch, rotations
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.spec.cousins import SceneAxis
 

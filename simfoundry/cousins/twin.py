@@ -20,7 +20,7 @@ from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.lower import lower

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.batch import Index, Poses, rotate
 from simfoundry.predicates.boxfield import BoxField, box_field
 from simfoundry.predicates.exact import LIFT, Candidates, Exact
-from simfoundry.predicates.shapes import Bodies, Form, Thing
-from simfoundry.predicates.thresholds import TOUCH
-from simfoundry.predicates.view import UP, View
+from simfoundry.predicates.judging.bodies import Bodies, Form, Thing
+from simfoundry.predicates.judging.states import Index, Poses, rotate
+from simfoundry.predicates.judging.thresholds import TOUCH
+from simfoundry.predicates.judging.view import UP, View
 from simfoundry.scene.frames import Array
 
 FAR = 0.05

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.predicates.batch import Index, Poses
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
+from simfoundry.predicates.judging.states import Index, Poses
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Scene
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.batch import Poses, rotate
-from simfoundry.predicates.shapes import Form, Thing
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Form, Thing
+from simfoundry.predicates.judging.states import Poses, rotate
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.scene.hulls import Index, hulls
 from simfoundry.scene.model import Box, Collider, SceneObject

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.lint.report import length
-from simfoundry.predicates import thresholds as at
 from simfoundry.predicates.distance import FAR, Distances
-from simfoundry.predicates.grasp import Fingers, fingers, pressing, touching
-from simfoundry.predicates.inside import held_depth
+from simfoundry.predicates.judging import thresholds as at
+from simfoundry.predicates.judging.bodies import Bodies, PredicateError, Thing
+from simfoundry.predicates.judging.cavity_depth import held_depth
+from simfoundry.predicates.judging.fingers import Fingers, fingers, pressing, touching
+from simfoundry.predicates.judging.terms import Terms
+from simfoundry.predicates.judging.view import UP, View, over
 from simfoundry.predicates.plumb import Meeting, centre_of_mass, meet
-from simfoundry.predicates.shapes import Bodies, PredicateError, Thing
-from simfoundry.predicates.terms import Terms
-from simfoundry.predicates.view import UP, View, over
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.spec.expressions import Call
 
 STEEPEST = math.cos(math.radians(at.SUPPORT_DEG))
-"""The cosine of :data:`~simfoundry.predicates.thresholds.SUPPORT_DEG`."""
+"""The cosine of :data:`~simfoundry.predicates.judging.thresholds.SUPPORT_DEG`."""
 
 
 STEEP_SCALE = 0.01
@@ -53,7 +53,7 @@ class Context:
     def start(self) -> View:
         """The one state that the scene itself describes."""
         if self._start is None:
-            from simfoundry.predicates.batch import StateBatch
+            from simfoundry.predicates.judging.states import StateBatch
 
             self._start = View(self.bodies, StateBatch(1, {}))
         return self._start

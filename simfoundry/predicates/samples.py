@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.predicates.shapes import Form
+from simfoundry.predicates.judging.bodies import Form
 from simfoundry.predicates.voxels import outside_part
 from simfoundry.scene.frames import Array
 

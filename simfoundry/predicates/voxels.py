@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.shapes import Form
+from simfoundry.predicates.judging.bodies import Form
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
 

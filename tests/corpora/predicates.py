@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.predicates import Judge, Poses, StateBatch
-from simfoundry.predicates.batch import rotate
+from simfoundry.predicates.judging.states import rotate
 from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.model import Scene
 from simfoundry.spec.expressions import parse_call

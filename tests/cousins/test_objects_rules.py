@@ -29,7 +29,7 @@ from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.files import write_atomically
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.predicates.voxels import cavity
 from simfoundry.scene.frames import frozen_array
 from simfoundry.scene.model import Mesh, Scene

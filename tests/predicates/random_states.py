@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from simfoundry.predicates import Poses, StateBatch
-from simfoundry.predicates.batch import rotate, rotations
+from simfoundry.predicates.judging.states import rotate, rotations
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file

@@ -1,6 +1,6 @@
 """docs/predicates.md says what the predicates do."""
 
-from simfoundry.predicates.page import MEANING, PAGE, table
+from simfoundry.predicates.judging.docs_table import MEANING, PAGE, table
 from simfoundry.predicates.rules import RULES
 from simfoundry.spec.aliases import ALIASES
 from simfoundry.spec.expressions import PREDICATES, parse_call
@@ -10,7 +10,7 @@ from tests.conftest import REPOSITORY
 
 def test_the_page_has_the_table() -> None:
     page = REPOSITORY / "docs" / PAGE.name
-    assert table() in page.read_text(encoding="utf-8"), "python -m simfoundry.predicates.page"
+    assert table() in page.read_text(encoding="utf-8"), "python -m simfoundry.predicates.judging.docs_table"
 
 
 def test_every_predicate_has_a_rule_and_a_meaning() -> None:

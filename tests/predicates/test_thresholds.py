@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from simfoundry.predicates import thresholds as at
+from simfoundry.predicates.judging import thresholds as at
 from tests.predicates.conftest import Setting, changed, posed
 
 STEP = 1e-4

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.predicates import Judge
-from simfoundry.predicates.shapes import PredicateError
+from simfoundry.predicates.judging.bodies import PredicateError
 from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.model import Box, Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.place import PlaceError, solve

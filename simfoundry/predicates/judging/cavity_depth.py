@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.predicates.batch import Index, rotate
+from simfoundry.predicates.judging.bodies import Form, PredicateError, Thing
+from simfoundry.predicates.judging.states import Index, rotate
+from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
+from simfoundry.predicates.judging.view import View
 from simfoundry.predicates.samples import volume_samples
-from simfoundry.predicates.shapes import Form, PredicateError, Thing
-from simfoundry.predicates.thresholds import ENCLOSED, FACING_DOWN_DEG
-from simfoundry.predicates.view import View
 from simfoundry.predicates.voxels import UPWARD, Cavity, cavity, cavity_upward
 from simfoundry.scene.frames import Array
 

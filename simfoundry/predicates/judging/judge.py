@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.batch import StateBatch
+from simfoundry.predicates.judging.bodies import Bodies, PredicateError
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.view import View
 from simfoundry.predicates.rules import RULES, Context
-from simfoundry.predicates.shapes import Bodies, PredicateError
-from simfoundry.predicates.view import View
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.predicates.batch import Index, Poses, StateBatch, rotate, turns
-from simfoundry.predicates.shapes import TURNED, Bodies, Form, Thing
+from simfoundry.predicates.judging.bodies import TURNED, Bodies, Form, Thing
+from simfoundry.predicates.judging.states import Index, Poses, StateBatch, rotate, turns
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Joint, JointType
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.backends.robots import mujoco_model
-from simfoundry.predicates.batch import Poses, StateBatch
 from simfoundry.predicates.distance import Distances
-from simfoundry.predicates.shapes import Bodies, Body, Thing
-from simfoundry.predicates.thresholds import PRESS, TOUCH
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
+from simfoundry.predicates.judging.states import Poses, StateBatch
+from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.frames import Array
 from simfoundry.scene.robot import Gripper
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.frames import Array
 
 Words = Callable[[float, bool], str]
