@@ -41,7 +41,7 @@ def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
     return found
 
 
-def held_depth(view: View, a: Thing, b: Thing) -> Array:
+def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
     """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
 
     -inf where ``b`` is turned so that it holds nothing.
