@@ -12,7 +12,7 @@ from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.model import Capsule, Cylinder, Mesh, SceneObject, Sphere
 from simfoundry.scene.place import solve
 from simfoundry.scene.tessellate import tessellate
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.scenes import box, pose, scene_of, solid
 

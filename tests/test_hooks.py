@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from simfoundry.cli.main import COMMANDS
-from simfoundry.spec.kinds import KINDS, suffix
+from simfoundry.spec.models.kinds import KINDS, suffix
 from tests.conftest import REPOSITORY
 
 HOOKS: list[dict[str, Any]] = yaml.safe_load((REPOSITORY / ".pre-commit-hooks.yaml").read_text())

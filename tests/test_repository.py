@@ -17,12 +17,12 @@ import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.scene.meshfile import obj_with_material
+from simfoundry.spec.editor.reference import EXAMPLES, reference
 from simfoundry.spec.files import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
-from simfoundry.spec.reference import EXAMPLES, reference
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import parse
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import parse
 from tests.conftest import of_the_checkout
 
 ROOT = Path(__file__).resolve().parents[1]

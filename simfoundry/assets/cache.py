@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 
 MAX_BYTES = 2 * 2**30
 """So much may lie in a cache: the convex parts of some ten thousand meshes."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.deviation import deviation
-from simfoundry.assets.faults import flat
+from simfoundry.assets.errors import flat
 from simfoundry.assets.mass import mesh as solid_of
 from simfoundry.assets.primitives import KINDS, Primitive, fitted_primitives
 

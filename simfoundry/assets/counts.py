@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from simfoundry.assets.faults import MAX_BYTES, MAX_FACES, MeshError, too_large
+from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, too_large
 
 MAX_POINTS = 3 * MAX_FACES
 """No triangle needs more than three."""

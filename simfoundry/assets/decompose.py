@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import MeshError
-from simfoundry.contain import FailedError, Limits, Worker
+from simfoundry.assets.errors import MeshError
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]

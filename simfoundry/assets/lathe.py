@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import profile_misses_axis, profile_off_axis, shape_crosses_itself
+from simfoundry.assets.errors import profile_misses_axis, profile_off_axis, shape_crosses_itself
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon

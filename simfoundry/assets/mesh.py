@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.counts import check_counts
-from simfoundry.assets.faults import MAX_FACES, MeshError, implausible_size
+from simfoundry.assets.errors import MAX_FACES, MeshError, implausible_size
 
 Array = NDArray[np.float64]
 

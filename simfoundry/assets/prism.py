@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import shape_crosses_itself
+from simfoundry.assets.errors import shape_crosses_itself
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]

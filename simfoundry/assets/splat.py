@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 
 MAX_GAUSSIANS = 5_000_000
 EXPORT = "export it again from the trainer, as PLY"

@@ -12,9 +12,9 @@ from urllib.parse import unquote
 from simfoundry.spec.files import is_document
 
 if TYPE_CHECKING:
-    from simfoundry.spec.asset import AssetSpec
     from simfoundry.spec.loaded import Loaded
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.asset import AssetSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 MAX_HEAD = 16 * 2**20
 """Bytes of a mesh or material file in which names are looked for; the names of an OBJ stand before its corners."""
@@ -32,7 +32,7 @@ def document_faults(loaded: Loaded, spec: SceneSpec | AssetSpec) -> Iterator[tup
 
 
 def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]]:
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     if isinstance(spec, SceneSpec):
         for name, item in spec.objects.items():

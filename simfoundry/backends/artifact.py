@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.files import staged, write_file
+from simfoundry.runtime.files import staged, write_file
 from simfoundry.scene.frames import Array
 
 

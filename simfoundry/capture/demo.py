@@ -13,10 +13,10 @@ from simfoundry.capture.truth import Comparison, compare
 from simfoundry.errors import MissingEngineError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.load import load_capture
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.targets.build import TARGETS, build
 from simfoundry.worlds import ENGINES, open_world
-from simfoundry.worlds.build import TARGETS, build
 from simfoundry.worlds.rest import Motion, simulate
 
 Progress = Callable[[str, float], None]

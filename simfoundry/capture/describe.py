@@ -14,7 +14,7 @@ from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.poses import pose_spec
 from simfoundry.scene.tessellate import tessellate
-from simfoundry.spec.base import (
+from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,
     CylinderShape,
@@ -29,8 +29,8 @@ from simfoundry.spec.base import (
     Shape,
     SphereShape,
 )
-from simfoundry.spec.base import Pose as PoseSpec
-from simfoundry.spec.scene import CameraSpec, ObjectSpec
+from simfoundry.spec.models.base import Pose as PoseSpec
+from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 SUPPORT_NAME = "table"
 

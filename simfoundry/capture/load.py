@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.lower import pose
-from simfoundry.spec.capture import CaptureSpec, Intrinsics, Shot
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 
 NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""

@@ -26,9 +26,9 @@ from simfoundry.capture.segment.ground import find_support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
 from simfoundry.capture.support import beneath, support_mesh, thickness
-from simfoundry.spec.base import Origin
-from simfoundry.spec.expressions import parse_call
-from simfoundry.spec.scene import LightSpec, SceneSpec
+from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.scene import LightSpec, SceneSpec
 
 Progress = Callable[[str, float], None]
 

@@ -18,18 +18,18 @@ from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.reconstruct import Reconstruction, reconstruct, with_supports, without
 from simfoundry.errors import OutputError
-from simfoundry.files import staged, write_file
-from simfoundry.outputs import ensure_folder_replaceable
+from simfoundry.runtime.files import staged, write_file
+from simfoundry.runtime.outputs import ensure_folder_replaceable
 from simfoundry.scene.lower import lower, pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import with_poses
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.load import load_capture, load_scene
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 from simfoundry.worlds.base import World
 from simfoundry.worlds.rest import simulate
 from simfoundry.worlds.settle import Settled, settle
@@ -171,8 +171,8 @@ def _write(built: Reconstruction, scene_file: Path, spec: SceneSpec) -> None:
 
 
 def _pictures(built: Reconstruction, frame: Frame, scene: Scene, settled: Settled, folder: Path) -> None:
-    from simfoundry.scene.raycast import raycast
-    from simfoundry.worlds.compare import overlay, save_png, side_by_side
+    from simfoundry.render.montage import overlay, save_png, side_by_side
+    from simfoundry.render.raycast import raycast
 
     assert isinstance(built.spec, SceneSpec)
     seen = raycast(scene, scene.cameras[0], settled.state)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
-from simfoundry.files import writing_atomically
-from simfoundry.outputs import MARK
+from simfoundry.render.raycast import Raycast
+from simfoundry.runtime.files import writing_atomically
+from simfoundry.runtime.outputs import MARK
 from simfoundry.scene.frames import Array
-from simfoundry.scene.raycast import Raycast
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.capture.sensor import simulate_frame, write_capture
-from simfoundry.files import write_atomically
-from simfoundry.outputs import MARK
+from simfoundry.render.raycast import raycast
+from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.outputs import MARK
 from simfoundry.scene.model import Camera, Scene
-from simfoundry.scene.raycast import raycast
-from simfoundry.spec.capture import CaptureSpec, DepthImage, Intrinsics, Masks, Shot
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.capture import CaptureSpec, DepthImage, Intrinsics, Masks, Shot
+from simfoundry.spec.yaml.write import to_yaml
 
 CAPTURE_FILES = ("capture.yaml", "color.png", "depth.png", "instances.png")
 """What a synthesized capture consists of."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def _stage(path: Path, known: dict[tuple[str, str], Loaded | None]) -> Loaded:
-    from simfoundry.frontends.usd_spec import load_usd
+    from simfoundry.frontends.usd.compiled import load_usd
 
     return load_usd(path, known)
 

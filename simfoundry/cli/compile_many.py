@@ -13,7 +13,7 @@ import click
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar
 
 if TYPE_CHECKING:
-    from simfoundry.worlds.batch import Job, Outcome
+    from simfoundry.targets.batch import Job, Outcome
 
 FUNCTION = "simfoundry.cli.compile_many:work"
 """What the processes call: with the command line they import what reads a scene from a stage."""
@@ -24,8 +24,8 @@ def compile_many(
     as_json: bool,
 ) -> int:  # fmt: skip
     """Compile the scenes among ``paths`` and below its folders; returns the exit code."""
+    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, jobs_of
     from simfoundry.targets.find import find_target
-    from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED, jobs_of
 
     for name in targets:
         find_target(name)  # a misspelt one is said once
@@ -45,14 +45,14 @@ def compile_many(
 
 def work(job: Job) -> Outcome:
     """What a process does with one scene."""
-    from simfoundry.worlds.batch import compile_job
+    from simfoundry.targets.batch import compile_job
 
     return compile_job(job)
 
 
 def _outcomes(jobs: Sequence[Job], workers: int, report: Callable[[str, int], object]) -> list[Outcome]:
     """One scene is compiled here: it is not worth the start of a process."""
-    from simfoundry.worlds.batch import compile_all
+    from simfoundry.targets.batch import compile_all
 
     return [work(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report, function=FUNCTION)
 
@@ -70,7 +70,7 @@ def _ensure_apart(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
 
 def _print(outcomes: Sequence[Outcome], found: Counter[str]) -> None:
     """A line for each scene, then what is wrong with those that failed, then how many there are of each."""
-    from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED
+    from simfoundry.targets.batch import COMPILED, CURRENT, FAILED
 
     width = max(len(outcome.scene) for outcome in outcomes)
     for outcome in outcomes:

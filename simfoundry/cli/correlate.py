@@ -46,7 +46,7 @@ def command(
     from simfoundry.evaluate.scores import by_engine, read_scores
 
     if svg is not None:
-        from simfoundry.outputs import ensure_replaceable
+        from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(svg, [real, *sim], force)
     truth = read_scores(real)
@@ -62,7 +62,7 @@ def command(
     said = {name: reservations([*truth, *table]) for name, table in tables.items()}
     if svg is not None:
         from simfoundry.evaluate.scatter import scatter
-        from simfoundry.files import write_atomically
+        from simfoundry.runtime.files import write_atomically
 
         write_atomically(svg, scatter(found).encode())
     if as_json:

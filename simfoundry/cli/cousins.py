@@ -81,7 +81,7 @@ def command(
     from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
 
     if stage is not None:
-        from simfoundry.outputs import ensure_replaceable
+        from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(stage, [recipe], force)
     read = read_recipe(recipe, seed)

@@ -11,7 +11,7 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_opt
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.review.compare import Comparison
+    from simfoundry.spec.change.compare import Comparison
 
 
 @click.command()
@@ -36,19 +36,19 @@ def command(
         return _driver(what)
     import tempfile
 
-    from simfoundry.review.arguments import open_pair, pairs
+    from simfoundry.spec.change.git.arguments import open_pair, pairs
 
     if (form == "html") != (out is not None):
         raise CannotError("a page needs a place: give `--format html` and `-o PAGE.html` together")
     if out is not None:
-        from simfoundry.outputs import ensure_replaceable
+        from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(out, map(Path, what), force)
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
         if out is not None:
-            from simfoundry.files import write_atomically
             from simfoundry.review.page import page
+            from simfoundry.runtime.files import write_atomically
 
             write_atomically(out, page(found).encode())
     if form == "json":
@@ -65,7 +65,7 @@ def command(
 
 
 def _driver(arguments: tuple[str, ...]) -> int:
-    from simfoundry.review.driver import driver_lines
+    from simfoundry.spec.change.git.driver import driver_lines
 
     for line in driver_lines(arguments, Path.cwd()):
         click.echo(printable(line))
@@ -95,8 +95,8 @@ def plain(comparison: Comparison) -> dict[str, Any]:
     """What changed as plain data."""
     from dataclasses import asdict
 
-    from simfoundry.spec.diff.changes import to_json
-    from simfoundry.spec.diff.words import summary
+    from simfoundry.spec.change.diff.changes import to_json
+    from simfoundry.spec.change.diff.words import summary
 
     return {
         "name": comparison.name,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from simfoundry.cli.output import CannotError
-from simfoundry.spec.kinds import is_document
+from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.project import MARKER, Project, find_project
 
 

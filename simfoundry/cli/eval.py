@@ -128,7 +128,7 @@ def command(
 
 def _can_film(worlds: Sequence[str]) -> bool:
     """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
-    from simfoundry.worlds.gl import Engine, choose_engine
+    from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
         return True
@@ -173,7 +173,7 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
     from simfoundry.evaluate.records import read_all
     from simfoundry.evaluate.results import cells, results
     from simfoundry.evaluate.run import pending
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     records = [record for _, record in read_all(plan.folder)]
     found = results(records)

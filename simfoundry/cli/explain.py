@@ -10,7 +10,7 @@ import click
 from simfoundry.cli.output import CannotError, in_colour, json_option, print_json, reporting
 
 if TYPE_CHECKING:
-    from simfoundry.spec.pages import Page
+    from simfoundry.spec.check.pages import Page
 
 
 @click.command()
@@ -22,8 +22,8 @@ def command(code: str | None, as_json: bool) -> None:
 
     CODE is written as in a finding, SF201, or shorter, 201. Without one, all codes are listed.
     """
+    from simfoundry.spec.check.pages import code_of, grouped, page
     from simfoundry.spec.diagnostics import CODES, nearest
-    from simfoundry.spec.pages import code_of, grouped, page
 
     if code is None:
         if as_json:

@@ -36,12 +36,12 @@ def command(task: Path, format_: str, out: Path | None, force: bool, strict: boo
     reads all three formats.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.files import write_atomically
-    from simfoundry.frontends.export_task import export_task
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.frontends.task_export import export_task
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower_file
     from simfoundry.spec.load import load_kind
-    from simfoundry.spec.task import TaskSpec
+    from simfoundry.spec.models.task import TaskSpec
 
     loaded = load_kind(task, "task/1")
     spec = loaded.spec

@@ -24,10 +24,10 @@ def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json:
     Two documents that say the same have the same text, and so the same hash. Files that it names are made relative to
     where the text is written.
     """
-    from simfoundry.files import write_atomically
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.spec.change.flatten import digest, flatten
     from simfoundry.spec.diagnostics import SpecError
-    from simfoundry.spec.flatten import digest, flatten
     from simfoundry.spec.load import load
 
     loaded = load(file)

@@ -24,7 +24,7 @@ from simfoundry.cli.output import (
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 
 if TYPE_CHECKING:
-    from simfoundry.spec.format import Formatted
+    from simfoundry.spec.change.format import Formatted
 
 STDIN = Path("-")
 
@@ -64,7 +64,7 @@ def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> 
 
 
 def _formatted(files: list[Path]) -> tuple[dict[Path, Formatted], list[Diagnostic]]:
-    from simfoundry.spec.format import format_file
+    from simfoundry.spec.change.format import format_file
 
     texts: dict[Path, Formatted] = {}
     findings: list[Diagnostic] = []
@@ -77,8 +77,8 @@ def _formatted(files: list[Path]) -> tuple[dict[Path, Formatted], list[Diagnosti
 
 
 def _stream(check: bool, diff: bool) -> int:
+    from simfoundry.spec.change.format import Formatted, format_text
     from simfoundry.spec.diagnostics import Severity
-    from simfoundry.spec.format import Formatted, format_text
 
     try:
         before = sys.stdin.buffer.read().decode("utf-8")
@@ -94,7 +94,7 @@ def _stream(check: bool, diff: bool) -> int:
 
 def _write(path: Path, text: str) -> None:
     """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = path.resolve()
     mode = target.stat().st_mode

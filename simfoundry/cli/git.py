@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
-from simfoundry.spec.kinds import KINDS, suffix
+from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
 PATTERNS = (*(f"*{suffix(kind)}" for kind in KINDS), "capture.yaml")
@@ -179,7 +179,7 @@ def _read(file: Path) -> str:
 
 
 def _write(file: Path, text: str) -> None:
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     write_atomically(file.resolve(), text.encode("utf-8", "surrogateescape"))
 

@@ -11,7 +11,7 @@ import click
 from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
-    from simfoundry.frontends.convert import Options, Report
+    from simfoundry.frontends.importer import Options, Report
 
 SUFFIXES = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
 HEADINGS = {
@@ -92,7 +92,7 @@ def command(
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
     Nothing is written for a file that is refused. Exit code 2 where one was refused.
     """
-    from simfoundry.frontends.convert import Options, import_file
+    from simfoundry.frontends.importer import Options, import_file
 
     if onto is not None or (len(files) == 1 and _is_ours(files[0])):
         if len(files) > 1:
@@ -117,9 +117,9 @@ def _is_ours(path: Path) -> bool:
     """Whether a file is a stage that was compiled from one of our documents."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
-    from simfoundry.frontends.unforeseen import refusing_faults
-    from simfoundry.frontends.usd_spec import StageError, carrier
-    from simfoundry.frontends.usd_spec.stage import open_stage
+    from simfoundry.frontends.fault_guard import refusing_faults
+    from simfoundry.frontends.usd.compiled import StageError, carrier
+    from simfoundry.frontends.usd.compiled.stage import open_stage
 
     try:
         with refusing_faults(path):
@@ -129,7 +129,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
-    from simfoundry.frontends.usd_spec import import_stage
+    from simfoundry.frontends.usd.compiled import import_stage
 
     before = out.read_bytes() if out.is_file() else None
     imported = import_stage(path, out, onto, force)
@@ -171,7 +171,7 @@ def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bo
 def _guarded(source: Path, target: Path, options: Options) -> Report:
     """The report on one file of many: what goes wrong with it stops no other."""
     from simfoundry.errors import SimfoundryError
-    from simfoundry.frontends.convert import Report, import_file
+    from simfoundry.frontends.importer import Report, import_file
     from simfoundry.spec.diagnostics import SpecError
 
     try:
@@ -182,9 +182,9 @@ def _guarded(source: Path, target: Path, options: Options) -> Report:
 
 def _brought_back(source: Path, target: Path, options: Options) -> Report:
     """The report on a stage of ours, whose own document is written."""
-    from simfoundry.frontends.convert import Report
-    from simfoundry.frontends.drafts import Note, NoteKind
-    from simfoundry.frontends.usd_spec import import_stage
+    from simfoundry.frontends.draft import Note, NoteKind
+    from simfoundry.frontends.importer import Report
+    from simfoundry.frontends.usd.compiled import import_stage
 
     imported = import_stage(source, target, None, options.force)
     notes = tuple(Note(NoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
@@ -214,7 +214,7 @@ def _is_model(path: Path) -> bool:
 
 
 def _default_name(path: Path) -> str:
-    from simfoundry.frontends.convert import ASSET, BDDL, SCENE, TASK, TASKS
+    from simfoundry.frontends.importer import ASSET, BDDL, SCENE, TASK, TASKS
 
     if path.suffix.lower() in (*TASKS, BDDL):
         return f"{path.stem}{TASK}"

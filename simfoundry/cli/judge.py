@@ -25,8 +25,8 @@ def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.lower import lower
     from simfoundry.scene.state import SceneState
-    from simfoundry.spec.expressions import ExpressionError, parse_call
     from simfoundry.spec.load import load_scene
+    from simfoundry.spec.models.expressions import ExpressionError, parse_call
 
     with progress_bar(as_json) as progress:
         lowered = lower(load_scene(scene), Cache.default(), lambda name, done, total: progress(name, done / total))

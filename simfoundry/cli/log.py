@@ -12,7 +12,7 @@ from simfoundry.cli.output import CannotError, json_option, print_json, reportin
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.review.history import Step
+    from simfoundry.spec.change.git.history import Step
 
 
 @click.command()
@@ -27,7 +27,7 @@ def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json
     What the document extends, and what it refers to, counts too, each time as it was then. The history is that of HEAD,
     of a revision, or of a range as `main..feature`.
     """
-    from simfoundry.review.arguments import document_history
+    from simfoundry.spec.change.git.arguments import document_history
 
     steps = islice(document_history(what, verbose), max_count)
     if as_json:

@@ -23,8 +23,8 @@ from simfoundry.cli.output import (
 from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
-    from simfoundry.spec.merge.conflict import Conflict
-    from simfoundry.spec.merge.texts import MergedText
+    from simfoundry.spec.change.merge.conflict import Conflict
+    from simfoundry.spec.change.merge.texts import MergedText
 
 
 @click.command()
@@ -65,8 +65,8 @@ def command(
 
 
 def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.outputs import ensure_replaceable
-    from simfoundry.spec.merge.texts import merge_texts, new_errors
+    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.spec.change.merge.texts import merge_texts, new_errors
 
     if out is not None:
         ensure_replaceable(out, (base, ours, theirs), force)
@@ -96,7 +96,7 @@ def _driver(args: Sequence[str]) -> int:
     base, ours, theirs = map(Path, args[:3])
     name = args[4]
     try:
-        from simfoundry.spec.merge.texts import merge_texts, new_errors
+        from simfoundry.spec.change.merge.texts import merge_texts, new_errors
 
         texts = [path.read_bytes().decode("utf-8") for path in (base, ours, theirs)]
         merged = merge_texts(*texts)
@@ -122,14 +122,14 @@ def _by_lines(args: Sequence[str]) -> int:
 
 
 def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | None, force: bool, as_json: bool) -> int:
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.spec.change.merge.resolve import resolve
     from simfoundry.spec.diagnostics import SpecError
-    from simfoundry.spec.kinds import KINDS, model_of
     from simfoundry.spec.load import load
-    from simfoundry.spec.merge.resolve import resolve
-    from simfoundry.spec.text import YamlError, read
-    from simfoundry.spec.tree import read_tree
-    from simfoundry.spec.write import write_tree
+    from simfoundry.spec.models.kinds import KINDS, model_of
+    from simfoundry.spec.yaml.text import YamlError, read
+    from simfoundry.spec.yaml.tree import read_tree
+    from simfoundry.spec.yaml.write import write_tree
 
     if not args:
         raise CannotError("name the file with the conflicts: simfoundry merge --resolve ours FILE [PATH]...")
@@ -166,7 +166,7 @@ def _text(path: Path) -> str:
 
 def _write(path: Path, text: str) -> None:
     """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = path.resolve()
     mode = target.stat().st_mode if target.exists() else None
@@ -191,7 +191,7 @@ def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
 
 
 def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
-    from simfoundry.spec.merge.conflict import dotted
+    from simfoundry.spec.change.merge.conflict import dotted
 
     conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
     return {"conflicts": conflicts, "findings": [d.to_json() for d in errors]}

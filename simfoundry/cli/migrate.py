@@ -20,10 +20,10 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
 
     PATHS are files, or folders with documents below them (default: here). A document's first key names its version.
     """
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.spec.change.migrate import migrated
     from simfoundry.spec.diagnostics import Diagnostic, SpecError
-    from simfoundry.spec.migrate import migrated
-    from simfoundry.spec.text import YamlError, read
+    from simfoundry.spec.yaml.text import YamlError, read
 
     files = documents(paths or (Path(),))
     newer: dict[Path, str] = {}

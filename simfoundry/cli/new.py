@@ -40,8 +40,8 @@ def command(
     simfoundry.yaml, or the closest folder that holds every file named. Where the project has no schemas for editors,
     they are written into .simfoundry/schemas/.
     """
-    from simfoundry.files import write_atomically
-    from simfoundry.spec.new import NewError, kind_and_path, make
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.spec.editor.new import NewError, kind_and_path, make
 
     try:
         kind, path = kind_and_path(words)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 import click
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import how_to_install
+from simfoundry.runtime.extras import how_to_install
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 P = ParamSpec("P")
 
@@ -103,7 +103,7 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
     if as_json:
         print_json({"findings": [d.to_json() for d in findings]})
     elif findings:
-        from simfoundry.spec.report import as_text
+        from simfoundry.spec.check.report import as_text
 
         click.echo(as_text.findings(findings, in_colour(sys.stderr)), err=True, color=True)
 

@@ -120,9 +120,9 @@ def _picture(setting: Setting, scene: Path, name: str | None) -> bytes:
     import tempfile
 
     from simfoundry.cli.output import choose_camera
+    from simfoundry.render.montage import save_png
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.worlds.compare import save_png
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.render import choose_engine, render
 
     spec = load_scene(scene).spec

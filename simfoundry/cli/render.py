@@ -26,11 +26,11 @@ from simfoundry.cli.output import choose_camera, force_option, json_option, prin
 def command(scene: Path, camera: str | None, out: Path | None, engine: str, force: bool, as_json: bool) -> None:
     """Render a PNG from a camera, without a display."""
     from simfoundry.assets.cache import Cache
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.render.montage import save_png
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.worlds.compare import save_png
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.render import choose_engine, render
 
     loaded = load_scene(scene)

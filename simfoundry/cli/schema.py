@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.output import force_option, print_document, reporting
-from simfoundry.spec.kinds import KINDS
+from simfoundry.spec.models.kinds import KINDS
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
@@ -24,9 +24,9 @@ def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> 
     They hold what editors add to JSON Schema: snippets, Markdown, messages. Validators that refuse keywords which they
     do not know take them with --standard.
     """
-    from simfoundry.files import write_atomically
-    from simfoundry.outputs import ensure_replaceable
-    from simfoundry.spec.schema import schemas
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
+    from simfoundry.spec.editor.schema import schemas
 
     texts = schemas(standard)
     if out is not None:

@@ -33,13 +33,13 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
     rest.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.files import write_atomically
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.files import write_atomically
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.scene.poses import with_state
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.spec.write import to_yaml
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.spec.yaml.write import to_yaml
     from simfoundry.worlds import open_world
     from simfoundry.worlds.settle import settle
 

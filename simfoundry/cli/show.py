@@ -20,7 +20,7 @@ def command(scene: Path, as_json: bool) -> None:
     from simfoundry.scene.lower import lower
     from simfoundry.scene.summary import summary, tree
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)

@@ -24,10 +24,10 @@ def command(scene: Path, camera: str | None, out: Path, seed: int, masks: bool, 
     """Render a scene to a capture: colour and depth as a real sensor would see them, with its noise and holes."""
     from simfoundry.assets.cache import Cache
     from simfoundry.capture.synthesize import CAPTURE_FILES, synthesize
-    from simfoundry.outputs import ensure_replaceable
+    from simfoundry.runtime.outputs import ensure_replaceable
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     loaded = load_scene(scene)
     assert isinstance(loaded.spec, SceneSpec)

@@ -70,7 +70,7 @@ def command(
     if not paths and not behaviours:
         raise CannotError("there is nothing to verify: name a scene, or leave out --no-behaviours")
     if html is not None:
-        from simfoundry.outputs import ensure_replaceable
+        from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(html, paths, force)
     wanted = [engine_called(name) for name in dict.fromkeys((*engines, *require))] if engines else list(ENGINES)
@@ -181,7 +181,7 @@ def _write_page(
     found: Mapping[str, Found | None],
     subjects: Sequence[Subject],
 ) -> None:
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.page import page
     from simfoundry.verify.pictures import picture

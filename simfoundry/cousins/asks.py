@@ -20,9 +20,9 @@ from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.frames import Array
 from simfoundry.scene.hulls import Hulls
 from simfoundry.scene.place import CLEARANCE
-from simfoundry.spec.cousins import SceneAxis
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.expressions import parse_call, texts
+from simfoundry.spec.models.cousins import SceneAxis
+from simfoundry.spec.models.expressions import parse_call, texts
 
 DOUBTED = 2
 """What may fit with a part of it only is dropped so many times as often as a candidate does before it is refused: what

@@ -15,7 +15,7 @@ from simfoundry.cousins.views import SEEN, best_view
 from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Condition, parse_call, parts
+from simfoundry.spec.models.expressions import Condition, parse_call, parts
 
 PENETRATION = 0.001
 """Nothing overlaps deeper than this at rest [m]."""

@@ -14,8 +14,8 @@ from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.place import PlaceError, solve
-from simfoundry.spec.cousins import SceneAxis
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.cousins import SceneAxis
+from simfoundry.spec.models.place import Place
 
 EDGE = 0.003
 """A foot that is no farther from an edge than this [m] is on it: that of what is dropped keeps a gap of 1 mm."""

@@ -11,7 +11,7 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.sides import DROPPED
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 
 FULL = 0.85
 """Shadows fill no more of a table than this where things are put by chance, largest first: discs or squares of one

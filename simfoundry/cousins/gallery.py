@@ -14,12 +14,12 @@ from simfoundry.cousins.ledger import Ledger
 from simfoundry.cousins.log import Reader
 from simfoundry.cousins.manifest import FILE, examples, summary
 from simfoundry.cousins.run import Plan
-from simfoundry.files import write_atomically
 from simfoundry.review.style import STYLE
+from simfoundry.runtime.files import write_atomically
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 PAGE = "gallery.html"
 PICTURES = "pictures"
@@ -67,10 +67,10 @@ def _picture(out: Path, candidate: Candidate) -> Path | None:
 def draw(file: Path) -> bytes | None:
     """A PNG of a scene from its viewpoint, or its first camera; None where it has no camera."""
     from simfoundry.assets.cache import Cache
+    from simfoundry.render.montage import png_bytes
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.worlds.compare import png_bytes
+    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.worlds.render import render
 
     loaded = load_scene(file)

@@ -25,7 +25,7 @@ from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
 from simfoundry.predicates.judging.states import Poses, StateBatch, rotations
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4
 """How often all things are placed anew where one finds no place."""

@@ -21,11 +21,11 @@ from simfoundry.cousins.objects.stuff import same_kind, sort_of
 from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.model import SceneObject
-from simfoundry.spec.cousins import Between, DistractorAxis
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.cousins import Between, DistractorAxis
 
 VERSION = "library facts 2"
 """Changes with what is measured."""
@@ -130,7 +130,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _meshes_of(document: Path) -> list[Path]:
-    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.models.asset import AssetSpec
 
     loaded = load(document)
     if not isinstance(loaded.spec, AssetSpec):
@@ -177,7 +177,7 @@ def lowered(file: Path) -> SceneObject:
 
 def measured(file: Path, cache: Cache) -> Item:
     """A file with its facts, from the cache where they are; raises :class:`SpecError` for what is no thing."""
-    from simfoundry.worlds.inputs import record
+    from simfoundry.targets.inputs import record
 
     loaded = described(file)
     if loaded.errors:
@@ -196,7 +196,7 @@ def measured(file: Path, cache: Cache) -> Item:
 
 def _states_category(scene: Loaded, file: Path) -> bool:
     """Whether the document of a thing gives its category; a mesh never does."""
-    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.models.asset import AssetSpec
 
     asset = scene.used(file.name)
     return asset is not None and isinstance(asset.spec, AssetSpec) and asset.spec.category is not None

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.errors import OutputError
-from simfoundry.files import writing_atomically
+from simfoundry.runtime.files import writing_atomically
 
 WORK = ".cousins"
 """The folder of a run's own files below its output."""

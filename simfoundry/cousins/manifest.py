@@ -16,7 +16,7 @@ from simfoundry.cousins.ledger import Ledger
 from simfoundry.cousins.log import Reader
 from simfoundry.cousins.run import MANIFEST, Plan
 from simfoundry.errors import OutputError
-from simfoundry.files import writing_atomically
+from simfoundry.runtime.files import writing_atomically
 
 VERSION = "cousins-run/1"
 FILE = MANIFEST

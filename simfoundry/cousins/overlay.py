@@ -14,11 +14,11 @@ from simfoundry.scene.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import pose, pose_spec
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.place import DEPTHS, SIDES, Place
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.tree import plain_tree
-from simfoundry.spec.write import to_data, write_tree
+from simfoundry.spec.models.place import DEPTHS, SIDES, Place
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import to_data, write_tree
 
 STILL = 1e-3
 """A joint that settled no farther from where it is written [m or rad] stays as it is written."""

@@ -13,11 +13,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from simfoundry.contain import FailedError, Limits, Worker
 from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import MissingEngineError
-from simfoundry.extras import install_line
+from simfoundry.runtime.extras import install_line
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
 
 SILENT_S = 600.0
 """More than a candidate may take, with all that its process has to prepare before the first [s]."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
-from simfoundry.extras import EXTRAS, install_line
+from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene
 

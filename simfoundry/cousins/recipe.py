@@ -12,18 +12,18 @@ from typing import Any
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.library import Item, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
-from simfoundry.spec.cousins import CousinsSpec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import located
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.cousins import CousinsSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.spec.project import NoProjectError, common_project, markers
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.write import to_data
+from simfoundry.spec.yaml.write import to_data
 
 NOT_COUNTED = ("simfoundry", "extends", "name", "description", "allow", "conflicts", "count", "seed")
 """What of a recipe makes no difference to a candidate, but for the seed, which may be given with the run."""
@@ -88,7 +88,7 @@ class Recipe:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The words for the things of the twin, sorted: their names and labels, and their categories or asset names."""
-        from simfoundry.spec.asset import AssetSpec
+        from simfoundry.spec.models.asset import AssetSpec
 
         found = set()
         for name, item in self.scene_spec.objects.items():
@@ -99,7 +99,7 @@ class Recipe:
 
     def about(self) -> dict[str, Any]:
         """What a run is of: the same, the same bytes."""
-        from simfoundry.worlds.inputs import record
+        from simfoundry.targets.inputs import record
 
         inputs = record(self.scene, ())
         inputs["task"] = None if self.task_spec is None else to_data(self.task_spec)

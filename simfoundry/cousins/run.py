@@ -15,7 +15,7 @@ from simfoundry.cousins.log import WORK, Log, Reader, log_file, logs, read_place
 from simfoundry.cousins.objects.swap import VariantCount
 from simfoundry.cousins.pools import Pool
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 
 AHEAD = 32
 """So many candidates for each worker may be known before one of lower index is."""

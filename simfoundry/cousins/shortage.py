@@ -12,7 +12,7 @@ from simfoundry.cousins.sides import SIDES, side_axis
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 
 
 def no_room(

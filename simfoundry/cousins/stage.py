@@ -17,12 +17,12 @@ from simfoundry.cousins.log import Reader
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
-from simfoundry.files import writing_atomically
-from simfoundry.outputs import MARK
+from simfoundry.runtime.files import writing_atomically
+from simfoundry.runtime.outputs import MARK
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
-from simfoundry.spec import base
-from simfoundry.spec.text import parse
+from simfoundry.spec.models import base
+from simfoundry.spec.yaml.text import parse
 
 SET, TWIN = "cousin", "twin"
 """The variant set, and its variant that is the twin."""
@@ -94,9 +94,9 @@ def _whole(plan: Plan, recipe: Recipe, added: Objects, others: Mapping[str, Mapp
     from simfoundry.cousins.overlay import relative
     from simfoundry.scene.lower import lower
     from simfoundry.spec.load import load
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.spec.tree import plain_tree
-    from simfoundry.spec.write import write_tree
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.spec.yaml.tree import plain_tree
+    from simfoundry.spec.yaml.write import write_tree
 
     data: dict[str, Any] = {
         "simfoundry": "scene/1",
@@ -111,7 +111,7 @@ def _whole(plan: Plan, recipe: Recipe, added: Objects, others: Mapping[str, Mapp
 
 
 def _build(whole: Any, path: Path) -> None:
-    from simfoundry.worlds.build import build
+    from simfoundry.targets.build import build
 
     build(whole, ("usd",), path.with_suffix(""))
 

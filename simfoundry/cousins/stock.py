@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from simfoundry.cousins.library import Item
 from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.recipe import Recipe
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.files import ASSET_SUFFIX, located
 
 if TYPE_CHECKING:
@@ -96,10 +96,10 @@ def _reference(item: Item, root: Path, out: Path) -> str:
 
 def copied(file: Path, folder: Path) -> Path:
     """A copy in ``folder`` of a mesh, or of an asset document whole, with the files that they name."""
-    from simfoundry.spec.asset import AssetSpec
     from simfoundry.spec.load import load_kind
-    from simfoundry.spec.tree import plain_tree
-    from simfoundry.spec.write import to_data, write_tree
+    from simfoundry.spec.models.asset import AssetSpec
+    from simfoundry.spec.yaml.tree import plain_tree
+    from simfoundry.spec.yaml.write import to_data, write_tree
 
     if not file.name.endswith(ASSET_SUFFIX):
         _copy_mesh(file, folder)

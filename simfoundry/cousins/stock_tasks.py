@@ -13,11 +13,11 @@ from simfoundry.cousins.log import WORK
 from simfoundry.cousins.overlay import relative
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.errors import OutputError
-from simfoundry.files import write_atomically
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.text import YamlError, parse
-from simfoundry.spec.validate import validate
-from simfoundry.spec.write import to_yaml
+from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.check.validate import validate
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.write import to_yaml
 
 if TYPE_CHECKING:
     from simfoundry.cousins.tasks.choices import TaskCousin

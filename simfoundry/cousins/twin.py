@@ -27,9 +27,9 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Collider, Cylinder, Joint, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.touching import weld_groups
-from simfoundry.spec.expressions import Condition, parse_call, texts
 from simfoundry.spec.load import load, load_kind
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Condition, parse_call, texts
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle

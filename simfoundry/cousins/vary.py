@@ -215,7 +215,7 @@ def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:
 
 
 def _of_links() -> tuple[str, ...]:
-    from simfoundry.spec.checks.scene import OF_LINKS
+    from simfoundry.spec.check.scene import OF_LINKS
 
     return OF_LINKS
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simfoundry.spec.task import Reset, ResetRegion
+from simfoundry.spec.models.task import Reset, ResetRegion
 
 Cell = tuple[int, int]
 """A cell of a grid, counted from 0 along x and along y."""

@@ -19,7 +19,7 @@ import numpy as np
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.policies.base import ActionSpace
 from simfoundry.evaluate.rollout import End, Rollout
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 
 VERSION = "rollout/2"
 _MISSING = ".missing.json"

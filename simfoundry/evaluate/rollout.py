@@ -22,7 +22,7 @@ from simfoundry.predicates import Judge
 from simfoundry.scene.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
-from simfoundry.spec.expressions import parse_call, texts
+from simfoundry.spec.models.expressions import parse_call, texts
 from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
 

@@ -23,7 +23,7 @@ from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.strata import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.evaluate.videos import whole_picture
-from simfoundry.extras import need_extra
+from simfoundry.runtime.extras import need_extra
 from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World

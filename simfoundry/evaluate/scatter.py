@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from simfoundry.evaluate.correlate import Agreement, mean_agreement
-from simfoundry.outputs import MARK
+from simfoundry.runtime.outputs import MARK
 
 SIDE, MARGIN, LEGEND = 440, 56, 210
 COLORS = ("#2f6fde", "#e07b1a", "#2a9d63", "#b23a8f", "#6b7280")

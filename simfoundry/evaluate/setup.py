@@ -9,10 +9,10 @@ from simfoundry.assets.cache import Cache
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.task import Start, TaskSpec
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.task import Start, TaskSpec
 
 
 @dataclass(frozen=True, eq=False)

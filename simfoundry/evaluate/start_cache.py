@@ -14,7 +14,7 @@ from simfoundry.evaluate.grid import Cell
 from simfoundry.evaluate.task import Task
 from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Condition
+from simfoundry.spec.models.expressions import Condition
 
 VERSION = "starts/1"
 """Changes where the same task and seed would give other starts."""

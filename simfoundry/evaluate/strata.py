@@ -11,7 +11,7 @@ from simfoundry.evaluate.metrics import Rate, holm, mcnemar, sign_flip, stratifi
 from simfoundry.evaluate.records import is_result
 from simfoundry.evaluate.task import Task
 from simfoundry.spec.load import load
-from simfoundry.spec.text import read
+from simfoundry.spec.yaml.text import read
 
 Record = Mapping[str, Any]
 

@@ -14,9 +14,9 @@ from simfoundry.evaluate.robots import check_can_act
 from simfoundry.evaluate.setup import Setup, carried_by, lowered
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError, nearest
-from simfoundry.spec.expressions import Condition
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.task import Reset, TaskSpec
+from simfoundry.spec.models.expressions import Condition
+from simfoundry.spec.models.task import Reset, TaskSpec
 
 
 @dataclass(frozen=True, eq=False)

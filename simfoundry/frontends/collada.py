@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, texture_png
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.xmltree import Element, read_xml

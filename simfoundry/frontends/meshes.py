@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, extent, read_parts
-from simfoundry.frontends.drafts import MeshDraft
-from simfoundry.frontends.found import NotFoundError, Search
+from simfoundry.frontends.draft import MeshDraft
+from simfoundry.frontends.file_search import NotFoundError, Search
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Array
 from simfoundry.spec.files import MESH_SUFFIXES

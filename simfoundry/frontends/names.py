@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 
-from simfoundry.spec.base import WORLD
+from simfoundry.spec.models.base import WORLD
 
 LONGEST = 64
 

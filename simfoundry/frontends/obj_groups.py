@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.drafts import MeshDraft
+from simfoundry.frontends.draft import MeshDraft
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
 

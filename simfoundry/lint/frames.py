@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from simfoundry.spec import base
+from simfoundry.spec.models import base
 
 Vec = tuple[float, float, float]
 Rotation = tuple[float, float, float, float, float, float, float, float, float]

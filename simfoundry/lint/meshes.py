@@ -8,21 +8,21 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.assets.faults import (
+from simfoundry.assets.errors import (
     MeshError,
     implausible_size,
     profile_misses_axis,
     profile_off_axis,
     shape_crosses_itself,
 )
-from simfoundry.spec.base import LatheShape, PrismShape, Shape
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.base import LatheShape, PrismShape, Shape
+from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.models.asset import AssetSpec
 
 SMALLEST_AREA = 1e-8
 """A profile or outline of less than this [m^2] has no area; as in lowering."""
@@ -72,7 +72,7 @@ def _of_asset(loaded: Loaded, spec: AssetSpec) -> Iterator[Fault]:
 
 
 def _mesh_fault(file: Path, scale: float, solid: str, collision: str) -> MeshError | None:
-    from simfoundry.assets.facts import mesh_facts
+    from simfoundry.assets.mesh_summary import mesh_facts
 
     try:
         return mesh_facts(file).fault(file.name, scale, solid, collision)
@@ -81,7 +81,7 @@ def _mesh_fault(file: Path, scale: float, solid: str, collision: str) -> MeshErr
 
 
 def _visual_fault(file: Path, scale: float) -> MeshError | None:
-    from simfoundry.assets.facts import mesh_facts
+    from simfoundry.assets.mesh_summary import mesh_facts
 
     try:
         return implausible_size(file.name, mesh_facts(file).size * scale, scale)

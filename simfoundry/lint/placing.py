@@ -13,7 +13,7 @@ from dataclasses import replace
 from simfoundry.lint.convex import Piece
 from simfoundry.lint.frames import Frame, Vec, rotation_of
 from simfoundry.lint.things import Thing, bounds, extent, landing_on, middle
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 
 CLEARANCE = 1e-4
 """How far above its carrier a thing is put [m]; as in lowering."""

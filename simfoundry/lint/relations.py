@@ -8,8 +8,9 @@ from simfoundry.lint.report import warning
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.verdicts import verdict
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.expressions import parse_call
+
 
 def broken(loaded: Loaded, drawn: Sketch) -> Iterator[Diagnostic]:
     """SF406: relations of a scene that certainly do not hold in it."""

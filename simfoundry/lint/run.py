@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from simfoundry.spec.allow import sift, unused
+from simfoundry.spec.check.allow import sift, unused
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.loaded import Loaded
 
@@ -46,7 +46,7 @@ def _of_shapes(loaded: Loaded) -> Iterator[Diagnostic]:
     from simfoundry.assets.textures import document_faults
     from simfoundry.lint.meshes import mesh_faults
     from simfoundry.lint.report import warning
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
     faults = list(mesh_faults(loaded, loaded.spec))  # type: ignore[arg-type]
     yield from faults
@@ -68,8 +68,8 @@ def _of_shapes(loaded: Loaded) -> Iterator[Diagnostic]:
 
 def _of_task(loaded: Loaded) -> Iterator[Diagnostic]:
     from simfoundry.lint.tasks import lint_task
-    from simfoundry.spec.scene import SceneSpec
-    from simfoundry.spec.task import TaskSpec
+    from simfoundry.spec.models.scene import SceneSpec
+    from simfoundry.spec.models.task import TaskSpec
 
     spec = loaded.spec
     assert isinstance(spec, TaskSpec)

@@ -11,21 +11,21 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.lint.frames import WORLD, Frame, about, frame_of, looking, turned
 from simfoundry.lint.placing import place_all
 from simfoundry.lint.solids import Solid, hull_of_points, solid_of
 from simfoundry.lint.things import Limb, Thing, Turn
-from simfoundry.spec.base import Body, Pose
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.place import Place
-from simfoundry.spec.positions import Written, position
-from simfoundry.spec.scene import CameraSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.base import Body, Pose
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.positions import Written, position
+from simfoundry.spec.models.scene import CameraSpec, ObjectSpec, SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.spec.asset import AssetSpec, JointSpec
-    from simfoundry.spec.task import Start
+    from simfoundry.spec.models.asset import AssetSpec, JointSpec
+    from simfoundry.spec.models.task import Start
 
 NEARLY_CONVEX = 0.90
 """A mesh that fills this share of its hull collides as its hull; as in :mod:`simfoundry.assets.convex`."""
@@ -149,7 +149,7 @@ def _limbs(
     if used is None:
         mesh = _mesh(loaded.file(reference), item.scale, item)
         return {"base": Limb(WORLD, tuple((solid, WORLD) for solid in mesh), item.collision != "none")}, {}
-    from simfoundry.spec.asset import AssetSpec
+    from simfoundry.spec.models.asset import AssetSpec
 
     assert isinstance(used.spec, AssetSpec)
     given = {**item.joints, **start}
@@ -205,7 +205,7 @@ def _motion(joint: JointSpec, position: float) -> Frame:
 
 def _mesh(file: Path, scale: float, body: Body) -> tuple[Solid, ...]:
     """A mesh as its hull; nothing where it cannot be used, which is another finding."""
-    from simfoundry.assets.facts import mesh_facts
+    from simfoundry.assets.mesh_summary import mesh_facts
 
     try:
         facts = mesh_facts(file)

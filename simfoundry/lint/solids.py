@@ -15,7 +15,15 @@ from itertools import pairwise
 
 from simfoundry.lint.convex import Piece
 from simfoundry.lint.frames import Frame, Vec
-from simfoundry.spec.base import BoxShape, CapsuleShape, CylinderShape, LatheShape, PrismShape, Shape, SphereShape
+from simfoundry.spec.models.base import (
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    LatheShape,
+    PrismShape,
+    Shape,
+    SphereShape,
+)
 
 SECTORS = 16
 """Sectors of a ring; as in :mod:`simfoundry.assets.lathe`."""

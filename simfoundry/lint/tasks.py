@@ -16,11 +16,11 @@ from simfoundry.lint.verdicts import judge, verdict
 from simfoundry.lint.views import unseen_of
 from simfoundry.lint.widths import grasp_width
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.expressions import Call, parse_call, parts, texts
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
 from simfoundry.spec.models.predicate import Effect
-from simfoundry.spec.robot import RobotSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.task import TaskSpec
 
 SLACK = 0.001
 """A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift
 from simfoundry.lint.frames import WORLD, Frame, Vec
 from simfoundry.lint.solids import Solid, posed
-from simfoundry.spec.base import FARTHEST
+from simfoundry.spec.models.base import FARTHEST
 
 
 class Limb(NamedTuple):

@@ -14,7 +14,7 @@ from simfoundry.lint.frames import Vec
 from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.things import Thing, bounds, extent, is_even, landing, middle
-from simfoundry.spec.expressions import Call, parse_call, parts
+from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 FAR_OFF = 0.03
 """What is this far [m] over another thing does not rest on it, whatever the tolerance is."""

@@ -8,7 +8,7 @@ from simfoundry.lint.convex import Piece
 from simfoundry.lint.frames import Vec
 from simfoundry.lint.solids import thinnest_wall
 from simfoundry.lint.things import Thing
-from simfoundry.spec.base import LatheShape
+from simfoundry.spec.models.base import LatheShape
 
 STEPS = 36
 """Directions in which a piece with round faces is measured: every 5 degrees."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pydantic import BaseModel
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import install_line
+from simfoundry.runtime.extras import install_line
 
 if TYPE_CHECKING:
     from pydantic_ai.models import Model

@@ -17,8 +17,8 @@ def inside(terms: Terms, a: Thing, b: Thing) -> None:
     import numpy as np
 
     from simfoundry.lint.report import length
-    from simfoundry.predicates.judging.cavity_depth import enclosed_depth
     from simfoundry.predicates.distance import FAR
+    from simfoundry.predicates.judging.cavity_depth import enclosed_depth
 
     depth = enclosed_depth(terms.view, a, b)
     share = f"{ENCLOSED:.0%} of `{a.name}`"

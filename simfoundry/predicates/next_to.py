@@ -44,9 +44,7 @@ def next_to(terms: Terms, a: Thing, b: Thing) -> None:
     level = np.minimum(high_a, high_b) - np.maximum(low_a, low_b)
     terms.require(level, level, lambda v, ok: "" if ok else f"one is {length(-v)} higher than the other")
     terms.require_if_open(spare_gap, lambda v: v, gap_text)
-    terms.require_if_open(
-        overlap, lambda v: -v, lambda v, ok: "" if ok else f"one is over the other, by {length(v)}"
-    )
+    terms.require_if_open(overlap, lambda v: -v, lambda v, ok: "" if ok else f"one is over the other, by {length(v)}")
 
 
 PREDICATE = Predicate(

@@ -35,7 +35,9 @@ def _vertical(side: str, opposite: str, terms: Terms, a: Thing, b: Thing) -> Non
         return np.asarray(second[first > 0])
 
     terms.require_if_open(
-        wanted, lambda v: v, lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}straight {side} the middle of `{a.name}`"
+        wanted,
+        lambda v: v,
+        lambda v, ok: f"`{b.name}` is {'' if ok else 'not '}straight {side} the middle of `{a.name}`",
     )
     terms.require_if_open(excluded, lambda v: -v, lambda v, ok: "" if ok else f"`{b.name}` is also {opposite} it")
 

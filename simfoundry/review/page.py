@@ -13,14 +13,14 @@ from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING
 
-from simfoundry.outputs import MARK
-from simfoundry.review.compare import Comparison, Side
 from simfoundry.review.labels import Label, place_labels
 from simfoundry.review.style import STYLE
+from simfoundry.runtime.outputs import MARK
+from simfoundry.spec.change.compare import Comparison, Side
+from simfoundry.spec.change.diff.poses import motion, words
+from simfoundry.spec.change.diff.words import Entry, summary
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.diff.poses import motion, words
-from simfoundry.spec.diff.words import Entry, summary
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.review.pictures import Picture, Tint

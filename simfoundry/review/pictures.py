@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.render.raycast import raycast
+from simfoundry.render.surface import scene_surface
 from simfoundry.scene.bodies import GREY
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.model import Camera, Scene, SceneObject
-from simfoundry.scene.raycast import raycast
-from simfoundry.scene.surface import scene_surface
 
 WIDTH, HEIGHT = 640, 480
 """The size of a picture without a camera of the scene, and the largest width and height of any [px]."""

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
 from simfoundry.scene.bodies import GREY
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import Background, Mesh, Visual
-from simfoundry.spec import scene as spec
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models import scene as spec
 
 
 def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:

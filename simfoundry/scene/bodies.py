@@ -12,7 +12,7 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import Faces, hull, mesh_colliders
-from simfoundry.assets.faults import LEAST_VOLUME, MeshError, no_volume, not_closed
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, no_volume, not_closed
 from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, lathe_parts
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.primitives import Primitive
@@ -30,8 +30,8 @@ from simfoundry.scene.model import (
     Sphere,
     Visual,
 )
-from simfoundry.spec.asset import Inertial, Part
-from simfoundry.spec.base import (
+from simfoundry.spec.models.asset import Inertial, Part
+from simfoundry.spec.models.base import (
     Body,
     BoxShape,
     CapsuleShape,

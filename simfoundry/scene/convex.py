@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from simfoundry.assets.convex import hull
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.model import Mesh
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY, Pose, look_at
 from simfoundry.scene.frames import frozen_array as frozen
@@ -36,22 +36,22 @@ from simfoundry.scene.model import (
 )
 from simfoundry.scene.poses import pose as pose
 from simfoundry.scene.source import Source
-from simfoundry.spec import base
-from simfoundry.spec.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.asset import Drive as DriveSpec
-from simfoundry.spec.data import to_data
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
-from simfoundry.spec.expressions import parse_call
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.positions import Written, position
-from simfoundry.spec.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
-from simfoundry.spec.variants import variant_names, variant_of
+from simfoundry.spec.models import base
+from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
+from simfoundry.spec.models.asset import Drive as DriveSpec
+from simfoundry.spec.models.data import to_data
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.positions import Written, position
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, CameraSpec, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.robot import Robot
-    from simfoundry.spec import scene as spec_scene
+    from simfoundry.spec.models import scene as spec_scene
 
 Progress = Callable[[str, int, int], None]
 

@@ -19,7 +19,7 @@ from simfoundry.scene.hulls import Hulls, hulls
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.walls import hollow, surrounded
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 
 CLEARANCE = 1e-4
 """How far above what carries it a thing is put [m], so that nothing interpenetrates."""

@@ -10,8 +10,8 @@ import numpy as np
 from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.base import Pose as PoseSpec
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.base import Pose as PoseSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 UPRIGHT_DEG = 0.05
 """A body tilted less than this is written as upright: it moves the rim of a 20 cm plate by less than 0.1 mm."""

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 
-from simfoundry.extras import install_line, is_installed
+from simfoundry.runtime.extras import install_line, is_installed
 
 _SOURCE = re.compile(r"_?clone_to_cache\(\s*[\"']([^\"']+)[\"']")
 _ATTRIBUTE = {".urdf": "URDF_PATH", ".xml": "MJCF_PATH"}

@@ -10,8 +10,8 @@ import numpy as np
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Joint, JointType, Mesh, Scene, SceneObject, Sphere
-from simfoundry.spec.base import Estimate
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.base import Estimate
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 
 def summary(scene: Scene, spec: SceneSpec) -> dict[str, Any]:

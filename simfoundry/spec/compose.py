@@ -10,8 +10,8 @@ from pathlib import Path, PurePosixPath
 
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, reachable
-from simfoundry.spec.kinds import model_of, suffix
-from simfoundry.spec.text import Document, Node, Path_, YamlError, read
+from simfoundry.spec.models.kinds import model_of, suffix
+from simfoundry.spec.yaml.text import Document, Node, Path_, YamlError, read
 
 MAX_BASES = 16
 
@@ -148,7 +148,7 @@ class _Joining:
         """The keys that ``key`` replaces; none in a mapping by name, where keys are names, nor of one by name."""
         rivals = sorted(_RIVALS.get(key, set()) & children.keys())
         if rivals:
-            from simfoundry.spec.types import is_mapping, models_at
+            from simfoundry.spec.models.types import is_mapping, models_at
 
             models = [m for m in models_at(model_of(self.kind), path) if key in m.model_fields]
             return rivals if any(not is_mapping(m, key) for m in models) else []
@@ -172,7 +172,7 @@ def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return
-    from simfoundry.spec.types import file_patterns
+    from simfoundry.spec.models.types import file_patterns
 
     step = PurePosixPath(Path(os.path.relpath(here, there)).as_posix())
     for pattern in file_patterns(model_of(kind)):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from simfoundry.files import write_atomically
-from simfoundry.spec.pages import findings_page
-from simfoundry.spec.reference import reference
-from simfoundry.spec.schema import schemas
+from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.check.pages import findings_page
+from simfoundry.spec.editor.reference import reference
+from simfoundry.spec.editor.schema import schemas
 
 
 def generated() -> dict[str, str]:

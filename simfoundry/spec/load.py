@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simfoundry.spec.allow import sift
-from simfoundry.spec.check import check
+from simfoundry.spec.check.allow import sift
+from simfoundry.spec.check.documents import check
+from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
-from simfoundry.spec.kinds import KINDS, model_of
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.loaders import LOADERS
+from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
-from simfoundry.spec.text import Document, YamlError, parse, read
-from simfoundry.spec.validate import sound_part, validate
+from simfoundry.spec.yaml.text import Document, YamlError, parse, read
 
 Known = dict[tuple[str, str], Loaded | None]
 """Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from simfoundry.spec.base import DocumentSpec
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.files import located, shown
-from simfoundry.spec.text import Document
+from simfoundry.spec.models.base import DocumentSpec
+from simfoundry.spec.yaml.text import Document
 
 
 @dataclass(frozen=True)

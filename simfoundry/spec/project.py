@@ -12,10 +12,10 @@ from tempfile import gettempdir
 
 from pydantic import Field
 
-from simfoundry.spec.base import Model
+from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.text import YamlError, read
-from simfoundry.spec.validate import validate
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.yaml.text import YamlError, read
 
 MARKER = "simfoundry.yaml"
 """The file that marks the topmost folder of a project; it may be empty."""

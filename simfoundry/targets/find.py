@@ -12,7 +12,7 @@ from simfoundry.backends import BACKENDS, backend_of
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
-from simfoundry.spec.text import Document, YamlError, read
+from simfoundry.spec.yaml.text import Document, YamlError, read
 
 if TYPE_CHECKING:
     from simfoundry.targets.profile import TargetSpec
@@ -71,7 +71,7 @@ def find_target(name: str) -> Target:
 
 def read_profile(path: Path) -> Target:
     """The target of the profile at ``path``; raises :class:`SpecError` with every finding."""
-    from simfoundry.spec.validate import validate
+    from simfoundry.spec.check.validate import validate
     from simfoundry.targets.profile import TargetSpec
 
     try:

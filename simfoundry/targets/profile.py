@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from simfoundry.spec.base import Model, Name, Positive
+from simfoundry.spec.models.base import Model, Name, Positive
 
 Words = Annotated[str, StringConstraints(min_length=3, max_length=240)]
 Combine = Literal["average", "harmonic", "maximum", "minimum", "multiply"]

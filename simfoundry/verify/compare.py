@@ -15,8 +15,8 @@ import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.features import feature_of
-from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN
+from simfoundry.backends.pybullet.inset import inset_hull
 from simfoundry.scene.model import Mesh, Scene
 from simfoundry.targets.profile import Gap
 from simfoundry.verify.engines import Engine

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from simfoundry.outputs import MARK
+from simfoundry.runtime.outputs import MARK
 from simfoundry.verify.behaviours import Behaviour
 from simfoundry.verify.engines import Found
 from simfoundry.verify.rest import Rested

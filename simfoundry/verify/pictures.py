@@ -16,8 +16,8 @@ _FIELD_DEG = 40.0
 
 def picture(scene: Scene) -> bytes:
     """A PNG of the scene: through its first camera, made small, or else from a corner above all that is free."""
-    from simfoundry.worlds.compare import png_bytes
-    from simfoundry.worlds.gl import choose_engine
+    from simfoundry.render.gl import choose_engine
+    from simfoundry.render.montage import png_bytes
     from simfoundry.worlds.render import render
 
     return png_bytes(render(scene, overview(scene), engine=choose_engine("auto")))

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import EXTRAS, install_line
 from simfoundry.models import images, meshes
+from simfoundry.runtime.extras import EXTRAS, install_line
 
 PYBULLET_REMEDY = (
     f"{install_line('pybullet')} (wheels exist up to Python 3.11 on Linux; elsewhere pip compiles it, which takes "
@@ -95,7 +95,7 @@ def _robots() -> Iterator[Part]:
     """The known robots: whether a model of each is here, and else what brings it."""
     from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
-    from simfoundry.spec.robot import ROBOTS, RobotSpec
+    from simfoundry.spec.models.robot import ROBOTS, RobotSpec
 
     for name, known in ROBOTS.items():
         found, remedy = "", ""
@@ -109,7 +109,7 @@ def _robots() -> Iterator[Part]:
 
 
 def _renderers() -> Iterator[Part]:
-    from simfoundry.worlds.gl import working_drivers
+    from simfoundry.render.gl import working_drivers
 
     drivers = working_drivers()
     for name in ("egl", "osmesa"):

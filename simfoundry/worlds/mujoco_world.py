@@ -11,8 +11,9 @@ import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.backends.robots import mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.errors import MissingEngineError
+from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
@@ -22,7 +23,6 @@ from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Link
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
 from simfoundry.worlds.mujoco_surfaces import own_surfaces
-from simfoundry.worlds.offscreen import MujocoRenderer
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows
 from simfoundry.worlds.speed import reach
 

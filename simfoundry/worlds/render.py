@@ -7,12 +7,12 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.render.gl import Engine, RenderError, choose_engine
+from simfoundry.render.offscreen import MujocoRenderer
+from simfoundry.render.raycast import raycast
 from simfoundry.scene.model import Camera, Scene
-from simfoundry.scene.raycast import raycast
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.gl import Engine, RenderError, choose_engine
 from simfoundry.worlds.mujoco_world import MujocoWorld
-from simfoundry.worlds.offscreen import MujocoRenderer
 
 __all__ = ["Engine", "RenderError", "choose_engine", "render"]
 

@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.assets import counts
 from simfoundry.assets.counts import check_counts
-from simfoundry.assets.faults import MAX_FACES, MeshError
+from simfoundry.assets.errors import MAX_FACES, MeshError
 from tests.assets.meshes import blob, obj
 
 

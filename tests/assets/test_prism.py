@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from simfoundry.assets import mass
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import open_edges
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
 from tests.assets.meshes import Array

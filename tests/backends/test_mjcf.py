@@ -15,7 +15,7 @@ import pytest
 from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.backends.artifact import Artifact, Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.bounce import damping_ratio, rebound
+from simfoundry.backends.mjcf.restitution import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.frames import IDENTITY
 from simfoundry.scene.kinematics import link_poses

@@ -10,8 +10,8 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Fidelity
-from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN, compile_pybullet, projection_matrix
+from simfoundry.backends.pybullet.inset import inset_hull
 from simfoundry.scene.frames import frozen_array
 from simfoundry.scene.model import Mesh, Scene, Sphere
 from tests.mechanisms import mechanisms, rough

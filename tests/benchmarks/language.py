@@ -54,7 +54,7 @@ def inside(runs: int, path: Path) -> dict[str, float]:
     """Median times of the parts of a check in a process that has everything loaded."""
     from simfoundry.lint.run import lint
     from simfoundry.spec.load import load
-    from simfoundry.spec.text import read
+    from simfoundry.spec.yaml.text import read
 
     times: dict[str, list[float]] = {"read": [], "read and check": [], "lint": []}
     for _ in range(runs):

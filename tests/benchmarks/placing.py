@@ -38,8 +38,8 @@ from simfoundry.cousins.layout import Layout, propose, scatter
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.cousins import SceneAxis, Side
 from simfoundry.spec.load import load
+from simfoundry.spec.models.cousins import SceneAxis, Side
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 COUNT = 100

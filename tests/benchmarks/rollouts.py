@@ -23,7 +23,7 @@ from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import starts
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.scene.frames import Array
-from simfoundry.spec.expressions import AllOf, NoneOf
+from simfoundry.spec.models.expressions import AllOf, NoneOf
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import write_bench

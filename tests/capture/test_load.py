@@ -12,9 +12,9 @@ from PIL import Image
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame, matrix, register
 from simfoundry.scene.frames import Pose, quat_from_rpy
-from simfoundry.spec.capture import Intrinsics
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.load import load_capture
+from simfoundry.spec.models.capture import Intrinsics
 from tests.capture.captures import HEIGHT, WIDTH, color, cut, edit, plane, write
 
 NPY = ("image: depth.png", "image: depth.npy")

@@ -21,8 +21,8 @@ from simfoundry.capture.truth import Comparison, compare
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
+from simfoundry.targets.build import TARGETS, build
 from simfoundry.worlds import ENGINES, open_world
-from simfoundry.worlds.build import TARGETS, build
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY
 

@@ -18,9 +18,9 @@ from simfoundry.capture.sensor import (
     simulate_frame,
     write_capture,
 )
+from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.model import Camera, Scene, Sphere
-from simfoundry.scene.raycast import Raycast, raycast
 from tests.tabletop import box, front_camera, one, pose, rgba, tabletop
 
 QUIET = IDEAL

@@ -17,13 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec import spread as spreading
+from simfoundry.runtime import parallel as spreading
+from simfoundry.runtime.parallel import TRIAL, spread
+from simfoundry.spec.check.pages import page
+from simfoundry.spec.check.report import as_github, as_text
+from simfoundry.spec.check.report.model import FORMATS, Checked, Report, gather, renderer
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity
-from simfoundry.spec.pages import page
-from simfoundry.spec.report import as_github, as_text
-from simfoundry.spec.report.model import FORMATS, Checked, Report, gather, renderer
-from simfoundry.spec.spread import TRIAL, spread
-from simfoundry.spec.text import Document, read
+from simfoundry.spec.yaml.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
 
@@ -424,7 +424,7 @@ def test_a_process_that_is_killed_is_a_sentence() -> None:
 def test_a_large_tree_is_checked_by_processes_as_by_one(tree: Path) -> None:
     for k in range(TRIAL + 40):
         (tree / f"scene_{k:03}.scene.yaml").write_text(BAD if k % 7 == 3 else GOOD)
-    eager = "from simfoundry.spec.spread import spread\nspread.__defaults__ = (spread.__defaults__[0], 0.0, 2)\n"
+    eager = "from simfoundry.runtime.parallel import spread\nspread.__defaults__ = (spread.__defaults__[0], 0.0, 2)\n"
     by_processes, alone = python(eager + MAIN, "check", "--json"), run("check", "--json")
     assert by_processes == alone
     assert alone.json["errors"] == 11 and alone.json["documents"] == TRIAL + 43
@@ -436,8 +436,8 @@ UNNEEDED = (
     "rich",
     "multiprocessing",
     "concurrent.futures",
-    "simfoundry.spec.pages",
-    *(f"simfoundry.spec.report.as_{form}" for form in ("json", "sarif", "github")),
+    "simfoundry.spec.check.pages",
+    *(f"simfoundry.spec.check.report.as_{form}" for form in ("json", "sarif", "github")),
 )
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cli.main import COMMANDS
-from simfoundry.extras import EXTRAS
-from simfoundry.spec.robot import ROBOTS
+from simfoundry.runtime.extras import EXTRAS
+from simfoundry.spec.models.robot import ROBOTS
 from tests.cli.command import MAIN, Done, absent, python, run, several, without
 
 SCENE = """\

@@ -14,8 +14,8 @@ import pytest
 
 from simfoundry.assets import decompose
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.contain import Limits, say
-from simfoundry.worlds.batch import COMPILED, CURRENT, FAILED, Job, Outcome, compile_all, compile_job
+from simfoundry.runtime.subprocess_worker import Limits, say
+from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, Job, Outcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

@@ -24,7 +24,7 @@ from PIL import Image
 from simfoundry.review.labels import place_labels
 from simfoundry.review.page import COLORS
 from simfoundry.review.pictures import Tag, tints_of
-from simfoundry.review.revisions import GitError, export, files_of
+from simfoundry.spec.change.git.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
 
@@ -215,7 +215,7 @@ def test_numbers_of_a_mesh_are_no_files(repository: Repository) -> None:
 
 
 def test_more_files_than_anybody_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("simfoundry.review.revisions.MAX_FILES", 3)
+    monkeypatch.setattr("simfoundry.spec.change.git.revisions.MAX_FILES", 3)
     files = {"a.scene.yaml": b"[a.obj, b.obj, a.obj]", "b.scene.yaml": b"[a.obj, b.obj, c.obj]"}
     assert export(lambda name: files.get(name, b""), "a.scene.yaml", tmp_path) is not None
     with pytest.raises(GitError, match=r"b\.scene\.yaml refers to more than 3 files"):
@@ -300,9 +300,9 @@ def test_another_kind_of_document_cannot_be_compared(repository: Repository) -> 
 
 
 def test_json_can_be_applied(repository: Repository) -> None:
-    from simfoundry.spec.diff.changes import apply, from_json
+    from simfoundry.spec.change.diff.changes import apply, from_json
     from simfoundry.spec.load import load_scene
-    from simfoundry.spec.write import to_data
+    from simfoundry.spec.yaml.write import to_data
 
     repository.write("b.scene.yaml", EDITED)
     done = run("diff", "table.scene.yaml", "b.scene.yaml", "--format", "json")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.review import lookup
+from simfoundry.spec.change.git import lookup
 from tests.cli.command import run
 from tests.cli.test_diff import BASE, CABINET, OVERLAY, Repository
 

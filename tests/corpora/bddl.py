@@ -12,12 +12,12 @@ from collections import Counter
 from pathlib import Path
 
 from simfoundry.frontends.bddl import read_problem
-from simfoundry.frontends.convert import Options, import_file
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.importer import Options, import_file
 from simfoundry.spec.load import load
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
-from tests.frontends.bddl_scenes import write_scene
+from tests.frontends.bddl.scenes import write_scene
 
 EXPECTED = {"bddl_libero": 25, "bddl_behavior": 9}
 

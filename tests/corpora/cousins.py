@@ -40,7 +40,7 @@ from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.text import parse
+from simfoundry.spec.yaml.text import parse
 from simfoundry.worlds import open_world
 from tests.conftest import REPOSITORY
 

@@ -26,7 +26,7 @@ from simfoundry.cousins.sides import DROPPED, SIDES
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 
 SPECS = Path(__file__).resolve().parents[2] / "specs" / "scenes"
 ANCHORS = {

@@ -131,7 +131,7 @@ def hashes(out: Path) -> dict[str, str]:
 def versions(python: str) -> dict[str, str]:
     """Of the interpreter and of what shapes the bytes."""
     program = (
-        "import json, platform; from simfoundry.worlds.inputs import software;"
+        "import json, platform; from simfoundry.targets.inputs import software;"
         "print(json.dumps({'python': platform.python_version()} | software()))"
     )
     env = {**os.environ, "PYTHONPATH": str(REPOSITORY)}

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.contain import FailedError, Limits, Worker
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
 from simfoundry.verify.process import Job, ask
 from tests.assets.meshes import blob, obj
 from tests.cli.command import MAIN, run

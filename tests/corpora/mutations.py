@@ -19,10 +19,10 @@ from pathlib import Path
 
 from simfoundry.lint.run import lint
 from simfoundry.spec.diagnostics import Diagnostic
-from simfoundry.spec.kinds import is_document
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.text import Node, Path_, parse
+from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.yaml.text import Node, Path_, parse
 from tests.conftest import REPOSITORY
 
 COUNT = 4000

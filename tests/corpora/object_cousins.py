@@ -27,14 +27,14 @@ from simfoundry.cousins.objects.needs import Needs, needs_of
 from simfoundry.cousins.objects.swap import overlay
 from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.scene.lower import lower
-from simfoundry.spec.cousins import Change, ObjectVariants
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.text import parse
-from simfoundry.spec.tree import plain_tree
-from simfoundry.spec.write import write_tree
+from simfoundry.spec.models.cousins import Change, ObjectVariants
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import write_tree
 
 SPECS = Path(__file__).parents[2] / "specs"
 TASKS = (

@@ -20,7 +20,7 @@ from simfoundry.predicates import Judge, Poses, StateBatch
 from simfoundry.predicates.judging.states import rotate
 from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.model import Scene
-from simfoundry.spec.expressions import parse_call
+from simfoundry.spec.models.expressions import parse_call
 from simfoundry.worlds import World, open_world
 from tests.predicates.random_states import CASES, Case, random_batch, scene, states
 

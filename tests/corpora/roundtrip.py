@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING
 from simfoundry.backends import compile_scene
 from simfoundry.backends.features import feature_of
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.convert import import_file
-from simfoundry.frontends.usd_spec.importing import import_usd
-from simfoundry.frontends.usd_spec.loading import load_usd
-from simfoundry.frontends.usd_spec.reading import read_stage
+from simfoundry.frontends.importer import import_file
+from simfoundry.frontends.usd.compiled.importing import import_usd
+from simfoundry.frontends.usd.compiled.loading import load_usd
+from simfoundry.frontends.usd.compiled.reading import read_stage
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from tests.scenes_apart import Apart, apart

@@ -16,12 +16,12 @@ from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.expressions import Call, parse_call, texts
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.place import Place
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import Start, TaskSpec
+from simfoundry.spec.models.expressions import Call, parse_call, texts
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import Start, TaskSpec
 from simfoundry.worlds import open_world
 from simfoundry.worlds.footing import is_ball
 from simfoundry.worlds.settle import Settled, settle

@@ -23,7 +23,7 @@ from simfoundry.cousins.twin import bare
 from simfoundry.lint.run import lint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds import open_world
 from tests.conftest import REPOSITORY
 

@@ -12,9 +12,9 @@ import pytest
 from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose as lowered_pose
 from simfoundry.scene.model import Scene
-from simfoundry.spec.capture import CaptureSpec
 from simfoundry.spec.load import load_capture
-from simfoundry.worlds.build import TARGETS, build
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.targets.build import TARGETS, build
 from tests.corpora.captures import main, totals
 from tests.corpora.realtables import consumers, worlds
 from tests.corpora.realtables.commands import different_files, environment, run

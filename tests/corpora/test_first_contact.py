@@ -6,7 +6,7 @@ import tomllib
 
 from simfoundry.capture.demo import own_capture
 from simfoundry.cli.main import COMMANDS
-from simfoundry.extras import EXTRAS
+from simfoundry.runtime.extras import EXTRAS
 from tests.conftest import PACKAGE, REPOSITORY
 from tests.corpora.first_contact import blocks
 

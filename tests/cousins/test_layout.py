@@ -17,8 +17,8 @@ from simfoundry.cousins.reasons import ImpossibleError, Rejected
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
 from simfoundry.scene.lower import lower
-from simfoundry.spec.cousins import SceneAxis
 from simfoundry.spec.load import load
+from simfoundry.spec.models.cousins import SceneAxis
 from tests.conftest import REPOSITORY
 from tests.cousins.conftest import twin_of
 

@@ -24,9 +24,9 @@ from simfoundry.cousins.reasons import ImpossibleError
 from simfoundry.cousins.recipe import read_recipe
 from simfoundry.cousins.stock import copied, references
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.cousins import DistractorAxis
 from simfoundry.spec.load import load
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.cousins import DistractorAxis
 from simfoundry.spec.project import project_root
 from tests.assets.meshes import obj
 from tests.conftest import REPOSITORY

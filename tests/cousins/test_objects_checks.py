@@ -18,11 +18,11 @@ from simfoundry.cousins.objects.parts import each, parts_of, shaped, with_parts
 from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
-from simfoundry.spec.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.base import BoxShape, CylinderShape, LatheShape, Material, Pose, Round, SphereShape
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
+from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, Pose, Round, SphereShape
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
 from tests.cousins.test_objects_rules import ASSETS, item
 

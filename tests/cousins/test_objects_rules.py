@@ -28,16 +28,16 @@ from simfoundry.cousins.objects.skins import PATTERNS, skinned
 from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.weigh import weighed
-from simfoundry.files import write_atomically
 from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.predicates.voxels import cavity
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.frames import frozen_array
 from simfoundry.scene.model import Mesh, Scene
 from simfoundry.scene.summary import bounds
-from simfoundry.spec.base import Estimate, LatheShape
-from simfoundry.spec.cousins import Change
 from simfoundry.spec.load import load
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import Estimate, LatheShape
+from simfoundry.spec.models.cousins import Change
+from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 
 ASSETS = REPOSITORY / "specs" / "assets"

@@ -28,8 +28,8 @@ from simfoundry.scene.meshfile import obj_bytes
 from simfoundry.scene.model import Capsule
 from simfoundry.scene.summary import bounds
 from simfoundry.scene.tessellate import tessellate
-from simfoundry.spec.base import Material
-from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.cousins import ObjectVariants
 from tests.cousins.test_objects_rules import ASSETS, item
 
 T = TypeVar("T", bound=BaseModel)

@@ -17,16 +17,16 @@ from simfoundry.cousins.objects.variants import Variants, procedural, variants, 
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.cousins.reasons import ImpossibleError
 from simfoundry.errors import SimfoundryError
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Mesh
-from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.tree import plain_tree
-from simfoundry.spec.write import to_yaml, write_tree
+from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import to_yaml, write_tree
 from tests.conftest import REPOSITORY
 from tests.cousins.test_objects_checks import needs
 from tests.cousins.test_objects_rules import CHANGES

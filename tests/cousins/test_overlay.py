@@ -27,8 +27,8 @@ from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.cousins.vary import prepared
 from simfoundry.spec.load import load
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
 from tests.cousins.model_servers import served

@@ -21,7 +21,7 @@ from simfoundry.cousins.twin import Twin
 from simfoundry.scene.frames import IDENTITY, Pose, quat_from_rpy
 from simfoundry.scene.hulls import hulls
 from simfoundry.scene.model import Box, Collider, Cylinder, Geometry, Link, SceneObject
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 from tests.cousins.conftest import twin_of
 
 sizes = st.floats(0.01, 0.3)

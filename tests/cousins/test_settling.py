@@ -15,7 +15,7 @@ from simfoundry.cousins.twin import Twin, bare
 from simfoundry.cousins.views import VisibleSurface, best_view, visible_share
 from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera
-from simfoundry.spec.cousins import SceneAxis
+from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY

@@ -24,10 +24,10 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.lint.run import lint
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.cousins import TaskAxis
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.cousins import TaskAxis
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 

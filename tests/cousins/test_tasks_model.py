@@ -12,8 +12,8 @@ from simfoundry.cousins.tasks.propose import prompt, propose_tasks
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.witness import ALLOWED
 from simfoundry.spec.load import load
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 
 RECORDED = Path(__file__).parent / "recorded" / "cluttered.txt"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.schema import schemas
+from simfoundry.spec.editor.schema import schemas
 from tests.conftest import REPOSITORY
 from tests.editor.client import Server, started
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.schema import schemas
-from simfoundry.spec.text import read
+from simfoundry.spec.editor.schema import schemas
+from simfoundry.spec.yaml.text import read
 from tests.conftest import REPOSITORY
 from tests.editor.conftest import MODULES
 

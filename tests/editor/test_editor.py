@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
+from simfoundry.spec.editor.reference import EXAMPLES
+from simfoundry.spec.models.kinds import is_document
 from simfoundry.spec.models.predicate import built_in_predicates
-from simfoundry.spec.kinds import is_document
-from simfoundry.spec.reference import EXAMPLES
-from simfoundry.spec.robot import ROBOTS
+from simfoundry.spec.models.robot import ROBOTS
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 

@@ -14,7 +14,7 @@ from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 HORIZON, CHUNK = 8, 15
 JOINTS = np.array([0.1, -0.5, 0.2, -2.1, 0.3, 1.6, 0.7])

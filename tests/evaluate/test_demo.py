@@ -12,8 +12,8 @@ import pytest
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.demo import PICTURES, SIZE, demonstrate
 from simfoundry.spec.load import load
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.project import MARKER
-from simfoundry.spec.scene import SceneSpec
 
 SCENE = """\
 simfoundry: scene/1

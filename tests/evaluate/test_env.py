@@ -14,7 +14,7 @@ import pytest
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task
-from simfoundry.worlds.gl import Engine, choose_engine
+from simfoundry.render.gl import Engine, choose_engine
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")
 

@@ -22,8 +22,8 @@ from simfoundry.evaluate.policies.replay import load_replay
 from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load
-from simfoundry.spec.policy import PolicySpec
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.policy import PolicySpec
+from simfoundry.spec.models.scene import SceneSpec
 from tests.evaluate.drive import JOINTS, observation, spec_of
 
 REPOSITORY = Path(__file__).parents[2]

@@ -17,10 +17,10 @@ from simfoundry.evaluate.rollout import End, Video, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.predicates import Judge
+from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.scene.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Image
-from simfoundry.worlds.gl import Engine, choose_engine
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.conftest import REPOSITORY

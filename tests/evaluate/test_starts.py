@@ -18,7 +18,7 @@ from simfoundry.evaluate.grid import bounds, deal
 from simfoundry.evaluate.starts import Start, StartError, starts
 from simfoundry.evaluate.task import Task, load_task
 from simfoundry.predicates import Judge
-from simfoundry.spec.task import Reset, ResetRegion
+from simfoundry.spec.models.task import Reset, ResetRegion
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.frontends.convert import Options, Report, import_file
+from simfoundry.frontends.importer import Options, Report, import_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 

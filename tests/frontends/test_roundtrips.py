@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.frontends.convert import import_file
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.usd import read_usd
+from simfoundry.frontends.importer import import_file
+from simfoundry.frontends.usd.reader import read_usd
 from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import JointType, Scene, SceneObject

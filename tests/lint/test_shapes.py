@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.prism import checked_outline
 from simfoundry.lint.meshes import shape_fault
-from simfoundry.spec.base import Lathe, LatheShape, Prism, PrismShape
+from simfoundry.spec.models.base import Lathe, LatheShape, Prism, PrismShape
 
 steps = st.integers(-3, 3).map(lambda k: k / 100)
 corners = st.lists(st.tuples(steps, steps), min_size=3, max_size=7)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.lint.verdicts import judge, verdict
-from simfoundry.spec.expressions import parse_call
+from simfoundry.spec.models.expressions import parse_call
 from simfoundry.spec.models.predicate import PREDICATES
 from tests.lint.scenes import BOWL, drawn, found, written
 

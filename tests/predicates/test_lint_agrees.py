@@ -13,9 +13,9 @@ from simfoundry.lint.verdicts import verdict
 from simfoundry.predicates import Judge, PredicateError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import parse_call
-from simfoundry.spec.models.predicate import built_in_predicates
 from simfoundry.spec.load import load
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import built_in_predicates
 from tests.lint.scenes import BOWL, written
 
 SHAPES = {

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.backends.robot_object import as_object
-from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses

@@ -9,8 +9,8 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.features import feature_of
-from simfoundry.frontends.convert import import_file
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.importer import import_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robots import OWN_MODELS

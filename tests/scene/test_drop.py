@@ -15,7 +15,7 @@ from simfoundry.scene.frames import Pose, frozen_array
 from simfoundry.scene.hulls import PROUD
 from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 from tests.placing import (
     CUBE,
     FLAT,

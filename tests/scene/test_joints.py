@@ -18,8 +18,8 @@ from simfoundry.scene.state import SceneState
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import free_motions, trees
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 from tests.mechanisms import chain, mechanisms, pot
 from tests.scenes import cabinet, pose
 

@@ -20,9 +20,9 @@ from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.place import Place
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_yaml
 from tests.assets.meshes import blob, obj
 from tests.placing import (
     CUBE,

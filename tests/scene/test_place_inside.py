@@ -13,7 +13,7 @@ from simfoundry.scene.hulls import PROUD
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Capsule, SceneObject, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, place_all
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.placing import (
     CUBE,

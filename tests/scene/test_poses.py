@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
 from simfoundry.scene.poses import pose_spec, with_poses
-from simfoundry.spec.base import BoxShape
-from simfoundry.spec.base import Pose as PoseSpec
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.base import BoxShape
+from simfoundry.spec.models.base import Pose as PoseSpec
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 ANGLE = st.floats(-math.pi, math.pi)
 LENGTH = st.floats(-2, 2)

@@ -11,7 +11,7 @@ from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import lower
 from simfoundry.scene.summary import bounds, summary, tree, world_bounds
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from tests.tabletop import box, one, rgba
 
 SCENE = """\

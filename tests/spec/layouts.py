@@ -8,7 +8,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from simfoundry.spec.spelling import quoted
+from simfoundry.spec.yaml.spelling import quoted
 from tests.spec.strategies import NAMES, TEXTS
 
 ODD_TEXTS = [

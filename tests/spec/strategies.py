@@ -7,8 +7,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from simfoundry.spec.asset import AssetSpec, Drive, Inertial, JointSpec, LinkSpec, Mimic, Part
-from simfoundry.spec.base import (
+from simfoundry.spec.models.asset import AssetSpec, Drive, Inertial, JointSpec, LinkSpec, Mimic, Part
+from simfoundry.spec.models.base import (
     FARTHEST,
     BoxShape,
     CameraPose,
@@ -25,7 +25,7 @@ from simfoundry.spec.base import (
     Round,
     SphereShape,
 )
-from simfoundry.spec.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
+from simfoundry.spec.models.scene import CameraSpec, Degrees, LightSpec, ObjectSpec, SceneSpec
 
 NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,12}", fullmatch=True) | st.sampled_from(
     ["true", "null", "on", "no", "y", "e1"]

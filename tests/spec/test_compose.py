@@ -9,8 +9,8 @@ import pytest
 from simfoundry.spec.diagnostics import render
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
 
 TWIN = """\
 simfoundry: scene/1

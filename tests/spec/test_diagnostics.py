@@ -11,8 +11,8 @@ from simfoundry.lint.run import lint
 from simfoundry.scene.lower import lower
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity, SpecError, render
 from simfoundry.spec.load import load
-from simfoundry.spec.scene import SceneSpec
-from tests.frontends.stages import project
+from simfoundry.spec.models.scene import SceneSpec
+from tests.frontends.usd.stages import project
 
 BAD = Path(__file__).parent / "bad"
 CASES = sorted(p.name for p in BAD.glob("*.yaml"))

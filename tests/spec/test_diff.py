@@ -11,8 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.base import Model, Name, PartName
-from simfoundry.spec.diff.changes import (
+from simfoundry.spec.change.diff.changes import (
     Add,
     ChangeError,
     Remove,
@@ -24,10 +23,11 @@ from simfoundry.spec.diff.changes import (
     from_json,
     to_json,
 )
-from simfoundry.spec.diff.renames import BESIDE, REFERENCES, SECTIONS, Rename, same
-from simfoundry.spec.diff.words import describe
-from simfoundry.spec.kinds import KINDS, model_of
-from simfoundry.spec.write import to_data
+from simfoundry.spec.change.diff.renames import BESIDE, REFERENCES, SECTIONS, Rename, same
+from simfoundry.spec.change.diff.words import describe
+from simfoundry.spec.models.base import Model, Name, PartName
+from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.yaml.write import to_data
 from tests.spec.strategies import ASSETS, SCENES
 
 NAMES = ("cup", "mug", "bowl", "plate", "desk", "tray", "box_1", "box_2")

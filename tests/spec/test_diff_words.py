@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Model
-from simfoundry.spec.diff.changes import Reorder, diff
-from simfoundry.spec.diff.poses import motion, words
-from simfoundry.spec.diff.words import describe, summary, text
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.write import to_data
+from simfoundry.spec.change.diff.changes import Reorder, diff
+from simfoundry.spec.change.diff.poses import motion, words
+from simfoundry.spec.change.diff.words import describe, summary, text
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.write import to_data
 from tests.spec.strategies import ASSETS, SCENES
 
 SCENE: dict[str, Any] = {

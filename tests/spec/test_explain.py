@@ -11,11 +11,11 @@ import pytest
 from simfoundry.assets import decompose
 from simfoundry.capture.load import load_frame
 from simfoundry.scene.lower import lower
-from simfoundry.spec.capture import CaptureSpec
+from simfoundry.spec.check.pages import FOLDER, GROUPS, Page, code_of, findings_page, grouped, pages
 from simfoundry.spec.diagnostics import CODES, SpecError
 from simfoundry.spec.load import load
-from simfoundry.spec.pages import FOLDER, GROUPS, Page, code_of, findings_page, grouped, pages
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.capture import CaptureSpec
+from simfoundry.spec.models.scene import SceneSpec
 from tests.assets.coarse import COARSE
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

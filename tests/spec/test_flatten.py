@@ -7,11 +7,11 @@ from typing import Any
 
 from hypothesis import given
 
-from simfoundry.spec.base import DocumentSpec, Model
-from simfoundry.spec.flatten import digest, flatten, full
+from simfoundry.spec.change.flatten import digest, flatten, full
+from simfoundry.spec.check.validate import validate
 from simfoundry.spec.load import load
-from simfoundry.spec.text import parse
-from simfoundry.spec.validate import validate
+from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.yaml.text import parse
 from tests.cli.command import run
 from tests.spec.strategies import ASSETS, SCENES
 from tests.spec.test_compose import TWIN

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from simfoundry.spec.base import Model
+from simfoundry.spec.change.format import format_file, format_text
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.format import format_file, format_text
-from simfoundry.spec.kinds import KINDS
-from simfoundry.spec.spelling import call, exact
-from simfoundry.spec.text import YamlError, parse
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.yaml.spelling import call, exact
+from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 from tests.spec.layouts import DOCUMENTS, untidy
 from tests.spec.strategies import ASSETS, SCENES

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 HEAVY = ("numpy", "trimesh", "scipy", "pxr", "mujoco", "pybullet", "cv2", "shapely", "coacd", "PIL", "rich")
-LIGHT = ("simfoundry", "simfoundry.spec.load", "simfoundry.spec.schema", "simfoundry.spec.write")
+LIGHT = ("simfoundry", "simfoundry.spec.load", "simfoundry.spec.editor.schema", "simfoundry.spec.yaml.write")
 
 
 @pytest.mark.parametrize("module", LIGHT)
@@ -33,7 +33,8 @@ def test_a_check_from_the_shell_waits_for_nothing_it_does_not_use(tmp_path: Path
     code = (
         "import sys; from simfoundry.cli.main import app; import importlib\n"
         f"app(['check', {str(path)!r}], standalone_mode=False)\n"
-        "idle = ('email', 'socket', 'importlib.resources', 'simfoundry.spec.asset', 'simfoundry.spec.task')\n"
+        "models = (f'simfoundry.spec.models.{m}' for m in ('asset', 'task'))\n"
+        "idle = ('email', 'socket', 'importlib.resources', *models)\n"
         "print(*(m for m in idle if m in sys.modules))\n"
         "found = importlib.metadata.version('click')\n"  # what waited is there as soon as somebody asks
         "from importlib.metadata import entry_points\n"

@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.kinds import model_of
+from simfoundry.spec.change.merge.conflict import Conflict, dotted, parts
+from simfoundry.spec.change.merge.resolve import ResolveError, resolve
+from simfoundry.spec.change.merge.texts import UnmergeableError, merge_texts, new_errors
+from simfoundry.spec.change.merge.trees import Merged, merge
 from simfoundry.spec.load import load
-from simfoundry.spec.merge.conflict import Conflict, dotted, parts
-from simfoundry.spec.merge.resolve import ResolveError, resolve
-from simfoundry.spec.merge.texts import UnmergeableError, merge_texts, new_errors
-from simfoundry.spec.merge.trees import Merged, merge
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import parse, read
-from simfoundry.spec.tree import plain_tree, read_tree
-from simfoundry.spec.write import to_data, write_tree
+from simfoundry.spec.models.kinds import model_of
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import parse, read
+from simfoundry.spec.yaml.tree import plain_tree, read_tree
+from simfoundry.spec.yaml.write import to_data, write_tree
 from tests.conftest import REPOSITORY
 from tests.spec.edits import clashing, edited, independent
 from tests.spec.strategies import ASSETS, SCENES

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.spec.change.migrate import STEPS, Step, migrated, renamed
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.kinds import KINDS
-from simfoundry.spec.migrate import STEPS, Step, migrated, renamed
-from simfoundry.spec.tree import Tree
+from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.yaml.tree import Tree
 from tests.cli.command import run
 
 OLD = """\

@@ -6,7 +6,8 @@ import pytest
 
 from simfoundry.scene.bodies import BodyBuilder
 from simfoundry.scene.frames import IDENTITY
-from simfoundry.spec.base import (
+from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST, implausible, volume
+from simfoundry.spec.models.base import (
     Body,
     BoxShape,
     CapsuleShape,
@@ -19,7 +20,6 @@ from simfoundry.spec.base import (
     Shape,
     SphereShape,
 )
-from simfoundry.spec.plausible import HEAVIEST, LIGHTEST, implausible, volume
 
 SHAPES: list[Shape] = [
     BoxShape(box=(0.1, 0.2, 0.3)),

@@ -13,11 +13,11 @@ import pytest
 import yaml
 from hypothesis import given
 
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.schema import FOR_EDITORS, schema, schemas
-from simfoundry.spec.text import parse
-from simfoundry.spec.write import to_data
+from simfoundry.spec.editor.schema import FOR_EDITORS, schema, schemas
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.write import to_data
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
 from tests.spec.strategies import ASSETS, SCENES

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.spec.load import load
-from simfoundry.spec.text import MAX_DEPTH, YamlError, parse
+from simfoundry.spec.yaml.text import MAX_DEPTH, YamlError, parse
 
 HEAD = "simfoundry: scene/1\nname: hostile\n"
 

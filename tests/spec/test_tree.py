@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import Path_, parse
-from simfoundry.spec.tree import Tree, plain_tree, read_tree, with_data
-from simfoundry.spec.write import write_tree
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import Path_, parse
+from simfoundry.spec.yaml.tree import Tree, plain_tree, read_tree, with_data
+from simfoundry.spec.yaml.write import write_tree
 from tests.spec.layouts import DOCUMENTS, VALUES, untidy
 
 SEEDS = st.integers(0, 2**32)

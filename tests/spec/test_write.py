@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import BoxShape, Model, Pose
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.text import parse
-from simfoundry.spec.validate import validate
-from simfoundry.spec.write import number, to_data, to_yaml
+from simfoundry.spec.check.validate import validate
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import BoxShape, Model, Pose
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.write import number, to_data, to_yaml
 from tests.spec.strategies import ASSETS, SCENES, TEXTS
 
 
@@ -152,7 +152,7 @@ def test_defaults_are_not_written_and_required_fields_are() -> None:
 
 
 def test_the_text_is_written_in_one_step(tmp_path: Path) -> None:
-    from simfoundry.files import write_atomically
+    from simfoundry.runtime.files import write_atomically
 
     target = tmp_path / "deep" / "a.scene.yaml"
     write_atomically(target, b"one")

@@ -17,7 +17,7 @@ from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.task import ResetRegion, TaskSpec
+from simfoundry.spec.models.task import ResetRegion, TaskSpec
 from tests.conftest import REPOSITORY
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import world_bounds
-from simfoundry.spec.expressions import parse_call, texts
-from simfoundry.spec.format import format_file
+from simfoundry.spec.change.format import format_file
 from simfoundry.spec.load import load
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.text import read
+from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.text import read
 from simfoundry.worlds import open_world
 from tests.specs.documents import (
     ASSETS,

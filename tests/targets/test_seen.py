@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.splat import read_splat
 from simfoundry.backends import compile_scene
 from simfoundry.scene.frames import Pose

@@ -15,7 +15,7 @@ from simfoundry.scene.frames import frozen_array
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load, load_scene
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.worlds import ENGINES, World, open_world
 from simfoundry.worlds.base import Contact
 from simfoundry.worlds.footing import supporters

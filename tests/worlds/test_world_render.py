@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from simfoundry.render.gl import Engine, choose_engine
+from simfoundry.render.offscreen import MujocoRenderer
+from simfoundry.render.simplify import coarsened
 from simfoundry.scene.model import Camera
 from simfoundry.worlds.base import Image, World
-from simfoundry.worlds.coarse import coarsened
-from simfoundry.worlds.gl import Engine, choose_engine
 from simfoundry.worlds.mounted import camera_of, resized
 from simfoundry.worlds.mujoco_world import SMALL, MujocoWorld
-from simfoundry.worlds.offscreen import MujocoRenderer
 from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.evaluate.benches import write_bench
 from tests.tabletop import front_camera, tabletop

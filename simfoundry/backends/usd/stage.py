@@ -12,9 +12,9 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
+from simfoundry.backends.usd.features import losses
 from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
-from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
 from simfoundry.backends.usd.prims import Prim, attribute, define, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots

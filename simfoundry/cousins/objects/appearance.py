@@ -8,8 +8,8 @@ from simfoundry.cousins.objects.components import Component, Kind
 from simfoundry.cousins.objects.geometry import Edit, Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
 from simfoundry.cousins.objects.stuff import PAINTS, STUFFS, Color, Stuff, sort_of
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Material
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Material
 
 JITTER = 0.035
 """Colours differ by up to this much from those of the tables, so that no two paints are the same."""

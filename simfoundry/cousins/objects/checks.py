@@ -18,8 +18,8 @@ from simfoundry.lint.report import length
 from simfoundry.scene.model import Collider, SceneObject, Visual
 from simfoundry.scene.summary import bounds
 from simfoundry.scene.tessellate import tessellate
-from simfoundry.spec.expressions import Call
-from simfoundry.spec.plausible import HEAVIEST, LIGHTEST
+from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
+from simfoundry.spec.models.expressions import Call
 
 SCALE = (0.6, 1.6)
 """Where nothing is known of its kind, the longest side may be so many times the twin's."""

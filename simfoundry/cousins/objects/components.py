@@ -10,8 +10,8 @@ import numpy as np
 
 from simfoundry.cousins.objects.parts import Key, at, axis_of, bounds, parts_of, rod
 from simfoundry.cousins.objects.profiles import Profile
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import BoxShape, LatheShape, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import BoxShape, LatheShape, SphereShape
 
 SLIM = 0.012
 """A rod of at most this radius [m] that stands off from the body is part of a handle."""

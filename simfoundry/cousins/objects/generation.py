@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.cousins.objects.item import Item, item_of_mesh, lay, lowered
 from simfoundry.cousins.objects.meshes import FOLDER, joined
@@ -25,13 +25,13 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.models.images import ImageEditor
 from simfoundry.models.meshes import MeshMaker
+from simfoundry.render.raycast import raycast
 from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
-from simfoundry.scene.raycast import raycast
 from simfoundry.scene.summary import bounds
-from simfoundry.spec.base import Material
-from simfoundry.spec.cousins import ObjectVariants
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.cousins import ObjectVariants
 
 T = TypeVar("T", bound=BaseModel)
 

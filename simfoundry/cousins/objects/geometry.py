@@ -21,8 +21,8 @@ from simfoundry.cousins.objects.parts import (
 from simfoundry.cousins.objects.profiles import Profile, flared, swelled, thickened
 from simfoundry.cousins.objects.stretch import allowed, stretched, stretched_part
 from simfoundry.scene.frames import Array
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import LatheShape, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import LatheShape, SphereShape
 
 Edit = tuple[AssetSpec, str]
 """The changed asset, and what was changed, for people."""

@@ -16,8 +16,8 @@ from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Mesh
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import CapsuleShape, LatheShape, Round
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 
 RINGS, AROUND = 33, 14
 """Rings of a tube along its path, and corners of each: facets of 2 mm on the handle of a mug, which shading smooths."""

@@ -8,19 +8,19 @@ from pathlib import Path
 from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
-from simfoundry.spec.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.base import Body, Material
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import is_document
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import ObjectSpec, SceneSpec
-from simfoundry.spec.variants import variant_names, variant_of
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
+from simfoundry.spec.models.base import Body, Material
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.yaml.write import to_yaml
 
 LINK = "body"
 """What the one link of a shape or mesh is called."""

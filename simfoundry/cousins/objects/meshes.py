@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, read_parts
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Mesh
-from simfoundry.spec.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, Part
 
 FOLDER = "meshes"
 """Where the meshes of variants lie, beside their documents."""

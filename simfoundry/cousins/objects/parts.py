@@ -9,8 +9,8 @@ import numpy as np
 
 from simfoundry.scene.frames import Array
 from simfoundry.scene.poses import pose
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import (
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import (
     BoxShape,
     CapsuleShape,
     CylinderShape,

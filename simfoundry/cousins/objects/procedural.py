@@ -19,7 +19,7 @@ from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.silhouettes import reshape
 from simfoundry.cousins.objects.skins import skinned
 from simfoundry.cousins.objects.topology import TOPOLOGY
-from simfoundry.spec.asset import AssetSpec
+from simfoundry.spec.models.asset import AssetSpec
 
 Rule = Callable[[AssetSpec, Component, Rng], Edit | None]
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.scene.frames import Array
-from simfoundry.spec.base import LatheShape
+from simfoundry.spec.models.base import LatheShape
 
 HOLLOW = 0.12
 """A cavity is at least this share of the height deep."""

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import install_line
+from simfoundry.runtime.extras import install_line
 
 PROMPTS = {
     "A": "a_components.j2",

@@ -17,12 +17,12 @@ from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.stuff import same_kind
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Material
-from simfoundry.spec.cousins import ObjectVariants
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import MESH_SUFFIXES
 from simfoundry.spec.load import load
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Material
+from simfoundry.spec.models.cousins import ObjectVariants
 
 LEAST, MOST = 0.5, 2.0
 """Factors by which a thing of a library is scaled to the twin's size."""

@@ -11,8 +11,8 @@ from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of, with_profil
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.profiles import THINNEST, Profile
 from simfoundry.scene.frames import Array
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import LatheShape
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import LatheShape
 
 POINTS = 13
 """Rings of a curved wall: a belly of 10 % of a cup's radius then departs from its chords by less than 0.1 mm."""

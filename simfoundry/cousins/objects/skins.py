@@ -19,8 +19,8 @@ from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
 from simfoundry.scene.frames import Array, frozen_array
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Mesh
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 PIXELS = 192
 """Pixels along a side of a pattern: 1.3 mm each around a mug, and 20 to 60 kB as PNG."""

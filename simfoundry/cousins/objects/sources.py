@@ -15,7 +15,7 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.models.images import images_from_environment
 from simfoundry.models.meshes import meshes_from_environment
 from simfoundry.models.vlm import Vlm
-from simfoundry.spec.cousins import ObjectAxis
+from simfoundry.spec.models.cousins import ObjectAxis
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 from simfoundry.cousins.objects.parts import aimed, at, each, moved, parts_of, rod, shaped, with_rod
 from simfoundry.scene.frames import Array
 from simfoundry.scene.poses import pose
-from simfoundry.spec.asset import AssetSpec, JointSpec, Part
-from simfoundry.spec.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, JointSpec, Part
+from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 SQUARE = 1e-6
 """A rotation whose matrix is this near to a permutation turns boxes onto the axes."""

@@ -18,14 +18,14 @@ from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.objects.sources import Given, opened
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
 from simfoundry.cousins.reasons import ImpossibleError, Reason
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
-from simfoundry.spec.base import Body
-from simfoundry.spec.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.scene import SceneSpec
-from simfoundry.spec.task import TaskSpec
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.models.base import Body
+from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.write import to_yaml
 
 VERSION = "variants/3"
 """Changes where the same twin, axis and seed would give other variants."""

@@ -20,8 +20,8 @@ from simfoundry.cousins.objects.parts import (
 )
 from simfoundry.cousins.objects.profiles import Profile, raised_foot
 from simfoundry.scene.frames import Array
-from simfoundry.spec.asset import AssetSpec, Part
-from simfoundry.spec.base import (
+from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.base import (
     BoxShape,
     CapsuleShape,
     CylinderShape,

@@ -15,8 +15,8 @@ from simfoundry.scene.model import Box, Collider, Link, Scene, SceneObject, Visu
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.summary import bounds
-from simfoundry.spec.expressions import Call
-from simfoundry.spec.place import Place
+from simfoundry.spec.models.expressions import Call
+from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 

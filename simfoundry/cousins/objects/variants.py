@@ -18,7 +18,7 @@ from types import MappingProxyType
 from typing import Any, Protocol
 
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.faults import MeshError
+from simfoundry.assets.errors import MeshError
 from simfoundry.cousins.objects.checks import Twin, faults
 from simfoundry.cousins.objects.item import Item, lay, lowered
 from simfoundry.cousins.objects.likeness import Apart, Likeness, likeness
@@ -28,14 +28,14 @@ from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
 from simfoundry.cousins.objects.stretch import is_ball
 from simfoundry.cousins.objects.weigh import mesh_volume, weighed
 from simfoundry.cousins.reasons import Reason
-from simfoundry.files import write_atomically
+from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
-from simfoundry.spec.asset import AssetSpec
-from simfoundry.spec.base import Origin
-from simfoundry.spec.cousins import ObjectVariants
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.write import to_data, to_yaml
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.cousins import ObjectVariants
+from simfoundry.spec.yaml.write import to_data, to_yaml
 
 MOST_TRIES = 25
 """Candidates for each variant that is wanted, at most."""

@@ -10,9 +10,9 @@ import numpy as np
 from simfoundry.assets import mass
 from simfoundry.assets.mesh import read_parts, weld
 from simfoundry.cousins.objects.stuff import STUFFS
-from simfoundry.spec.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.base import Estimate, Material, quantity_value
-from simfoundry.spec.plausible import volume
+from simfoundry.spec.check.plausible import volume
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
+from simfoundry.spec.models.base import Estimate, Material, quantity_value
 
 DOUBT = 0.15
 """Share by which a density may be off where the material is not in the tables."""

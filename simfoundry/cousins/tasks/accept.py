@@ -14,8 +14,8 @@ from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.diagnostics import nearest
-from simfoundry.spec.expressions import Call, ExpressionError, parse_call, texts
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call, texts
+from simfoundry.spec.models.task import TaskSpec
 
 MOST_PREDICATES = 16
 """A goal of more predicates is not tried."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from simfoundry.spec.text import YamlError, parse
+from simfoundry.spec.yaml.text import YamlError, parse
 
 MOST_TASKS = 200
 MOST_TEXT = 100_000

@@ -11,14 +11,14 @@ from simfoundry.cousins.tasks.accept import impossible, unchanged, unreached
 from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
 from simfoundry.cousins.tasks.meaning import objects_of
 from simfoundry.cousins.tasks.setting import Hand, Setting, hands_of
-from simfoundry.spec.cousins import TaskAxis
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.cousins import TaskAxis
+from simfoundry.spec.models.task import TaskSpec
 
 if TYPE_CHECKING:
     from simfoundry.cousins.twin import Twin
     from simfoundry.models.vlm import Vlm
     from simfoundry.scene.state import SceneState
-    from simfoundry.spec.scene import SceneSpec
+    from simfoundry.spec.models.scene import SceneSpec
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import numpy as np
 from simfoundry.cousins.tasks.ideas import Idea
 from simfoundry.cousins.tasks.meaning import branches
 from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.spec.base import Origin
-from simfoundry.spec.task import Reset, ResetRegion, Subtask, TaskSpec
+from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
 
 MINUTE_PART = 450
 """Control steps for one step of a task: 30 s at 15 Hz, as the paper's tasks have."""

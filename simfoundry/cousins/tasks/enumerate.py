@@ -14,7 +14,7 @@ from simfoundry.cousins.tasks.document import free_name, task_of
 from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
 from simfoundry.cousins.tasks.meaning import goal_words
 from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 
 Progress = Callable[[int, int], None]
 """Told how many are accepted and how many were looked at."""

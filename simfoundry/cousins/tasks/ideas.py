@@ -15,7 +15,7 @@ from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.ways import across, cavities, is_free
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.touching import weld_groups
-from simfoundry.spec.expressions import Call, parts
+from simfoundry.spec.models.expressions import Call, parts
 
 TOGETHER = 3
 """So many things are put into one at once, at most."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from simfoundry.spec.expressions import Call, parse_call, parts, texts
+from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
 
 SYMMETRIC = ("NextTo", "Touching")
 """Predicates that hold both ways."""
@@ -21,7 +21,7 @@ Meaning = tuple[Any, ...]
 def meaning(goal: Any) -> Meaning:
     """A goal in one form: order, repetition and choice of words do not count, nor does Released where it is implied.
 
-    Raises :class:`~simfoundry.spec.expressions.ExpressionError` for what is no goal.
+    Raises :class:`~simfoundry.spec.models.expressions.ExpressionError` for what is no goal.
     """
     found = _reduced(goal)
     if found[0] != "all":

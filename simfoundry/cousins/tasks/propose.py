@@ -16,8 +16,8 @@ from simfoundry.cousins.tasks.meaning import conjuncts, goal_words
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.tasks.witness import ALLOWED, ON
 from simfoundry.errors import SimfoundryError
-from simfoundry.extras import install_line
-from simfoundry.spec.expressions import texts
+from simfoundry.runtime.extras import install_line
+from simfoundry.spec.models.expressions import texts
 
 if TYPE_CHECKING:
     from simfoundry.models.vlm import Vlm

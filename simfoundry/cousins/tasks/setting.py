@@ -21,7 +21,7 @@ from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
-from simfoundry.spec.scene import SceneSpec
+from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
     from simfoundry.assets.cache import Cache

@@ -15,7 +15,7 @@ from simfoundry.predicates.voxels import Cavity, cavity, outside_part
 from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Call
+from simfoundry.spec.models.expressions import Call
 
 QUARTER = math.pi / 2
 TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))

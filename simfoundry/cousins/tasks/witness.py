@@ -23,7 +23,7 @@ from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Call, parts
+from simfoundry.spec.models.expressions import Call, parts
 
 ON = ("OnTop", "Inside", "Touching", "Above")
 BESIDE = ("NextTo", "LeftOf", "RightOf", "InFrontOf", "Behind")

@@ -10,10 +10,10 @@ from typing import Any
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.enumerate import Proposal
-from simfoundry.files import write_atomically
 from simfoundry.lint.run import lint
+from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.load import load
-from simfoundry.spec.write import to_yaml
+from simfoundry.spec.yaml.write import to_yaml
 
 SUFFIX = ".task.yaml"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from simfoundry.spec.expressions import Call, Condition, parse_call, parts
+from simfoundry.spec.models.expressions import Call, Condition, parse_call, parts
 
 
 class Skill(StrEnum):

@@ -15,8 +15,8 @@ from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.task import Task
-from simfoundry.extras import need_extra
 from simfoundry.predicates import Judge, StateBatch
+from simfoundry.runtime.extras import need_extra
 from simfoundry.scene.frames import Array
 
 CHUNK = 3

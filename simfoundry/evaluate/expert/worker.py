@@ -6,7 +6,7 @@ from collections.abc import Generator, Sequence
 
 import numpy as np
 
-from simfoundry.backends.robots import RobotModelError
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.cell import Cell
 from simfoundry.evaluate.expert.jaws import jaws

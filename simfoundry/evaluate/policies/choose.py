@@ -10,7 +10,7 @@ from urllib.parse import parse_qsl
 
 from simfoundry.evaluate.policies.base import Policy, PolicyError
 from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
-from simfoundry.spec.policy import PORTS, PolicySpec
+from simfoundry.spec.models.policy import PORTS, PolicySpec
 
 DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
 """The cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), which the short form takes."""

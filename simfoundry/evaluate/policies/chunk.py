@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, RobotReading
 from simfoundry.scene.frames import Array
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 
 def actions_of(spec: PolicySpec, answer: Any, robots: Mapping[str, RobotReading]) -> Array:

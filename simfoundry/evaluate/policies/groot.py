@@ -13,7 +13,7 @@ from simfoundry.evaluate.policies.reading import pictures, reading
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.zmq_socket import Requests
 from simfoundry.scene.frames import Array
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
 """What servers call the robot's senses, and what these are in a policy document; ``eef_9d`` is made apart."""

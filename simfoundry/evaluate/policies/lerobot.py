@@ -18,7 +18,7 @@ import numpy as np
 from simfoundry.evaluate.policies.base import PolicyError
 from simfoundry.evaluate.policies.missing import needed
 from simfoundry.evaluate.policies.serve import Infer, serve
-from simfoundry.extras import install_line
+from simfoundry.runtime.extras import install_line
 
 INSTALL = f"install it where the checkpoint runs (`{install_line('policies')} lerobot`)"
 

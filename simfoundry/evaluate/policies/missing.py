@@ -6,7 +6,7 @@ import importlib
 from types import ModuleType
 
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.extras import install_line
+from simfoundry.runtime.extras import install_line
 
 
 def needed(module: str, what: str, install: str = f"install with `{install_line('policies')}`") -> ModuleType:

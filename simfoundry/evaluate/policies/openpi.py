@@ -8,7 +8,7 @@ from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation
 from simfoundry.evaluate.policies.reading import pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
 """What the policies of DROID are told of the robot."""

@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.evaluate.policies.base import Image, ImageSize, Observation, PolicyError, RobotReading
 from simfoundry.evaluate.policies.images import resize_with_pad
 from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.policy import Gripper, PolicySpec
+from simfoundry.spec.models.policy import Gripper, PolicySpec
 
 
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:

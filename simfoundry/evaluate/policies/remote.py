@@ -9,7 +9,7 @@ from simfoundry.evaluate.policies.chunk import actions_of
 from simfoundry.evaluate.policies.reading import cameras_of
 from simfoundry.evaluate.policies.record import PolicyRecord
 from simfoundry.scene.frames import Array
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 
 class RemotePolicy:

@@ -16,7 +16,7 @@ from simfoundry.evaluate.policies.openpi import DROID_STATE
 from simfoundry.evaluate.policies.reading import pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 RESET_DONE = "reset successful"
 """What a server says, in a text, once it has forgotten the rollout before."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.spec.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicySpec
 
 
 def secret(spec: PolicySpec) -> str | None:

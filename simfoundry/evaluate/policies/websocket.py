@@ -17,7 +17,7 @@ from simfoundry.evaluate.policies.codec import CodecError, pack, unpack
 from simfoundry.evaluate.policies.missing import needed
 from simfoundry.evaluate.policies.record import PolicyRecord
 from simfoundry.evaluate.policies.secret import secret
-from simfoundry.spec.policy import PolicySpec, address_uri
+from simfoundry.spec.models.policy import PolicySpec, address_uri
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection

@@ -14,7 +14,7 @@ from simfoundry.evaluate.policies.missing import needed
 from simfoundry.evaluate.policies.record import PolicyRecord
 from simfoundry.evaluate.policies.secret import secret
 from simfoundry.evaluate.policies.websocket import last_line
-from simfoundry.spec.policy import PolicySpec, address_uri
+from simfoundry.spec.models.policy import PolicySpec, address_uri
 
 LARGEST = 64 * 2**20
 """Bytes of the largest answer that is taken; ZeroMQ hangs up on a larger one."""

@@ -13,13 +13,13 @@ from typing import Any
 from simfoundry.frontends.bddl.conditions import Condition, Reading
 from simfoundry.frontends.bddl.expressions import Group
 from simfoundry.frontends.bddl.problem import Problem, Region, read_problem
-from simfoundry.frontends.drafts import Draft
+from simfoundry.frontends.document_data import rounded
+from simfoundry.frontends.draft import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
-from simfoundry.frontends.pieces import rounded
 from simfoundry.scene.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
-from simfoundry.spec.task import TaskSpec
+from simfoundry.spec.models.task import TaskSpec
 
 BINARY = {
     "on": "OnTop", "ontop": "OnTop", "in": "Inside", "inside": "Inside", "under": "Under", "nextto": "NextTo",

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.backends.robot_object import RobotObject, as_object
-from simfoundry.backends.robots import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
 from simfoundry.scene.frames import IDENTITY, Array
 from simfoundry.scene.hulls import Hulls, hulls

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.backends.robots import mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.predicates.distance import FAR, Distances
 from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
 from simfoundry.predicates.judging.states import Poses, StateBatch

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from simfoundry.predicates.judging.bodies import Bodies, PredicateError
 from simfoundry.predicates.judging.states import StateBatch
-from simfoundry.predicates.judging.view import View
 from simfoundry.predicates.judging.terms import Context, Terms
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.expressions import Call, parse_call, parts
+from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 CHUNK = 4096
 """States that are judged at once: their arrays stay in the processor's cache."""
@@ -33,7 +33,7 @@ class Judge:
     """Judges conditions on states of one scene; what it prepares of the scene it keeps.
 
     A condition is a text, ``"OnTop(cup, desk)"``, or several joined by ``all``, ``any`` and ``not``, as data or as the
-    models of :mod:`simfoundry.spec.expressions`. Raises :class:`ExpressionError` for what is no condition and
+    models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for what is no condition and
     :class:`PredicateError` for what cannot be judged in this scene.
     """
 

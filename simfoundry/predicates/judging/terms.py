@@ -89,9 +89,7 @@ class Terms:
     def require_at_rest(self, a: Thing) -> None:
         """Require that the object of ``a`` moves no faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
-        self.require(
-            speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s"
-        )
+        self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
 
     def require_not_held(self, a: Thing) -> None:
         """Require that no gripper holds ``a``."""

@@ -10,8 +10,8 @@ SETTLED = 0.01
 """Greatest speed [m/s] of what is at rest: the jitter of contacts in the simulators stays below it."""
 
 SUPPORT_DEG = 45.0
-"""Greatest angle [deg] between straight up and the push of what supports an object (Isaac Lab-Arena's rule); what pushes
-it more to the side stands or leans beside it."""
+"""Greatest angle [deg] between straight up and the push of what supports an object (Isaac Lab-Arena's rule); what
+pushes it more to the side stands or leans beside it."""
 
 ENCLOSED = 0.5
 """Least share of an object's volume in the cavity that it is inside of: the majority."""

@@ -1,0 +1,1 @@
+"""Typed documents: scenes, assets, tasks, recipes, captures and policies."""

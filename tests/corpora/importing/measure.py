@@ -9,12 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.frontends.convert import Options, Report, import_file
+from simfoundry.frontends.importer import Options, Report, import_file
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.worlds.build import build
+from simfoundry.targets.build import build
 from tests.corpora.importing.mjcf import compare_mjcf, load_mjcf
 from tests.corpora.importing.outcome import Outcome
 from tests.corpora.importing.urdf import compare_urdf, read_side

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.frontends.convert import Report
+from simfoundry.frontends.importer import Report
 from simfoundry.frontends.names import plain_name
 from simfoundry.scene.frames import Pose
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.frontends.convert import Report
+from simfoundry.frontends.importer import Report
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.frames import Pose, from_xyzw
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix

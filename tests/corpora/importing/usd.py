@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.convert import Report
+from simfoundry.frontends.importer import Report
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Mesh, Scene
 from tests.corpora.importing.outcome import LIMIT, MASS, Outcome

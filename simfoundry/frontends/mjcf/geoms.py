@@ -1,0 +1,191 @@
+"""Geoms of a compiled MuJoCo model as parts of links."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.mesh import MeshPart
+from simfoundry.backends.mjcf.restitution import rebound
+from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.meshes import mesh_of_parts
+from simfoundry.frontends.names import plain_name
+from simfoundry.scene.frames import Pose
+from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
+
+GROUND = 20.0
+"""Width [m] of the box that stands for a plane without an end."""
+
+DEPTH = 0.1
+"""Thickness [m] of the box that stands for a plane; its top is the plane."""
+
+HIDDEN_GROUP = 3
+"""MuJoCo's viewers show geoms of lower groups only: those above are there to be touched."""
+
+UNSET = (0.5, 0.5, 0.5, 1.0)
+"""MuJoCo's colour of a geom that gives none."""
+
+
+class Geoms:
+    """Turns geoms into parts; a mesh that many geoms use is written once."""
+
+    def __init__(self, mujoco: Any, model: Any, draft: Draft, own: bool = False) -> None:
+        self.mujoco, self.model, self.draft, self.own = mujoco, model, draft, own
+        self.meshes: dict[tuple[int, int], MeshDraft] = {}
+        self.textured_shapes = 0
+
+    def part(self, geom: int) -> PartDraft | None:
+        """The part that a geom is, posed in its body; None, with a note, for one that cannot be said."""
+        model, types = self.model, self.mujoco.mjtGeom
+        name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom)
+        kind = self.mujoco.mjtGeom(int(model.geom_type[geom]))
+        X_BG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
+        geometry: PrimitiveShape | MeshDraft
+        a, b, c = (float(v) for v in model.geom_size[geom])
+        match kind:
+            case types.mjGEOM_BOX:
+                geometry = BoxShape(box=(2 * a, 2 * b, 2 * c))
+            case types.mjGEOM_SPHERE:
+                geometry = SphereShape(sphere=a)
+            case types.mjGEOM_CYLINDER:
+                geometry = CylinderShape(cylinder=Round(radius=a, height=2 * b))
+            case types.mjGEOM_CAPSULE:
+                geometry = CapsuleShape(capsule=Round(radius=a, height=2 * b))
+            case types.mjGEOM_ELLIPSOID:
+                geometry = self.ellipsoid(name or f"geom_{geom}", (a, b, c))
+            case types.mjGEOM_PLANE:
+                geometry = BoxShape(box=(2 * a or GROUND, 2 * b or GROUND, DEPTH))
+                X_BG = X_BG @ Pose.of([0, 0, -DEPTH / 2])
+                self.draft.changed(
+                    f"plane `{name or geom}`", f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it"
+                )
+            case types.mjGEOM_MESH | types.mjGEOM_SDF:
+                geometry, X_BG = self.mesh(geom, X_BG)
+            case _:
+                self.draft.dropped(
+                    f"geom `{name or geom}`", f"the language has no {kind.name.removeprefix('mjGEOM_').lower()}"
+                )
+                return None
+        return self.surface(geom, PartDraft(name or self.role(geom), geometry, X_LG=X_BG))
+
+    def role(self, geom: int) -> str:
+        """A name for a geom without one, by what it is for."""
+        return "collision" if self.use(geom) == "collision" else "visual" if self.use(geom) == "visual" else "geom"
+
+    def use(self, geom: int) -> str:
+        """What a geom is for: what touches nothing is seen, what viewers hide touches."""
+        model = self.model
+        touches = bool(model.geom_contype[geom]) or bool(model.geom_conaffinity[geom])
+        if not touches:
+            return "visual"
+        hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0
+        return "collision" if hidden else "both"
+
+    def surface(self, geom: int, part: PartDraft) -> PartDraft:
+        """The part with its use, friction and colour."""
+        model = self.model
+        part.use = self.use(geom)
+        if part.use != "visual":
+            part.friction = float(model.geom_friction[geom, 0])
+            dimensions = int(model.geom_condim[geom])
+            if dimensions == 1:
+                part.friction = 0.0
+            if dimensions >= 4:
+                part.torsional = float(model.geom_friction[geom, 1])
+            if dimensions >= 6:
+                part.rolling = float(model.geom_friction[geom, 2])
+            if self.own and float(model.geom_solref[geom, 1]) < 1:
+                part.restitution = rebound(float(model.geom_solref[geom, 1]))
+        material = int(model.geom_matid[geom])
+        textured = material >= 0 and self.texture(material) >= 0
+        if textured and not isinstance(part.geometry, MeshDraft):
+            self.draft.dropped(f"texture of geom `{part.name}`", "only meshes have textures")
+        color = self.rgba(geom)
+        if color != UNSET and part.use != "collision":
+            part.color = color
+        return part
+
+    def rgba(self, geom: int) -> Rgba:
+        """The colour of a geom: its own, or that of its material."""
+        model, material = self.model, int(self.model.geom_matid[geom])
+        own: Rgba = tuple(float(np.clip(v, 0, 1)) for v in model.geom_rgba[geom])  # type: ignore[assignment]
+        if own != UNSET or material < 0:
+            return own
+        return tuple(float(np.clip(v, 0, 1)) for v in model.mat_rgba[material])  # type: ignore[return-value]
+
+    def texture(self, material: int) -> int:
+        """The id of the colour texture of a material; -1 for none that can be laid on a mesh."""
+        roles = np.ravel(self.model.mat_texid[material])
+        role = int(self.mujoco.mjtTextureRole.mjTEXROLE_RGB)
+        texture = int(roles[role]) if len(roles) > role else int(roles[0])
+        flat = texture >= 0 and int(self.model.tex_type[texture]) == int(self.mujoco.mjtTexture.mjTEXTURE_2D)
+        return texture if flat else -1
+
+    def mesh(self, geom: int, X_BG: Pose) -> tuple[MeshDraft, Pose]:
+        """The mesh of a geom in the frame of its file, and its pose there."""
+        model, mesh = self.model, int(self.model.geom_dataid[geom])
+        X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
+        material = int(model.geom_matid[geom])
+        texture = self.texture(material) if material >= 0 else -1
+        if (mesh, texture) not in self.meshes:
+            self.meshes[mesh, texture] = self.mesh_draft(mesh, texture, X_FM)
+        return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
+
+    def mesh_draft(self, mesh: int, texture: int, X_FM: Pose) -> MeshDraft:
+        """A mesh with its texture; ``X_FM`` takes MuJoCo's frame of it into that of its file."""
+        name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_MESH, mesh) or f"mesh_{mesh}"
+        return mesh_of_parts([self.mesh_part(mesh, texture, X_FM)], plain_name(name, "mesh"))
+
+    def baked(self, geom: int) -> MeshPart:
+        """The mesh of a geom in the frame of its body, with its colour and texture."""
+        model, mesh = self.model, int(self.model.geom_dataid[geom])
+        material = int(model.geom_matid[geom])
+        texture = self.texture(material) if material >= 0 else -1
+        part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))
+        return replace(part, rgba=self.rgba(geom))
+
+    def mesh_part(self, mesh: int, texture: int, X_FM: Pose) -> MeshPart:
+        """A mesh in a frame in which MuJoCo's frame of it has the pose ``X_FM``."""
+        model = self.model
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        vertices = X_FM.apply(np.array(model.mesh_vert[start : start + count], dtype=np.float64))
+        first, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        corners = np.array(model.mesh_face[first : first + faces])
+        uv, png = None, None
+        if texture >= 0 and int(model.mesh_texcoordnum[mesh]):
+            at = int(model.mesh_texcoordadr[mesh])
+            chosen = np.array(model.mesh_facetexcoord[first : first + faces]).reshape(-1)
+            uv = np.array(model.mesh_texcoord[at + chosen], dtype=np.float64) * (1, -1) + (0, 1)
+            vertices, corners = vertices[corners.reshape(-1)], np.arange(3 * faces).reshape(-1, 3)
+            png = self.png(texture)
+        return MeshPart(_shortened(vertices), corners.astype(np.int32), uv, png)
+
+    def png(self, texture: int) -> bytes:
+        """A texture as a PNG."""
+        from PIL import Image
+
+        model = self.model
+        height, width, channels = (int(getattr(model, f"tex_{n}")[texture]) for n in ("height", "width", "nchannel"))
+        start = int(model.tex_adr[texture])
+        pixels = np.array(model.tex_data[start : start + height * width * channels], dtype=np.uint8)
+        stream = io.BytesIO()
+        shape = (height, width) if channels == 1 else (height, width, channels)
+        Image.fromarray(pixels.reshape(shape)).convert("RGB").save(stream, format="PNG")
+        return stream.getvalue()
+
+    def ellipsoid(self, name: str, radii: tuple[float, float, float]) -> MeshDraft:
+        """A mesh for an ellipsoid with three radii [m]."""
+        import trimesh
+
+        ball = trimesh.creation.icosphere(subdivisions=3)
+        self.draft.changed(f"ellipsoid `{name}`", "a mesh of 1280 triangles stands for it")
+        part = MeshPart(np.asarray(ball.vertices) * radii, np.asarray(ball.faces, dtype=np.int32))
+        return mesh_of_parts([part], plain_name(name, "ellipsoid"))
+
+
+def _shortened(vertices: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Coordinates at the precision that MuJoCo keeps, single, so that turning leaves no noise."""
+    return np.asarray(np.round(vertices.astype(np.float32).astype(np.float64), 9))

@@ -1,0 +1,1 @@
+"""The authors' release in: scenes of OmniGibson and their tasks."""

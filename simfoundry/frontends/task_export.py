@@ -1,0 +1,290 @@
+"""A task of ours in the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
+
+What a format cannot say is refused where the goal would change its meaning, and noted where only the start would.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.frames import rpy_from_quat
+from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.spec.models.expressions import Call, parse_call, parts
+from simfoundry.spec.models.task import TaskSpec
+
+FORMATS = ("libero", "behavior", "omnigibson")
+
+
+class ExportError(SimfoundryError):
+    """A task that a format cannot say; the message says what, and which format can."""
+
+
+@dataclass
+class Export:
+    """A file's text, and what of the task is not in it or was assumed for it."""
+
+    text: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+def export_task(spec: TaskSpec, scene: Scene, format_: str) -> Export:
+    """The task in one of :data:`FORMATS`; raises :class:`ExportError`."""
+    export = Export()
+    if spec.start.place or spec.start.pose:
+        export.notes.append("poses at the start: the format has the scene's own")
+    if format_ == "omnigibson":
+        export.text = _omnigibson(spec, scene, export)
+    else:
+        export.text = _bddl(spec, scene, format_, export)
+    return export
+
+
+def atoms(condition: Any) -> list[tuple[Call, bool]]:
+    """The predicates of a conjunction, each with whether it must hold; raises :class:`ExportError` for another goal."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return [(parse_call(below[0]), True)]
+    if tag == "all":
+        return [atom for item in below for atom in atoms(item)]
+    if tag == "not" and parts(below[0])[0] == "text":
+        return [(parse_call(below[0]), False)]
+    raise ExportError("the goal joins predicates by `any`, or negates several: only `behavior` can say that")
+
+
+def owner(name: str) -> str:
+    """The object of ``object.part``."""
+    return name.partition(".")[0]
+
+
+def support(scene: Scene, name: str) -> SceneObject:
+    """What an object stands on by the scene's relations; else the first fixed object."""
+    for relation in scene.relations:
+        if relation.predicate == "OnTop" and relation.args[0] == name:
+            return scene.object(owner(relation.args[1]))
+    fixed = next((item for item in scene.objects if item.fixed), None)
+    if fixed is None:
+        raise ExportError(f"nothing tells what `{name}` stands on; add a relation `OnTop({name}, …)` to the scene")
+    return fixed
+
+
+# BDDL ----------------------------------------------------------------------------------------------------------------
+
+_LIBERO = {"OnTop": "On", "Inside": "In", "Open": "Open", "Closed": "Close", "Lifted": "Up"}
+_BEHAVIOR = {
+    "OnTop": "ontop", "Inside": "inside", "Under": "under", "NextTo": "nextto", "Touching": "touching", "Open": "open",
+    "Closed": "open",
+}  # fmt: skip
+_JOINED = {"all": "and", "any": "or", "not": "not"}
+_UNSAID = ("Released",)
+"""Predicates that may be left out: the others' `On` and `In` ask for contact and nothing of the gripper."""
+
+
+def _bddl(spec: TaskSpec, scene: Scene, format_: str, export: Export) -> str:
+    libero = format_ == "libero"
+    names = {o.name: o.name for o in scene.objects} if libero else _synsets(scene, export)
+    regions: dict[str, list[str]] = {}
+    goal = _libero_goal(spec, regions, export) if libero else _behavior_goal(spec.goal, names, export)
+    if not goal:
+        raise ExportError("nothing of the goal can be said in this format")
+    init = list(_init(spec, scene, names, regions, libero, export))
+    fixed = {o.name for o in scene.objects if o.fixed or o.joints}
+    # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
+    name = "LIBERO_Tabletop_Manipulation" if libero else f"{spec.name or 'task'}-0"
+    sections = [f"(define (problem {name})"]
+    sections.append(f"  (:domain {'robosuite' if libero else 'omnigibson'})")
+    if libero:
+        sections.append(f"  (:language {spec.instruction.replace('(', ' ').replace(')', ' ')})")
+        sections.append(_block(":regions", [line for lines in regions.values() for line in lines]))
+        sections.append(_block(":fixtures", [f"{o.name} - {_kind(o)}" for o in scene.objects if o.name in fixed]))
+        sections.append(_block(":objects", [f"{o.name} - {_kind(o)}" for o in scene.objects if o.name not in fixed]))
+        sections.append(_block(":obj_of_interest", _interest(spec)))
+    else:
+        kinds = {names[o.name]: names[o.name].rpartition("_")[0] for o in scene.objects}
+        listed = [f"{name} - {kind}" for name, kind in kinds.items()]
+        sections.append(_block(":objects", [*listed, "agent.n.01_1 - agent.n.01"]))
+    sections += [_block(":init", init), f"  (:goal\n    {goal}\n  )", ")", ""]
+    return "\n".join(sections)
+
+
+def _block(name: str, lines: list[str]) -> str:
+    return "\n".join([f"  ({name}", *(f"    {line}" for line in lines), "  )"])
+
+
+def _kind(item: SceneObject) -> str:
+    return item.category or item.name
+
+
+def _interest(spec: TaskSpec) -> list[str]:
+    return list(dict.fromkeys(owner(arg) for call, _ in atoms(spec.goal) for arg in call.args))
+
+
+def _synsets(scene: Scene, export: Export) -> dict[str, str]:
+    """BEHAVIOR's names: a synset of WordNet and a number."""
+    counts: dict[str, int] = {}
+    names = {}
+    for item in scene.objects:
+        kind = f"{_kind(item)}.n.01"
+        counts[kind] = counts.get(kind, 0) + 1
+        names[item.name] = f"{kind}_{counts[kind]}"
+    export.notes.append("synsets: categories stand for them, as `cup.n.01`")
+    return names
+
+
+def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: Export) -> str:
+    said = []
+    for call, wanted in atoms(spec.goal):
+        if call.predicate in _UNSAID:
+            export.notes.append(f"{call}: the format asks nothing of the gripper")
+        elif call.predicate not in _LIBERO or not wanted:
+            raise ExportError(f"LIBERO has no predicate for `{'' if wanted else 'not '}{call}`")
+        else:
+            said.append(f"({_LIBERO[call.predicate]} {' '.join(_region(arg, regions) for arg in call.args)})")
+    return f"(And {' '.join(said)})" if said else ""
+
+
+def _region(name: str, regions: dict[str, list[str]]) -> str:
+    """The word for an object, or for a part of one, which is a region of it."""
+    thing, dot, part = name.partition(".")
+    if not dot:
+        return thing
+    regions[name] = [f"({part}_region (:target {thing}))"]
+    return f"{thing}_{part}_region"
+
+
+def _behavior_goal(condition: Any, names: dict[str, str], export: Export) -> str | None:
+    tag, below = parts(condition)
+    if tag == "text":
+        call = parse_call(below[0])
+        if call.predicate in _UNSAID:
+            export.notes.append(f"{call}: the format asks nothing of the gripper")
+            return None
+        if call.predicate not in _BEHAVIOR or any(owner(arg) not in names for arg in call.args):
+            raise ExportError(f"BEHAVIOR has no predicate for `{call}`")
+        for arg in call.args:
+            if "." in arg:
+                export.notes.append(f"{call}: the whole of `{owner(arg)}` is meant, not `{arg}`")
+        atom = f"({_BEHAVIOR[call.predicate]} {' '.join('?' + names[owner(arg)] for arg in call.args)})"
+        return f"(not {atom})" if call.predicate == "Closed" else atom
+    said = [text for text in (_behavior_goal(item, names, export) for item in below) if text]
+    if not said:
+        return None
+    return f"({_JOINED[tag]} {' '.join(said)})"
+
+
+def _init(
+    spec: TaskSpec, scene: Scene, names: dict[str, str], regions: dict[str, list[str]], libero: bool, export: Export
+) -> Iterator[str]:
+    if not libero:
+        for relation in scene.relations:
+            if relation.predicate in ("OnTop", "Inside") and all(arg in names for arg in relation.args):
+                yield f"({_BEHAVIOR[relation.predicate]} {' '.join(names[arg] for arg in relation.args)})"
+        if spec.reset.objects:
+            export.notes.append("ranges of the reset: the format has none")
+        return
+    for name, region in spec.reset.objects.items():
+        below = support(scene, name)
+        X_SW = below.X_WO.inverse()
+        points = [X_SW.apply([x, y, 0.0]) for x in region.x for y in region.y]  # type: ignore[arg-type]
+        (x0, x1), (y0, y1) = ((min(p[k] for p in points), max(p[k] for p in points)) for k in (0, 1))
+        now = rpy_from_quat(scene.object(name).X_WO.q)[2]
+        low, high = (now + math.radians(yaw) for yaw in region.yaw_deg)
+        regions[f"{name} init"] = [
+            f"({name}_init_region (:target {below.name})",
+            f"  (:ranges (({x0:.6g} {y0:.6g} {x1:.6g} {y1:.6g}))) (:yaw_rotation (({low:.6g} {high:.6g}))))",
+        ]
+        yield f"(On {name} {below.name}_{name}_init_region)"
+    for thing, joints in spec.start.joints.items():
+        for joint in joints:
+            export.notes.append(f"position of {thing}.{joint} at the start: the format says open, and not how far")
+            yield f"(Open {_region(f'{thing}.{joint}', regions)})"
+
+
+# The authors' task YAML ----------------------------------------------------------------------------------------------
+
+_STATES = {
+    "OnTop": "OnTop", "Inside": "Inside", "Under": "Under", "NextTo": "NextTo", "Touching": "Touching", "Open": "Open",
+    "Closed": "Open", "Lifted": "Lifted", "Grasped": "IsGrasping", "Released": "Touching",
+}  # fmt: skip
+
+
+def _omnigibson(spec: TaskSpec, scene: Scene, export: Export) -> str:
+    goal = [_predicate(call, wanted, scene, export) for call, wanted in atoms(spec.goal)]
+    milestones: list[dict[str, Any]] = []
+    for name, subtask in spec.subtasks.items():
+        try:
+            found = [_predicate(call, wanted, scene, export) for call, wanted in atoms(subtask.goal)]
+        except ExportError as error:
+            export.notes.append(f"sub-task `{name}`: {error}")
+            continue
+        requires = [m["name"] for m in milestones][-1:]
+        milestones += [
+            {"name": name if len(found) == 1 else f"{name}_{k + 1}", **one, "requires": requires}
+            for k, one in enumerate(found)
+        ]
+    used = {n for one in (*goal, *milestones) for n in (one["group"], one["other_group"]) if n and n != "robot"}
+    used |= set(spec.reset.objects)
+    config: dict[str, Any] = {
+        "type": "PickPlaceTask",
+        "activity_name": spec.name or "task",
+        "semantic_group_mapping": {"robot": ["agent"]} | {name: [name] for name in sorted(used)},
+        "goal_predicates_all": goal,
+        "goal_predicates_any": None,
+        "milestone_predicates": milestones or None,
+        **_ranges(spec, scene, export),
+        "termination_config": {"max_steps": spec.horizon},
+    }
+    if spec.start.joints:
+        config["group_init_joint_positions"] = {k: dict(v) for k, v in spec.start.joints.items()}
+    document = {
+        "task_name": spec.name or "task",
+        "language_instruction": spec.instruction,
+        "og_task_config": config,
+    }
+    return str(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
+
+
+def _predicate(call: Call, wanted: bool, scene: Scene, export: Export) -> dict[str, Any]:
+    if call.predicate not in _STATES:
+        raise ExportError(f"the release has no state for `{call}`")
+    args = [owner(arg) for arg in call.args]
+    if args != list(call.args):
+        export.notes.append(f"{call}: the whole of the object is meant, not its part")
+    objects = {item.name for item in scene.objects}
+    group, other = (*(arg if arg in objects else "robot" for arg in args), None)[:2]
+    if call.predicate in ("Grasped", "Released"):
+        group, other = "robot", args[0]
+    if call.predicate in ("Closed", "Released"):
+        wanted = not wanted
+    return {
+        "state": _STATES[call.predicate],
+        "state_kwargs": None,
+        "value": wanted,
+        "group": group,
+        "other_group": other,
+    }
+
+
+def _ranges(spec: TaskSpec, scene: Scene, export: Export) -> dict[str, Any]:
+    """Half widths about the scene's poses, which is all that the release knows."""
+    widths: dict[str, list[float]] = {}
+    turns: dict[str, float] = {}
+    for name, region in spec.reset.objects.items():
+        p = scene.object(name).X_WO.p
+        half = [max(abs(end - float(p[k])) for end in ends) for k, ends in enumerate((region.x, region.y))]
+        if any(abs(abs(ends[0] - p[k]) - abs(ends[1] - p[k])) > 1e-6 for k, ends in enumerate((region.x, region.y))):
+            export.notes.append(f"region of `{name}`: it is not centred on the scene's pose, and becomes wider")
+        widths[name] = [round(h, 6) for h in half] + [0.0]
+        turn = math.radians(max(abs(y) for y in region.yaw_deg))
+        if turn:
+            turns[name] = round(turn, 6)
+    return {
+        key: value
+        for key, value in (("group_xyz_randomization", widths), ("group_z_rot_randomization", turns))
+        if value
+    }

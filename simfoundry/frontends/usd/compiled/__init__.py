@@ -1,0 +1,18 @@
+"""Stages that were compiled from a document, and perhaps edited since, back into that document."""
+
+from simfoundry.frontends.usd.compiled.importing import Imported, import_stage, import_usd
+from simfoundry.frontends.usd.compiled.loading import load_usd
+from simfoundry.frontends.usd.compiled.reading import Reading, read_spec, read_stage
+from simfoundry.frontends.usd.compiled.stage import StageError, carrier
+
+__all__ = [
+    "Imported",
+    "Reading",
+    "StageError",
+    "carrier",
+    "import_stage",
+    "import_usd",
+    "load_usd",
+    "read_spec",
+    "read_stage",
+]

@@ -1,0 +1,269 @@
+"""What a person changed at a part of a stage, in the words of the document; all else stays as it was written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from simfoundry.frontends.usd.compiled.joints import edited_joints
+from simfoundry.frontends.usd.compiled.shapes import scaled
+from simfoundry.frontends.usd.compiled.stage import Part, fallback, links_of
+from simfoundry.frontends.usd.compiled.values import Note, short, srgb
+from simfoundry.frontends.usd.compiled.variants import edited_variants
+from simfoundry.scene.frames import Pose
+from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
+from simfoundry.spec.files import is_document
+from simfoundry.spec.yaml.write import to_data
+
+MOVED_M = 1e-4
+"""What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""
+
+SINGLE = 3.4e38
+"""Larger numbers have no place in single precision."""
+
+ROUNDED = 2e-6
+"""Relative difference that writing in single precision and reading back may make: some units of its last place."""
+
+_PIECES = ("Colliders", "Visuals")
+
+_TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
+"""Starts of attributes that, where somebody adds them, are reported unless they say what holds anyway."""
+
+
+@dataclass(frozen=True)
+class Edited:
+    """The data of a part as the stage has it, and what of the stage they cannot say."""
+
+    data: dict[str, Any]
+    notes: tuple[Note, ...]
+
+
+def edited_object(part: Part) -> Edited:
+    """An object: its pose, size, mass, surface, joints, and whether it is fixed; the same of each of its variants."""
+    if part.variant:
+        return Edited(*edited_variants(part, _edited_one))
+    return Edited(*_edited_one(part))
+
+
+def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """The data of an object without variants, or of one of them, and what of the stage they cannot say."""
+    data = dict(part.spec)
+    handled: set[tuple[str, str]] = set()
+    handled |= {(link, "at") for link in links_of(part.built)[:1]}
+    _pose(part, data)
+    notes = [*_size(part, data, handled)]
+    articulated = is_document(str(data.get("asset", "")))
+    if articulated:
+        notes += edited_joints(part, data, handled)
+    else:
+        _fixed(part, data, handled)
+        notes += [*_mass(part, data, handled), *_surface(part, data, handled)]
+    hint = f"it belongs to {data['asset']}; change it there" if articulated else ""
+    return data, (*notes, *rest(part, handled, hint))
+
+
+def edited_robot(part: Part) -> Edited:
+    """A robot: where its base stands."""
+    data = dict(part.spec)
+    _pose(part, data)
+    notes = []
+    for path, values in part.built.items():
+        now = part.now.get(path, {})
+        for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
+            message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
+            notes.append(Note(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
+    return Edited(data, tuple(notes))
+
+
+def has_moved(part: Part) -> bool:
+    """Whether a part stands elsewhere than where it was written."""
+    return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
+
+
+def _shifted(old: Pose, new: Pose) -> bool:
+    far = max(float(np.abs(old.p).max()), float(np.abs(new.p).max()))  # stages have nine digits
+    return bool(np.abs(new.p - old.p).max() > MOVED_M + 1e-8 * far)
+
+
+def _turned(old: Pose, new: Pose) -> bool:
+    return math.degrees(old.angle_to(new)) > UPRIGHT_DEG
+
+
+def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
+    """A pose as a person writes it; what of the one that was written ``before`` still holds stays as it is."""
+    new = to_data(pose_spec(pose))
+    if not isinstance(before, dict):
+        return new
+    rotation = new if _turned(built, pose) else before
+    place = new if _shifted(built, pose) else before
+    out = {"xyz": place["xyz"]} if "xyz" in place else {}
+    return out | {key: value for key, value in rotation.items() if key != "xyz"}
+
+
+def differs(a: Any, b: Any) -> bool:
+    """Whether two values differ by more than what single precision and rounding do."""
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
+        return bool(a != b)
+    a, b = (max(-SINGLE, min(SINGLE, v)) for v in (a, b))  # what is more is infinite in a stage
+    return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
+
+
+def rest(part: Part, handled: set[tuple[str, str]], hint: str = "") -> Iterator[Note]:
+    """What else is otherwise than it was written, which nobody takes over."""
+    for relative, values in part.built.items():
+        path = f"{part.path}/{relative}" if relative else part.path
+        if relative not in part.now:
+            yield Note(path, "it was deleted, and an object keeps all its pieces")
+            continue
+        now = part.now[relative]
+        for name, value in values.items():
+            if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
+                yield Note(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
+        if relative and (relative, "at") not in handled and _displaced(values, now):
+            yield Note(path, "it was moved within its object", hint or "move the object itself")
+    for relative, now in part.now.items():
+        prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
+        built = part.built.get(relative)
+        if built is None and relative and _counts(prim):
+            yield Note(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
+            continue
+        for name, value in now.items():
+            if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
+                continue
+            if name.startswith(_TOLD) and differs(value, fallback(prim, name)):
+                yield Note(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
+
+
+def shown(value: Any) -> str:
+    """A value in a message."""
+    if isinstance(value, tuple | list):
+        return f"({', '.join(shown(v) for v in value)})"
+    return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
+
+
+def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
+    old = np.array(values.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)), dtype=np.float64)
+    new = np.array(now.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1)), dtype=np.float64)
+    if new[3:7] @ old[3:7] < 0:
+        new[3:7] = -new[3:7]
+    bound = np.full(len(old), MOVED_M)
+    bound[7:] = np.maximum(MOVED_M, ROUNDED * np.abs(old[7:]))  # scales are written in single precision
+    return bool((np.abs(old - new) > bound).any())
+
+
+def _counts(prim: Any) -> bool:
+    """Whether a prim is seen, touched or holds something."""
+    from pxr import UsdGeom, UsdPhysics
+
+    return bool(prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdPhysics.Joint) or prim.HasAPI(UsdPhysics.RigidBodyAPI))
+
+
+def _pose(part: Part, data: dict[str, Any]) -> None:
+    if has_moved(part):
+        pose = pose_data(part.X_WP, None if "place" in data else data.get("pose", {}), part.X_WP_built)
+        data.pop("place", None)
+        data.pop("pose", None)
+        if pose:
+            data["pose"] = pose
+
+
+def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+    """A thing that was scaled, or a primitive that was resized: what touches counts before what is seen."""
+    factors = part.scale
+    links = links_of(part.built)
+    if links and "shape" in data:
+        pieces = {f"{links[0]}/{place}/shape": _resized(part, f"{links[0]}/{place}/shape") for place in _PIECES}
+        own = next((factor for factor in pieces.values() if factor is not None), np.ones(3))
+        for relative, factor in pieces.items():
+            if factor is not None and (np.abs(own - 1.0) > 1e-6).any() and not differs(factor.tolist(), own.tolist()):
+                handled |= {(relative, name) for name in ("size", "radius", "height", "at")}
+        factors = factors * own
+    if (np.abs(factors - 1.0) <= 1e-6).all():
+        return
+    changed, problem = scaled(data, factors)
+    if problem:
+        yield Note(part.path, problem)
+    else:
+        data.update(changed)
+
+
+def _resized(part: Part, relative: str) -> Any:
+    """By what a primitive was stretched along its axes, shape (3,); None where there is no such prim."""
+    if relative not in part.built or relative not in part.now:
+        return None
+    built, now = part.built[relative], part.now[relative]
+    old, new = (np.array(v.get("at", (0, 0, 0, 1, 0, 0, 0, 1, 1, 1))[7:], dtype=np.float64) for v in (built, now))
+    factors = new / old
+    for name, axes in (("size", (0, 1, 2)), ("radius", (0, 1)), ("height", (2,))):
+        if name in built and isinstance(now.get(name), float) and built[name]:
+            factors[list(axes)] *= now[name] / built[name]
+    if "radius" in built and "height" not in built:  # a sphere
+        factors[2] = factors[0]
+    return np.asarray(factors, dtype=np.float64)
+
+
+def _mass(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+    for link in links_of(part.built)[:1]:
+        handled |= {(link, "physics:mass"), (link, "physics:density")}
+        old, now = part.built[link]["physics:mass"], part.now.get(link, {})
+        mass, density = now.get("physics:mass", 0.0), now.get("physics:density", 0.0)
+        if differs(old, mass) and mass > 0:
+            data.pop("density", None)
+            data["mass"] = short(mass)
+        elif mass <= 0 and density > 0:
+            data.pop("mass", None)
+            data["density"] = short(density)
+        elif mass <= 0:
+            yield Note(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
+
+
+def _surface(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+    """Colour, friction and restitution; of several pieces that of the first that changed."""
+    for relative, values in part.built.items():
+        now = part.now.get(relative)
+        if now is None:
+            continue
+        if values.get("look") is not None:
+            handled.add((relative, "look"))
+            if now.get("look") is None:
+                yield Note(f"{part.path}/{relative}", "its new material is none that has a plain colour")
+            elif differs(values["look"], now["look"]):
+                rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
+                data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
+        if values.get("contact") is not None:
+            handled.add((relative, "contact"))
+            if now.get("contact") is None:
+                yield Note(f"{part.path}/{relative}", "it has no contact material any more")
+                continue
+            for k, name in ((0, "friction"), (2, "restitution")):
+                own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
+                if own is not None:
+                    data[name] = own
+
+
+def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
+    """A coefficient that was changed, either our own note of it or the root of it that simulators read; or None."""
+    if differs(built[1], now[1]):
+        return short(now[1])
+    return short(now[0] ** 2) if differs(built[0], now[0]) else None
+
+
+def _fixed(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
+    from pxr import UsdPhysics
+
+    for link in links_of(part.built)[:1]:
+        prim = part.prim.GetChild(link)
+        enabled, kinematic = "physics:rigidBodyEnabled", "physics:kinematicEnabled"
+        handled |= {(link, enabled), (link, kinematic)}
+        now = part.now.get(link, {})
+        free = prim and prim.HasAPI(UsdPhysics.RigidBodyAPI) and now.get(enabled, True) and not now.get(kinematic)
+        if not free and not data.get("fixed", False):
+            data["fixed"] = True
+        elif free:
+            data.pop("fixed", None)

@@ -1,0 +1,231 @@
+"""Read a stage that was compiled from a document, and perhaps edited since, as that document.
+
+What nobody touched comes back as it was written; where the stage differs from what was written, the stage counts.
+:class:`~simfoundry.frontends.usd.compiled.stage_frame.World` finds the units of a stage that includes ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simfoundry.backends.usd.source import SCOPES
+from simfoundry.frontends.usd.compiled.added_prims import Added, added
+from simfoundry.frontends.usd.compiled.edits import MOVED_M, Edited, edited_object, edited_robot, has_moved, pose_data
+from simfoundry.frontends.usd.compiled.references import anchors, renamed, without
+from simfoundry.frontends.usd.compiled.stage import Part, StageError, carrier, document, open_stage, parts
+from simfoundry.frontends.usd.compiled.stage_frame import World
+from simfoundry.frontends.usd.compiled.values import Note, as_name, short
+from simfoundry.frontends.usd.compiled.variants import variant_data
+from simfoundry.frontends.usd.compiled.views import edited_camera, edited_light
+
+if TYPE_CHECKING:
+    from pxr import Usd
+
+Data = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A stage as a document.
+
+    ``data`` is what it says now and ``before`` what was compiled, both whole and without defaults; of what was deleted
+    ``before`` has only the name. ``file`` is the path of the document in its project. ``renamed`` has the new names by
+    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` say what of the
+    stage is not in ``data``.
+    """
+
+    data: Data
+    before: Data
+    file: str
+    renamed: Mapping[tuple[str, str], str]
+    prims: Mapping[tuple[str, str], str]
+    notes: tuple[Note, ...]
+
+
+def read_stage(path: Path) -> Reading:
+    """Read a stage; raises :class:`StageError` where there is none, or none that was compiled from a document."""
+    stage = open_stage(path)
+    try:
+        reading = read_spec(stage)
+    except StageError as error:
+        raise StageError(error.reason, path) from None
+    if reading is None:
+        raise StageError("the stage holds no spec; `simfoundry import` makes one of any stage", path)
+    return reading
+
+
+def read_spec(stage: Usd.Stage) -> Reading | None:
+    """The document of a stage as it is now; None where the stage was not compiled from one."""
+    prim = carrier(stage)
+    if prim is None:
+        return None
+    file, written = document(prim)
+    if written.get("simfoundry") != "scene/1":
+        raise StageError(f"the stage holds a `{written.get('simfoundry')}` document; this version reads scene/1")
+    world = World(stage, prim)
+    found = parts(stage, world)
+    members, names, copies = _identified(found, written)
+    edited = {key: _edited(part) for key, part in members.items()}
+    before = _compiled(written, members)
+    data = renamed(_joined(written, edited, copies), names)
+    owners = [(s, n) for s in ("objects", "robots", "cameras") for n in before.get(s, {})]
+    gone = {n for s, n in owners if (s, n) not in members and _had(written, s, n)}
+    data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
+    notes = [note for each in edited.values() for note in each.notes]
+    _gravity(prim, data, world)
+    new = added(stage, prim, {part.path for part in found}, data, world)
+    _add(data, new)
+    prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
+    prims |= {(part.section, name): part.path for name, part in copies.items()}
+    return Reading(data, before, file, names, {**prims, **new.prims}, (*notes, *new.notes))
+
+
+def _had(written: Data, section: str, name: str) -> bool:
+    """Whether a member had a prim of its own, and may so have been deleted."""
+    return bool(written.get(section, {}).get(name, {}) is None)
+
+
+Members = dict[tuple[str, str], Part]
+
+
+def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[str, str], str], dict[str, Part]]:
+    """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
+    members: Members = {}
+    for part in sorted(found, key=_strangeness):
+        if written.get(part.section, {}).get(part.name, part) is None:
+            members.setdefault((part.section, part.name), part)
+    taken = {name for section in written.values() if isinstance(section, dict) for name in section}
+    names: dict[tuple[str, str], str] = {}
+    copies: dict[str, Part] = {}
+    for part in found:
+        key = (part.section, part.name)
+        original, name = members.get(key) is part, part.prim.GetName()  # a part of another stage is like a copy
+        if original and part.name in (name, as_name(name, ())):
+            continue
+        new = as_name(name, taken)
+        taken.add(new)
+        if original:
+            names[key] = new
+        else:
+            copies[new] = part
+    return members, names, copies
+
+
+def _strangeness(part: Part) -> tuple[bool, bool]:
+    """What kept its name, and its place in the stage, is what was compiled; what did not may be a copy of it."""
+    return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
+
+
+def _edited(part: Part) -> Edited:
+    if part.section == "robots":
+        return edited_robot(part)
+    if part.section == "cameras":
+        return edited_camera(part)
+    return edited_light(part) if part.section == "lights" else edited_object(part)
+
+
+def _compiled(written: Data, members: Members) -> Data:
+    """The document as it was compiled; what was deleted is there by name."""
+    out = dict(written)
+    for section, names in written.items():
+        if isinstance(names, dict) and None in names.values():
+            out[section] = {
+                n: v if v is not None else members[section, n].spec if (section, n) in members else {}
+                for n, v in names.items()
+            }
+    return out
+
+
+def _joined(
+    written: Data,
+    edited: Mapping[tuple[str, str], Edited],
+    copies: dict[str, Part],
+) -> Data:
+    """The document with what its parts say, in its order, copies behind; what was deleted is not there."""
+    out = dict(written)
+    for section, members in written.items():
+        if isinstance(members, dict) and None in members.values():
+            said = {
+                n: edited[section, n].data if v is None and (section, n) in edited else v for n, v in members.items()
+            }
+            out[section] = {n: v for n, v in said.items() if v is not None}
+    for name, part in copies.items():
+        out[part.section] = {**out.get(part.section, {}), name: _edited(part).data}
+    return {key: value for key, value in out.items() if value or not isinstance(written[key], dict) or not written[key]}
+
+
+def _placed(
+    data: Data, members: Members, names: Mapping[tuple[str, str], str], copies: Mapping[str, Part], gone: set[str]
+) -> Data:
+    """The document in which everything stands where the stage has it.
+
+    A place stays while what it is about stands still; else it would be solved into another pose than the stage's.
+    """
+    out = dict(data)
+    by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
+    changed = {name for name, part in by_name.items() if _changed(part, data["objects"][name])}
+    rigid = {name for name in changed if not _only_along(by_name[name], data["objects"][name])}
+    seen_from = data.get("viewpoint")
+    viewer = members.get(("cameras", str(seen_from)))
+    shifted = seen_from is not None and ((viewer is not None and has_moved(viewer)) or seen_from in gone)
+    objects = dict(out.get("objects", {}))
+    for name, item in objects.items():
+        place = item.get("place")
+        if place is None:
+            continue
+        part = copies.get(name) or by_name.get(name)
+        about = anchors(place)
+        fresh = name in copies or bool(about & gone) or bool(about & (rigid if "xy" in place else changed))
+        if part is not None and (fresh or (shifted and set(place) & {"left_of", "right_of", "in_front_of", "behind"})):
+            pose = pose_data(part.X_WP, None, part.X_WP_built)
+            objects[name] = {**{k: v for k, v in item.items() if k != "place"}, "pose": pose}
+    if objects:
+        out["objects"] = objects
+    cameras = {n: c for n, c in out.get("cameras", {}).items() if str(c.get("mount", "")).split(".")[0] not in gone}
+    if "cameras" in out:
+        out["cameras"] = cameras
+    return out
+
+
+def _changed(part: Part, data: Data) -> bool:
+    """Whether what a thing carries would be placed otherwise than before."""
+    return has_moved(part) or _resized(part, data)
+
+
+def _resized(part: Part, data: Data) -> bool:
+    """Whether a thing has another shape, or other joints, than before; choosing another variant is no such edit."""
+    old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
+    return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
+
+
+def _only_along(part: Part, data: Data) -> bool:
+    """Whether a thing was only shifted, level, so that positions in the world on top of it stay what they are."""
+    level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
+    up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
+    return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
+
+
+def _gravity(prim: Usd.Prim, data: Data, world: World) -> None:
+    """Gravity into ``data`` where somebody changed it."""
+    physics = prim.GetChild("Physics")
+    direction, magnitude = (
+        physics.GetAttribute(f"physics:gravity{name}").Get() if physics else None for name in ("Direction", "Magnitude")
+    )
+    if direction is None or magnitude is None or not np.isfinite([*direction, magnitude]).all():
+        return
+    gravity = np.array(direction, dtype=np.float64) * float(magnitude)
+    old = data.get("gravity", (0.0, 0.0, -9.81))
+    kept = [v for v in (gravity, world.gravity(gravity)) if np.abs(v - old).max() <= 1e-5 * max(1.0, np.abs(old).max())]
+    if not kept:  # neither as it was written nor the same in the units of the stage
+        gravity = world.gravity(gravity)
+        data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
+
+
+def _add(data: Data, new: Added) -> None:
+    for section, members in new.members.items():
+        data[section] = {**data.get(section, {}), **members}

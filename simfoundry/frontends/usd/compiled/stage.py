@@ -1,0 +1,320 @@
+"""A stage that one of our own became: its document, its parts, and what each of their prims says now."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from simfoundry.backends.usd.source import KEY, SCOPES, contact, look, observed, plain
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.frames import Array, Pose
+
+if TYPE_CHECKING:
+    from pxr import Usd, UsdGeom
+
+    from simfoundry.frontends.usd.compiled.stage_frame import World
+
+SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+
+VARIANTS = "variant"
+"""The variant set of an object."""
+
+UNKNOWN = "?"
+"""Stands for the name of a variant that was not compiled; no name is spelled so."""
+
+_BINDINGS = {"look": "material:binding", "contact": "material:binding:physics"}
+"""The relationships behind what :func:`_now` says of materials."""
+
+Values = dict[str, dict[str, Any]]
+"""Values by the path of a prim relative to its part, and there by name."""
+
+
+class StageError(SimfoundryError):
+    """A file that holds no stage, or none that can be read as a document; ``reason`` does not name the file."""
+
+    def __init__(self, reason: str, file: Path | None = None) -> None:
+        super().__init__(reason if file is None else f"{file}: {reason}")
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Part:
+    """A member of a section of the document, with the prim that stands for it.
+
+    ``spec`` is its data and ``built`` what its prims said when they were written; ``now`` is what they say. ``X_WP`` is
+    its pose in the world and ``scale`` the factors along its axes, shape (3,). Of an object with variants this is all
+    of the ``variant`` that is selected; ``others`` are the object as each of the others, where only that one's own
+    opinions count as edits. ``variant`` is a question mark where the selected one was not compiled.
+    """
+
+    section: str
+    name: str
+    prim: Usd.Prim
+    spec: dict[str, Any]
+    built: Values
+    now: Values
+    X_WP: Pose
+    scale: Array
+    variant: str = ""
+    others: tuple[Part, ...] = ()
+    stage: Usd.Stage | None = None
+    """The stage of ``prim``, which holds it only weakly."""
+
+    @property
+    def path(self) -> str:
+        """The path of its prim."""
+        return str(self.prim.GetPath())
+
+    @property
+    def X_WP_built(self) -> Pose:
+        """Its pose when it was written."""
+        return self.at("")[0]
+
+    def at(self, relative: str) -> tuple[Pose, Array]:
+        """Pose and scale of a prim of it, in the prim above, when it was written."""
+        return placed(self.built.get(relative, {}).get("at"))
+
+
+def open_stage(path: Path) -> Usd.Stage:
+    """Open a stage; raises :class:`StageError`."""
+    from pxr import Tf, Usd
+
+    if not path.is_file():
+        raise StageError("the file cannot be read: there is none", path)
+    try:
+        return Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reason = error_text(error).strip().splitlines()[-1].partition(": ")[2].strip(" '\"")
+        raise StageError(f"this is no stage that USD can read: {reason}", path) from None
+
+
+def error_text(error: Exception) -> str:
+    """The text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
+    try:
+        return str(error)
+    except UnicodeDecodeError as undecoded:
+        return undecoded.object.decode("utf-8", "replace")
+
+
+def carrier(stage: Usd.Stage) -> Usd.Prim | None:
+    """The prim that holds the document: the default prim, or else the first that does."""
+    prims = [stage.GetDefaultPrim(), *stage.Traverse()]
+    return next((p for p in prims if p and "document" in _entries(p)), None)
+
+
+def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
+    """The file that a document came from, in its project, and its data without what its parts hold."""
+    entries = _entries(prim)
+    return str(entries.get("file", "")), _json(prim, "document", _checked_sections)
+
+
+def parts(stage: Usd.Stage, world: World) -> list[Part]:
+    """Every part that is there and active, wherever it is by now, in the order of the stage."""
+    found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
+    others = _other_variants(stage, [part for part in found if part.variant], world)
+    return [replace(part, others=others.get(part.path, ())) for part in found]
+
+
+def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[str, tuple[Part, ...]]:
+    """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
+    from pxr import Sdf, Usd
+
+    rest: dict[str, list[str]] = {}
+    for part in varied:
+        choices = part.prim.GetVariantSet(VARIANTS)
+        rest[part.path] = [name for name in choices.GetVariantNames() if name != choices.GetVariantSelection()]
+    found: dict[str, list[Part]] = {path: [] for path in rest}
+    for k in range(max(map(len, rest.values()), default=0)):
+        other = Usd.Stage.Open(stage.GetRootLayer(), Sdf.Layer.CreateAnonymous())
+        chosen = {path: names[k] for path, names in rest.items() if k < len(names)}
+        with Usd.EditContext(other, other.GetSessionLayer()):
+            for path, name in chosen.items():
+                other.GetPrimAtPath(path).GetVariantSet(VARIANTS).SetVariantSelection(name)
+        elsewhere = world.anew()
+        for path in chosen:
+            part = _part(other.GetPrimAtPath(path), elsewhere)
+            if part.variant != UNKNOWN:
+                now = _own_opinions(part)
+                found[path].append(replace(part, now=now, X_WP=part.X_WP_built, scale=np.ones(3), stage=other))
+    return {path: tuple(parts) for path, parts in found.items()}
+
+
+def _own_opinions(part: Part) -> Values:
+    """What the prims of a variant say, but what they were built with where the word comes from outside of it."""
+    now: Values = {}
+    for relative in dict.fromkeys((*part.built, *part.now)):
+        prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
+        built, said = part.built.get(relative), part.now.get(relative)
+        if said is None:  # deleted; where that was done to all variants, it is no word about this one
+            verdicts = [spec for spec in prim.GetPrimStack() if spec.HasInfo("active")] if prim else []
+            if built is not None and verdicts and not _in_variant(verdicts[0]):
+                now[relative] = built
+        elif built is not None or any(_in_variant(spec) for spec in prim.GetPrimStack()):
+            kept = {name: value for name, value in said.items() if _is_own(prim, name)}
+            now[relative] = {n: v for n, v in (built or {}).items() if n not in kept and not _is_own(prim, n)} | kept
+    return now
+
+
+def _is_own(prim: Usd.Prim, name: str) -> bool:
+    """Whether the strongest opinion on what :func:`_now` calls ``name`` is that of a variant; a lacking one is."""
+    from pxr import Usd, UsdGeom
+
+    if name == "at":
+        operations = [op.GetAttr() for op in UsdGeom.Xformable(prim).GetOrderedXformOps()]
+        properties = [*operations, prim.GetAttribute("xformOpOrder")]
+    else:
+        properties = [prim.GetProperty(_BINDINGS.get(name, name))]
+    stacks = [found.GetPropertyStack(Usd.TimeCode.Default()) for found in properties if found]
+    return all(_in_variant(stack[0]) for stack in stacks if stack)
+
+
+def _in_variant(spec: Any) -> bool:
+    return bool(spec.path.ContainsPrimVariantSelection())
+
+
+def placed(at: list[float] | None) -> tuple[Pose, Array]:
+    """Pose and scale of ten numbers."""
+    if at is None:
+        return Pose.of(), np.ones(3)
+    return Pose.of(at[:3], at[3:7]), np.array(at[7:])
+
+
+def factored(matrix: Any) -> tuple[Pose, Array]:
+    """Pose and scale of a transform of USD, which multiplies row vectors.
+
+    A mirrored axis counts as a negative scale along z. A prim that was flattened to nothing has no rotation left.
+    """
+    m = np.array(matrix, dtype=np.float64)
+    scale = np.linalg.norm(m[:3, :3], axis=1)
+    if not np.isfinite(m).all() or scale.min() < 1e-12:
+        return Pose.of(m[3, :3] if np.isfinite(m[3, :3]).all() else np.zeros(3)), scale
+    rows = m[:3, :3] / scale[:, None]
+    if np.linalg.det(rows) < 0:
+        scale[2], rows[2] = -scale[2], -rows[2]
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rows.T, m[3, :3]
+    return Pose.from_matrix(out), scale
+
+
+def links_of(built: Values) -> list[str]:
+    """The relative paths of the links of an object, as it was written, the root first."""
+    return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
+
+
+def _part(prim: Usd.Prim, world: World) -> Part:
+    section, _, name = str(_entries(prim)["part"]).partition(".")
+    if section not in SCOPES or not name:
+        raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
+    spec = _json(prim, "spec")
+    if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
+        return Part(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
+    built = _json(prim, "built", _checked_values)
+    links = links_of(built) if section == "objects" else []
+    root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
+    X_WP, scale = factored(world.matrix(root or prim))
+    variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
+    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
+
+
+def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
+    entries = prim.GetCustomDataByKey(KEY)
+    return entries if isinstance(entries, dict) else {}
+
+
+def _json(prim: Usd.Prim, key: str, check: Any = None) -> dict[str, Any]:
+    """A mapping that the metadata of a prim hold as JSON."""
+    try:
+        data = _tuples(json.loads(str(_entries(prim)[key])))
+        if not isinstance(data, dict):
+            raise ValueError
+        if check is not None:
+            check(data)
+    except (KeyError, ValueError, TypeError, RecursionError):
+        raise StageError(
+            f"{prim.GetPath()}: its metadata `{KEY}:{key}` cannot be read; was it edited by hand?"
+        ) from None
+    return data
+
+
+def _checked_sections(data: dict[str, Any]) -> None:
+    if any(not isinstance(data.get(section, {}), dict) for section in SCOPES):
+        raise ValueError
+
+
+def _checked_values(data: dict[str, Any]) -> None:
+    for values in data.values():
+        at = values.get("at") if isinstance(values, dict) else [0.0] * 9
+        if at is not None:
+            placed([float(v) for v in at])
+            if len(at) != 10:
+                raise ValueError
+
+
+def _tuples(data: Any) -> Any:
+    """The same with tuples for lists, as documents have them."""
+    if isinstance(data, dict):
+        return {key: _tuples(value) for key, value in data.items()}
+    return tuple(_tuples(value) for value in data) if isinstance(data, list) else data
+
+
+def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
+    """What the prims of a part say, in the terms of :mod:`simfoundry.backends.usd.source`."""
+    from pxr import Usd, UsdGeom
+
+    values: Values = {}
+    robot = str(_entries(part)["part"]).startswith("robots.")  # its model is its own, and large
+    known = [part, *(part.GetPrimAtPath(path) for path in built if path)]
+    for prim in [p for p in known if p] if robot else Usd.PrimRange(part):
+        relative = "" if prim == part else str(prim.GetPath().MakeRelativePath(part.GetPath()))
+        said = observed(_attributes(prim))
+        said |= _bound(prim, built.get(relative, {}))
+        if prim.IsA(UsdGeom.Xformable):
+            pose, scale = factored(cache.GetLocalTransformation(prim)[0])
+            said["at"] = (*pose.p.tolist(), *pose.q.tolist(), *scale.tolist())
+        values[relative] = _tuples(said)
+    return values
+
+
+def _attributes(prim: Usd.Prim) -> dict[str, Any]:
+    """The values of a prim that are written, by name; of animated ones the first."""
+    from pxr import Usd
+
+    return {a.GetName(): a.Get(Usd.TimeCode.EarliestTime()) for a in prim.GetAuthoredAttributes() if a.HasValue()}
+
+
+def fallback(prim: Usd.Prim, name: str) -> Any:
+    """What an attribute says where nothing is written, as plain data; None where its schemas are not known."""
+    return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
+
+
+def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
+    """How a shape looks and touches, as far as it was ``built`` to."""
+    from pxr import UsdShade
+
+    said: dict[str, Any] = {}
+    api = UsdShade.MaterialBindingAPI(prim)
+    if "look" in built:
+        seen, _ = api.ComputeBoundMaterial()
+        shaders = seen.GetPrim().GetChildren() if seen else []
+        said["look"] = look({child.GetName(): _attributes(child) for child in shaders})
+    if "contact" in built:
+        touched, _ = api.ComputeBoundMaterial("physics")
+        values = _attributes(touched.GetPrim()) if touched else {}
+        said["contact"] = contact(_with_own(values)) if "physics:dynamicFriction" in values else None
+    return said
+
+
+def _with_own(material: dict[str, Any]) -> dict[str, Any]:
+    """A contact material with the surface's own coefficients, which those of others do not have."""
+    out = dict(material)
+    for name, mode in (("friction", "frictionCombineMode"), ("restitution", "restitutionCombineMode")):
+        value = plain(material.get("physics:dynamicFriction" if name == "friction" else "physics:restitution", 0.0))
+        out.setdefault("physics:restitution", 0.0)
+        own = value * value if material.get(f"physxMaterial:{mode}") == "multiply" else value
+        out.setdefault(f"{KEY}:{name}", own)
+    return out

@@ -1,0 +1,92 @@
+"""The world of a stage in metres and z up, whatever units it has and however ours was taken into it."""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.frontends.usd.compiled.stage import StageError, factored
+from simfoundry.scene.frames import Array
+
+if TYPE_CHECKING:
+    from pxr import Usd
+
+SAME_SIZE = 1e-4
+"""Share by which the scale of a corrective transform may miss the unit: inches are often written as 0.0254 or 39.37."""
+
+UPRIGHT_COS = 0.99
+"""Cosine of the angle (8 degrees) up to which what a person tilted still counts as standing upright."""
+
+Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
+"""The rotation from a frame with y up to one with z up."""
+
+
+class World:
+    """Transforms of prims into the world in metres and z up; the earliest time counts.
+
+    A layer on top of a compiled stage keeps its numbers, which are metres, whatever the layer declares. A stage of
+    other units or another up axis that takes ours in has to correct for that by a transform above it. So what the
+    transform of the document's prim is tells which of the two it is.
+    """
+
+    def __init__(self, stage: Usd.Stage, carrier: Usd.Prim) -> None:
+        from pxr import Usd, UsdGeom
+
+        self.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        self.to_m = 1.0
+        self.X_WS = np.eye(4)
+        """From the frame and unit of the stage into the world, shape (4, 4)."""
+        self._choose(stage, np.array(self.cache.GetLocalToWorldTransform(carrier), dtype=np.float64).T, carrier)
+
+    def matrix(self, prim: Usd.Prim) -> Array:
+        """From the frame of a prim into the world, for row vectors as USD has them, shape (4, 4)."""
+        return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
+
+    def anew(self) -> World:
+        """The same for a stage that differs in its session layer only: nothing of the transforms is remembered."""
+        from pxr import Usd, UsdGeom
+
+        other = copy(self)
+        other.cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
+        return other
+
+    def gravity(self, vector: Array) -> Array:
+        """An acceleration of the stage [m/s^2]."""
+        return np.asarray(self.X_WS[:3, :3] @ vector)
+
+    def _choose(self, stage: Usd.Stage, X_SC: Array, carrier: Usd.Prim) -> None:
+        """Take the numbers as metres or as units of the stage, whichever leaves the document's prim its size."""
+        from pxr import UsdGeom
+
+        unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        up = str(UsdGeom.GetStageUpAxis(stage))
+        declared = np.eye(4)
+        declared[:3, :3] = unit * (Y_TO_Z if up == "Y" else np.eye(3))
+        as_metres, as_declared = (_scale(X @ X_SC) for X in (np.eye(4), declared))
+        if as_metres is None and as_declared is None and abs(unit - 1.0) > SAME_SIZE:
+            factors = " x ".join(f"{v:.4g}" for v in factored(X_SC.T)[1])
+            raise StageError(
+                f"{carrier.GetPath()}: it is scaled by {factors} in a stage whose unit is {unit:g} m, so its size is "
+                f"neither that of the document nor scaled on purpose; scale it by {1 / unit:g}, or set the stage's "
+                "`metersPerUnit` to 1"
+            )
+        turned = _is_upright(declared @ X_SC) and not _is_upright(X_SC)
+        if as_declared is not None and (as_metres is None or turned):
+            declared[:3, :3] /= as_declared
+            self.X_WS, self.to_m = declared, unit
+        elif as_declared is None and as_metres is None and turned:  # in metres, and scaled on purpose
+            self.X_WS = declared
+
+
+def _scale(X_WC: Array) -> float | None:
+    """The scale of a transform that keeps the size, which is close to 1; None of one that does not."""
+    scale = factored(X_WC.T)[1]
+    return float(scale.mean()) if bool(np.abs(scale - 1.0).max() <= SAME_SIZE) else None
+
+
+def _is_upright(X_WC: Array) -> bool:
+    """Whether z of the document is up in the world."""
+    z = X_WC[:3, 2]
+    return bool(z[2] >= UPRIGHT_COS * float(np.linalg.norm(z)))

@@ -1,0 +1,110 @@
+"""Cameras and lights of a stage, in the words of the document."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
+from simfoundry.backends.usd.lights import FULL
+from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
+from simfoundry.frontends.usd.compiled.stage import Part
+from simfoundry.frontends.usd.compiled.values import Note, short, srgb
+from simfoundry.scene.frames import Array, Pose, look_at
+from simfoundry.scene.model import LightType
+
+LENS = (
+    "focalLength",
+    "horizontalAperture",
+    "horizontalApertureOffset",
+    "simfoundry:resolution",
+    "verticalAperture",
+    "verticalApertureOffset",
+)
+UPRIGHT_RAD = 1e-3
+"""A picture that leans less than this is written with `look_at`, which keeps it upright."""
+
+
+def edited_camera(part: Part) -> Edited:
+    """A camera: its pose and its lens."""
+    data = dict(part.spec)
+    handled = {("", name) for name in LENS}
+    built, now = part.built.get("", {}), part.now[""]
+    if has_moved(part):
+        data["pose"] = camera_pose(part.X_WP @ X_CU.inverse(), data.get("pose", {}))
+    if any(differs(built.get(name), now.get(name)) for name in LENS if name in built):
+        data |= {k: v for k, v in lens(now, built).items() if differs(v, lens(built, built)[k])}
+    return Edited(data, tuple(rest(part, handled)))
+
+
+def lens(values: dict[str, Any], built: dict[str, Any]) -> dict[str, Any]:
+    """Size [px], focal lengths and principal point [px] of a camera's values, to a thousandth of a pixel."""
+    focal, across, up = (float(values[n]) for n in ("focalLength", "horizontalAperture", "verticalAperture"))
+    width, height = (int(v) for v in values.get("simfoundry:resolution", built["simfoundry:resolution"]))
+    right, above = (float(values.get(n, 0.0)) for n in ("horizontalApertureOffset", "verticalApertureOffset"))
+    return {
+        "size": (width, height),
+        "fx": _pixels(focal / across * width),
+        "fy": _pixels(focal / up * height),
+        "cx": _pixels(width / 2 - right / across * width - HALF_PIXEL),
+        "cy": _pixels(height / 2 + above / up * height - HALF_PIXEL),
+    }
+
+
+def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
+    """The pose of a camera (OpenCV's axes) as a person writes it: with `look_at` where the picture is upright.
+
+    The point looked at is as far away as the one that was written before, or a metre.
+    """
+    xyz = _point(X_WC.p, 4)
+    old = before if isinstance(before, dict) else {}
+    far = math.dist(old["look_at"], old.get("xyz", (0.0, 0.0, 0.0))) if "look_at" in old else 1.0
+    target = X_WC.apply(np.array([0.0, 0.0, far]))
+    upright = look_at(X_WC.p, target)
+    if upright.angle_to(X_WC) < UPRIGHT_RAD and "quat_wxyz" not in old:
+        return {"xyz": xyz, "look_at": _point(target, 4)}
+    return {"xyz": xyz, "quat_wxyz": _point(X_WC.q, 6)}
+
+
+def edited_light(part: Part) -> Edited:
+    """A light: how bright, which colour, where it is or shines to."""
+    data = dict(part.spec)
+    names = ("inputs:intensity", "inputs:exposure", "inputs:color")
+    handled = {("", name) for name in names}
+    built, now = part.built.get("", {}), part.now[""]
+    notes = tuple(rest(part, handled))
+    kind = light_type(str(part.prim.GetTypeName()))
+    if kind is None:
+        return Edited(data, (*notes, Note(part.path, f"a {part.prim.GetTypeName()} is no light of a scene")))
+    data["type"] = kind.value
+    old, new = (v.get(names[0], 1.0) * 2.0 ** v.get(names[1], 0.0) for v in (built, now))
+    if differs(old, new):
+        data["intensity"] = short(new / FULL[kind])
+    if differs(built.get(names[2]), now.get(names[2])):
+        data["color"] = srgb(now.get(names[2], (1.0, 1.0, 1.0)))
+    if has_moved(part):
+        data |= light_place(kind, part.X_WP)
+    return Edited(data, notes)
+
+
+def light_type(type_name: str) -> LightType | None:
+    """The kind of a light prim, None for one that scenes do not have."""
+    kinds = {"DistantLight": LightType.DISTANT, "SphereLight": LightType.POINT, "DomeLight": LightType.DOME}
+    return kinds.get(type_name)
+
+
+def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
+    """Where a light is, or where it shines to; nothing for a dome."""
+    if kind is LightType.DISTANT:
+        return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
+    return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}
+
+
+def _point(values: Array, digits: int) -> tuple[float, ...]:
+    return tuple(round(float(v), digits) + 0.0 for v in values)
+
+
+def _pixels(value: float) -> float:
+    return round(value, 3) + 0.0

@@ -1,0 +1,384 @@
+"""Any USD stage in: UsdPhysics bodies, colliders and joints, looks, cameras and lights, in SI units, z up."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.file_search import Search
+from simfoundry.frontends.mass_repair import make_sound
+from simfoundry.frontends.usd.compiled.stage import error_text
+from simfoundry.frontends.usd.geoms import Geoms, is_collider
+from simfoundry.frontends.usd.joints import UsdJoint, read_joint
+from simfoundry.frontends.usd.masses import Body, weigh
+from simfoundry.frontends.usd.views import add_cameras, add_lights
+from simfoundry.scene.frames import Array, Pose
+
+WORLD = ""
+"""The path that stands for the world among those of bodies."""
+
+_EXPECTED = {
+    "Xform",
+    "Scope",
+    "Material",
+    "Shader",
+    "PhysicsScene",
+    "GeomSubset",
+    "NodeGraph",
+    "PhysicsCollisionGroup",
+    "",
+}
+
+
+def read_usd(path: Path, density: float | None = None) -> Draft:
+    """The scene of a USD file, ``density`` [kg/m^3] for what states no mass; raises :class:`ImportRefusedError`."""
+    from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
+
+    pxr = SimpleNamespace(
+        Gf=Gf, Usd=Usd, UsdGeom=UsdGeom, UsdLux=UsdLux, UsdPhysics=UsdPhysics, UsdShade=UsdShade
+    )  # fmt: skip
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # it keeps the warnings that OpenUSD would print
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        reasons = [line.partition(" : '")[2] for line in error_text(error).splitlines() if " : '" in line]
+        reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
+        raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
+    _check_layers(path, stage)
+    draft = _Usd(path, pxr, stage, density).read()
+    quiet.TakeUncoalescedDiagnostics()
+    return draft
+
+
+def _check_layers(path: Path, stage: Any) -> None:
+    """Refuse layers outside the folders of the file."""
+    root = Search(path).root.resolve()
+    for layer in stage.GetUsedLayers(includeClipLayers=True):
+        place = layer.realPath
+        if place and not Path(place.partition("[")[0]).resolve().is_relative_to(root):
+            raise ImportRefusedError(path, f"it takes in {place}, which lies outside {root}")
+
+
+class _Usd:
+    """A stage on its way into a draft."""
+
+    def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
+        self.path, self.pxr, self.stage = path, pxr, stage
+        usd, physics = pxr.UsdGeom, pxr.UsdPhysics
+        self.to_m = float(usd.GetStageMetersPerUnit(stage)) or 1.0
+        self.to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
+        default = stage.GetDefaultPrim()
+        self.draft = Draft(default.GetName() if default else path.stem, "USD", density=density)
+        self.W = np.eye(4)
+        self.W[:3, :3] *= self.to_m
+        if usd.GetStageUpAxis(stage) == "Y":
+            self.W[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) @ self.W[:3, :3]
+        self.transforms = usd.XformCache()
+        self.geoms = Geoms(pxr, self.draft, self.to_kg, self.to_m)
+        self.bodies: dict[str, Body] = {}
+        self.left: Counter[str] = Counter()
+        self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
+        """By path of a body: what it became part of, and as which link."""
+
+    def read(self) -> Draft:
+        prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
+        self.gravity(prims)
+        for prim in prims:
+            if prim.HasAPI(self.pxr.UsdPhysics.RigidBodyAPI) and self.enabled(prim):
+                self.bodies[str(prim.GetPath())] = self.body(prim)
+        statics: dict[str, list[Any]] = {}
+        for prim in prims:
+            if prim.IsA(self.pxr.UsdGeom.Gprim):
+                owner = self.owner(prim)
+                if owner is not None:
+                    self.add_part(owner, prim)
+                else:
+                    statics.setdefault(self.group(prim), []).append(prim)
+            elif not self.known(prim):
+                self.left[prim.GetTypeName()] += 1
+        self.static_things(statics)
+        joints = list(self.joints(prims))
+        self.trees(joints)
+        for body in self.bodies.values():
+            weigh(self.pxr, self.draft, body, self.colliders(body), self.geoms, (self.to_m, self.to_kg))
+        add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
+        add_lights(self.draft, self.pxr, prims, self.matrix)
+        for kind, count in sorted(self.left.items()):
+            self.draft.dropped(f"prims of type {kind}", "the language has no word for it", f"{count}")
+        missing = [" ".join(str(e).split()) for e in self.stage.GetCompositionErrors()]
+        if not self.draft.bodies:
+            raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
+        for error in missing:
+            self.draft.dropped("what it takes in", "OpenUSD cannot compose it", error[:200])
+        make_sound(self.draft, str(self.path))
+        return self.draft
+
+    def gravity(self, prims: list[Any]) -> None:
+        scene = next((p for p in prims if p.IsA(self.pxr.UsdPhysics.Scene)), None)
+        if scene is None:
+            return
+        api = self.pxr.UsdPhysics.Scene(scene)
+        size, direction = api.GetGravityMagnitudeAttr().Get(), api.GetGravityDirectionAttr().Get()
+        if size is None or not math.isfinite(size) or size < 0:
+            return
+        vector = np.array(direction if direction is not None else (0, 0, 0), dtype=np.float64)
+        length = float(np.linalg.norm(vector))
+        down = self.W[:3, :3] @ (vector / length) / self.to_m if length > 0 else np.array([0.0, 0.0, -1.0])
+        x, y, z = (float(v) for v in np.round(down * float(size) * self.to_m, 6) + 0.0)
+        self.draft.gravity = (x, y, z)
+
+    def enabled(self, prim: Any) -> bool:
+        return self.pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False
+
+    def known(self, prim: Any) -> bool:
+        """Whether a prim is read elsewhere, or says nothing by itself."""
+        usd = self.pxr
+        kinds = (
+            usd.UsdGeom.Camera,
+            usd.UsdPhysics.Joint,
+            usd.UsdLux.BoundableLightBase,
+            usd.UsdLux.NonboundableLightBase,
+        )
+        return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
+
+    def matrix(self, prim: Any) -> Array:
+        """From the units and frame of a prim into metres in the world, z up, shape (4, 4)."""
+        X_SP = np.array(self.transforms.GetLocalToWorldTransform(prim), dtype=np.float64).T
+        if not np.isfinite(X_SP).all():
+            raise ImportRefusedError(self.path, f"the transform of `{prim.GetPath()}` has numbers that are not finite")
+        return np.asarray(self.W @ X_SP)
+
+    def frame(self, prim: Any) -> tuple[Pose, Array]:
+        """The frame of a prim without its scale, and the scale [m per unit]; mirrored frames lose the mirror."""
+        X_WP = self.matrix(prim)
+        scales = np.linalg.norm(X_WP[:3, :3], axis=0)
+        scales = np.where(scales > 0, scales, 1.0)
+        u, _, v = np.linalg.svd(X_WP[:3, :3] / scales)
+        rotation = u @ v
+        if np.linalg.det(rotation) < 0:
+            rotation, scales = rotation @ np.diag([1.0, 1.0, -1.0]), scales * (1, 1, -1)
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = rotation, X_WP[:3, 3]
+        return Pose.from_matrix(out), scales
+
+    def body(self, prim: Any) -> Body:
+        X_WP, scale = self.frame(prim)
+        return Body(prim, X_WP, scale, LinkDraft(str(prim.GetPath())))
+
+    def owner(self, prim: Any) -> Body | None:
+        """The nearest rigid body above a prim, or that it is."""
+        while prim and not prim.IsPseudoRoot():
+            if str(prim.GetPath()) in self.bodies:
+                return self.bodies[str(prim.GetPath())]
+            prim = prim.GetParent()
+        return None
+
+    def add_part(self, body: Body, prim: Any) -> None:
+        if self.geoms.use(prim) == "none":
+            return
+        part = self.geoms.part(prim, np.asarray(body.X_WB.inverse().matrix @ self.matrix(prim)))
+        if part is None:
+            return
+        body.link.parts.append(part)
+        if is_collider(self.pxr, prim) and prim.HasAPI(self.pxr.UsdPhysics.MeshCollisionAPI):
+            how = self.pxr.UsdPhysics.MeshCollisionAPI(prim).GetApproximationAttr().Get()
+            if how == "convexDecomposition":
+                body.link.collision = "decompose"
+            elif how not in (None, "none", "convexHull"):
+                self.draft.changed(f"collider `{prim.GetPath()}`", "its convex hull touches", str(how))
+
+    def group(self, prim: Any) -> str:
+        """The prim that a static gprim belongs to: the nearest Xform above it, or itself below the default prim."""
+        parent = prim.GetParent()
+        default = self.stage.GetDefaultPrim()
+        if parent.IsPseudoRoot() or parent == default or parent.GetTypeName() == "Scope":
+            return str(prim.GetPath())
+        return str(parent.GetPath())
+
+    def static_things(self, statics: dict[str, list[Any]]) -> None:
+        """What belongs to no rigid body stands still."""
+        for path, prims in statics.items():
+            prim = self.stage.GetPrimAtPath(path)
+            X_WP, scale = self.frame(prim)
+            made = Body(prim, X_WP, scale, LinkDraft("base"))
+            for gprim in prims:
+                self.add_part(made, gprim)
+            if not made.link.parts:
+                continue
+            self.draft.bodies.append(
+                BodyDraft(self.unique(prim.GetName()), "base", {"base": made.link}, fixed=True, X_WO=X_WP)
+            )
+
+    def unique(self, name: str) -> str:
+        taken = {body.name for body in self.draft.bodies}
+        names = (name if k == 1 else f"{name}_{k}" for k in range(1, 100_000))
+        return next(n for n in names if n not in taken)
+
+    def joints(self, prims: list[Any]) -> Iterator[UsdJoint]:
+        for prim in prims:
+            if not prim.IsA(self.pxr.UsdPhysics.Joint):
+                continue
+            joint = self.pxr.UsdPhysics.Joint(prim)
+            if joint.GetJointEnabledAttr().Get() is False:
+                continue
+            yield read_joint(self.draft, self.pxr, prim, self.end, (self.to_m, self.to_kg))
+
+    def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
+        """What a joint is fastened to: a body, or the world; the frame there and its scale."""
+        prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
+        if not prim:
+            return WORLD, Pose.of(), np.full(3, self.to_m)
+        body = self.owner(prim)
+        X_WP, scale = self.frame(prim)
+        if body is None:
+            return WORLD, X_WP, scale
+        if body.prim == prim:
+            return str(prim.GetPath()), Pose.of(), scale
+        return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
+
+    def trees(self, joints: list[UsdJoint]) -> None:
+        """Bodies that joints connect are one thing; joints that close a loop are noted."""
+        left = dict(self.bodies)
+        at: dict[str, list[UsdJoint]] = {}
+        for joint in joints:
+            for end in {joint.parent, joint.child}:
+                at.setdefault(end, []).append(joint)
+        used: set[int] = set()
+        grounded = [j.child if j.parent == WORLD else j.parent for j in at.get(WORLD, ())]
+        roots = [p for p in grounded if p] + [p for p in left if self.is_root(p)] + list(left)
+        for root in roots:
+            if root in left:
+                self.tree(root, left, at, used)
+        for joint in joints:
+            if id(joint) not in used:
+                self.draft.dropped(f"joint `{joint.path}`", "it closes a loop, and things here are trees")
+
+    def is_root(self, path: str) -> bool:
+        return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
+
+    def tree(self, root: str, left: dict[str, Body], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
+        """One thing: its root, and all that joints carry from there."""
+        body = self.bodies[root]
+        draft = BodyDraft("", root, {}, X_WO=body.X_WB)
+        frames = {root: Pose.of()}
+        self.draft.bodies.append(draft)
+        ground = next((j for j in at.get(root, ()) if WORLD in (j.parent, j.child)), None)
+        kinematic = self.pxr.UsdPhysics.RigidBodyAPI(body.prim).GetKinematicEnabledAttr().Get() is True
+        draft.links[root] = body.link
+        if ground is not None:
+            used.add(id(ground))
+            if ground.type == "fixed":
+                draft.fixed = True
+            else:
+                base = "base"
+                X_WJ = ground.frame(WORLD)
+                draft.root, draft.fixed, draft.X_WO = base, True, X_WJ
+                draft.links = {base: LinkDraft(base, mass=0.0)}
+                self.fasten(draft, ground, base, root, Pose.of(), frames)
+                draft.links[root] = body.link
+        elif kinematic:
+            draft.fixed = True
+            self.draft.changed(f"kinematic body `{root}`", "nothing moves it by hand here; it is fixed")
+        del left[root]
+        todo = [root]
+        while todo:
+            here = todo.pop(0)
+            for joint in at.get(here, ()):
+                other = joint.child if joint.parent == here else joint.parent
+                if id(joint) in used or other not in left or other == WORLD:
+                    continue
+                used.add(id(joint))
+                self.fasten(draft, joint, here, other, frames[here].inverse() @ joint.frame(here), frames)
+                draft.links[other] = left.pop(other).link
+                todo.append(other)
+        self.rename(draft)
+
+    def fasten(
+        self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose, frames: dict[str, Pose]
+    ) -> None:
+        """Carry a child by a joint; the frame of its link moves to the joint."""
+        X_CJ = joint.frame(child)
+        X_CL = Pose.of(X_CJ.p) if joint.type != "fixed" else Pose.of()
+        frames[child] = self.bodies[child].X_BL = X_CL
+        made = JointDraft(joint.path, joint.type, parent, child, X_PJ @ (X_CL.inverse() @ X_CJ).inverse())
+        # Of a joint that carries its body0 the axis is turned about, so that its coordinate stays.
+        made.axis = X_CJ.rotation @ joint.axis * (-1.0 if joint.child == parent else 1.0)
+        made.limits, made.damping, made.friction = joint.limits, joint.damping, joint.friction
+        made.armature, made.drive, made.closed = joint.armature, joint.drive, joint.closed
+        for part in self.bodies[child].link.parts:
+            part.X_LG = X_CL.inverse() @ part.X_LG
+        if made.type in ("revolute", "continuous", "prismatic"):
+            made.position = self.position(draft, made, parent, child, frames)
+        draft.joints.append(made)
+
+    def position(self, draft: BodyDraft, joint: JointDraft, parent: str, child: str, frames: dict[str, Pose]) -> float:
+        """Where a joint is in the stage: the motion along its axis between its place at zero and where its child is."""
+        X_WP = draft.X_WO if parent not in self.bodies else self.bodies[parent].X_WB @ frames[parent]
+        moved = joint.X_PC.inverse() @ X_WP.inverse() @ self.bodies[child].X_WB @ frames[child]
+        axis = joint.axis / np.linalg.norm(joint.axis)
+        if joint.type == "prismatic":
+            value = float(moved.p @ axis)
+        else:
+            value = 2 * math.atan2(float(moved.q[1:] @ axis), float(moved.q[0]))
+            value = (value + math.pi) % (2 * math.pi) - math.pi
+        return 0.0 if abs(value) < 1e-5 else value
+
+    def rename(self, draft: BodyDraft) -> None:
+        """Name a thing and its links by their prims: paths until now, because names may repeat."""
+        real = [path for path in draft.links if path in self.bodies]
+        short: dict[str, str] = {"base": "base"}
+        for path in real:
+            name, count = self.bodies[path].prim.GetName(), 1
+            while (name if count == 1 else f"{name}_{count}") in short.values():
+                count += 1
+            short[path] = name if count == 1 else f"{name}_{count}"
+        draft.name = self.unique(self.thing_name(real))
+        links = {}
+        for path, link in draft.links.items():
+            link.name = short[path]
+            links[link.name] = link
+            if path in self.bodies:
+                self.placed_links[path] = (draft, link.name)
+        draft.links, draft.root = links, short[draft.root]
+        names: set[str] = set()
+        for joint in draft.joints:
+            joint.parent, joint.child = short[joint.parent], short[joint.child]
+            name = base = joint.name.rpartition("/")[2]
+            count = 1
+            while name in names:
+                count += 1
+                name = f"{base}_{count}"
+            names.add(name)
+            joint.name = name
+
+    def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
+        """By path of a body: what it became part of, and the frame of its link in the world of the stage."""
+        return {
+            path: (draft, link, self.bodies[path].X_WB @ self.bodies[path].X_BL)
+            for path, (draft, link) in self.placed_links.items()
+        }
+
+    def thing_name(self, paths: list[str]) -> str:
+        """The name of what holds all bodies of a thing, unless that is the stage itself."""
+        if len(paths) == 1:
+            return str(self.bodies[paths[0]].prim.GetName())
+        shared = paths[0].split("/")[:-1]
+        for path in paths[1:]:
+            words = path.split("/")
+            shared = shared[
+                : next((k for k, (a, b) in enumerate(zip(shared, words, strict=False)) if a != b), len(shared))
+            ]
+        return shared[-1] if len(shared) > 1 else str(self.bodies[paths[0]].prim.GetName())
+
+    def colliders(self, body: Body) -> list[Any]:
+        """The colliders of a rigid body."""
+        below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
+        return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

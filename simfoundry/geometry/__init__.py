@@ -1,0 +1,1 @@
+"""Measures of shapes: the only implementation of each."""

@@ -1,0 +1,130 @@
+"""Pictures beside and over each other, with captions, for reports and documentation."""
+
+from __future__ import annotations
+
+import colorsys
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.runtime.files import write_atomically
+from simfoundry.runtime.outputs import MARK
+
+Image = NDArray[np.uint8]
+"""An sRGB picture, uint8, shape (h, w, 3)."""
+
+PAPER = (255, 255, 255)
+INK = (38, 42, 48)
+
+
+def side_by_side(panels: Sequence[tuple[str, Image]], height: int | None = None, columns: int | None = None) -> Image:
+    """Panels ``(caption, picture)`` in rows of ``columns`` (by default all in one), each with its caption above it.
+
+    All pictures get one height [px], by default that of the lowest, and keep their proportions.
+    """
+    if not panels:
+        raise ValueError("a comparison needs at least one picture")
+    row_height = min(image.shape[0] for _, image in panels) if height is None else height
+    per_row = len(panels) if columns is None else max(1, columns)
+    cells = [_captioned(caption, _scaled(image, row_height)) for caption, image in panels]
+    gap = max(4, row_height // 60)
+    rows = [_joined(cells[k : k + per_row], gap, axis=1) for k in range(0, len(cells), per_row)]
+    width = max(row.shape[1] for row in rows)
+    rows = [_joined([row, _blank(row.shape[0], width - row.shape[1])], 0, axis=1) for row in rows]
+    inside = _joined(rows, gap, axis=0)
+    page = _blank(inside.shape[0] + 2 * gap, inside.shape[1] + 2 * gap)
+    page[gap:-gap, gap:-gap] = inside
+    return page
+
+
+def overlay(color: Image, objects: NDArray[np.int32], alpha: float = 0.45) -> Image:
+    """``color`` with every object of ``objects`` (h, w; 0 is none) tinted by ``alpha`` and outlined in its own colour.
+
+    An object's colour depends on its number alone, so it stays the same from picture to picture.
+    """
+    if objects.shape != color.shape[:2]:
+        raise ValueError(f"the labels are {objects.shape}, the picture is {color.shape[:2]}: they must agree")
+    labels, index = np.unique(objects, return_inverse=True)
+    palette = np.array([label_color(int(k)) if k > 0 else (0, 0, 0) for k in labels], dtype=np.float64)
+    tint = palette[index.reshape(objects.shape)]
+    strength = np.where(objects > 0, alpha, 0.0)[..., None]
+    out = color * (1 - strength) + tint * strength
+    outline = _outline(objects)
+    out[outline] = tint[outline]
+    return np.asarray(np.rint(out), dtype=np.uint8)
+
+
+def label_color(label: int) -> tuple[int, int, int]:
+    """A bright colour for a positive label; consecutive labels are far apart on the colour circle."""
+    r, g, b = colorsys.hsv_to_rgb((label * 0.6180339887) % 1.0, 0.72 + 0.2 * (label % 2), 0.95)
+    return round(255 * r), round(255 * g), round(255 * b)
+
+
+def png_bytes(image: Image) -> bytes:
+    """The picture as a PNG; the same picture gives the same bytes."""
+    from PIL import Image as Pillow
+    from PIL.PngImagePlugin import PngInfo
+
+    buffer, info = io.BytesIO(), PngInfo()
+    info.add_text("Software", MARK)
+    Pillow.fromarray(image).save(buffer, format="PNG", compress_level=9, pnginfo=info)
+    return buffer.getvalue()
+
+
+def save_png(path: Path, image: Image) -> None:
+    """Write :func:`png_bytes` to ``path``; its folder is made."""
+    write_atomically(path, png_bytes(image))
+
+
+def _outline(objects: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Pixels of an object that touch, sideways or up or down, a pixel of something else."""
+    differs = np.zeros(objects.shape, dtype=np.bool_)
+    down, across = objects[1:] != objects[:-1], objects[:, 1:] != objects[:, :-1]
+    differs[1:] |= down
+    differs[:-1] |= down
+    differs[:, 1:] |= across
+    differs[:, :-1] |= across
+    return differs & (objects > 0)
+
+
+def _captioned(caption: str, image: Image) -> Image:
+    """The picture under a line of text, made smaller if it would not fit the width."""
+    from PIL import Image as Pillow
+    from PIL import ImageDraw, ImageFont
+
+    h, w = image.shape[:2]
+    size = max(11.0, h / 20)
+    band = round(size * 1.7)
+    strip = Pillow.new("RGB", (w, band), PAPER)
+    draw = ImageDraw.Draw(strip)
+    wide = draw.textlength(caption, font=ImageFont.load_default(size))
+    size = max(7.0, size * min(1.0, (w - 4) / max(wide, 1.0)))
+    draw.text((2, band / 2), caption, fill=INK, font=ImageFont.load_default(size), anchor="lm")
+    return np.concatenate([np.asarray(strip, dtype=np.uint8), image], axis=0)
+
+
+def _scaled(image: Image, height: int) -> Image:
+    from PIL import Image as Pillow
+
+    h, w = image.shape[:2]
+    if h == height:
+        return image
+    size = (max(1, round(w * height / h)), height)
+    return np.asarray(Pillow.fromarray(image).resize(size, Pillow.Resampling.LANCZOS), dtype=np.uint8)
+
+
+def _blank(height: int, width: int) -> Image:
+    return np.full((height, width, 3), PAPER, dtype=np.uint8)
+
+
+def _joined(images: Sequence[Image], gap: int, axis: int) -> Image:
+    """Images one after the other with a gap between; all must agree in the other dimension."""
+    parts: list[Image] = []
+    for image in images:
+        if parts and gap:
+            parts.append(_blank(image.shape[0], gap) if axis == 1 else _blank(gap, image.shape[1]))
+        parts.append(image)
+    return np.concatenate(parts, axis=axis)

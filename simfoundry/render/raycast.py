@@ -1,0 +1,132 @@
+"""Pictures of a scene without a display, a driver or a GPU: colour, exact depth, object labels and normals.
+
+Made for synthetic captures, for documentation and for machines where no simulator can draw. Colours are shaded in
+linear light (Lambert, a faint highlight, hemispherical ambient light, shadows) and returned as sRGB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
+from simfoundry.render.shading import Points, background, encode_srgb, shade, studio
+from simfoundry.render.surface import Surface, scene_surface
+from simfoundry.scene.frames import Array
+from simfoundry.scene.model import Camera, Scene
+from simfoundry.scene.state import SceneState
+
+BAND = 1_300_000
+"""How many rays are shaded at once: about 1 GB of memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Raycast:
+    """What a camera sees, pixel by pixel; every array is (h, w) or (h, w, 3).
+
+    ``color`` uint8 sRGB; ``depth`` [m] along the optical axis at the pixel's centre, float64, NaN where nothing is hit;
+    ``objects`` int32: 0 where nothing is hit, else 1 + the index in ``scene.objects``; ``normals`` unit, world frame,
+    toward the camera, NaN where nothing is hit; ``camera`` the camera that saw it.
+    """
+
+    color: NDArray[np.uint8]
+    depth: Array
+    objects: NDArray[np.int32]
+    normals: Array
+    camera: Camera
+
+
+def raycast(scene: Scene, camera: Camera, state: SceneState | None = None, samples: int = 1) -> Raycast:
+    """Look at ``scene`` in ``state`` (by default the state that the scene describes) through ``camera``.
+
+    Pixel (u, v) looks along ``((u - cx) / fx, (v - cy) / fy, 1)`` of the camera frame, so the centre of the first pixel
+    is (0, 0), as in :attr:`simfoundry.capture.frame.Frame.points`. Colour is the mean of ``samples`` x ``samples`` rays
+    in each pixel, and the more there are, the softer are its shadows: one ray gives hard shadows and an open sky, from
+    two on corners are darker. Depth, objects and normals are those of the centre. A visual of alpha 0 is not there; one
+    of alpha below 1 is seen, in all four arrays, lets the colour behind it through and casts no shadow.
+    """
+    if samples < 1:
+        raise ValueError(f"a pixel needs at least one ray, got samples={samples}")
+    surface = scene_surface(scene, state)
+    h, w = camera.height, camera.width
+    rays = _pixels(camera, 1)
+    hits = _seen(surface, camera, rays)
+    depth = np.full(h * w, np.nan)
+    objects = np.zeros(h * w, dtype=np.int32)
+    normals = np.full((h * w, 3), np.nan)
+    met = np.flatnonzero(hits.triangle >= 0)
+    depth[met] = 1.0 / hits.inverse_depth[met]
+    objects[met] = surface.object[hits.triangle[met]] + 1
+    normals[met] = _normals(surface, hits.at(met), _directions(rays, camera)[met])
+    rows = max(1, BAND // (w * samples**2))
+    return Raycast(
+        color=np.concatenate([_band(scene, surface, camera, top, rows, samples) for top in range(0, h, rows)]),
+        depth=depth.reshape(h, w),
+        objects=objects.reshape(h, w),
+        normals=normals.reshape(h, w, 3),
+        camera=camera,
+    )
+
+
+def _band(scene: Scene, surface: Surface, camera: Camera, top: int, rows: int, samples: int) -> NDArray[np.uint8]:
+    """Colour of ``rows`` rows of the picture from ``top`` on, or of what is left of it: a picture of its own."""
+    band = replace(camera, height=min(rows, camera.height - top), cy=camera.cy - top)
+    rays = _pixels(band, samples)
+    linear = _colors(scene, surface, band, rays, _seen(surface, band, rays), samples)
+    return encode_srgb(linear.reshape(band.height, samples, band.width, samples, 3).mean(axis=(1, 3)))
+
+
+def _pixels(camera: Camera, samples: int) -> Rays:
+    return pixel_rays(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, samples)
+
+
+def _seen(surface: Surface, camera: Camera, rays: Rays, opaque_only: bool = False) -> Hits:
+    """What each ray meets first. Of closed surfaces only the outside is seen, so the rest is not even tried."""
+    alpha = np.array([v.rgba[3] for v in surface.visuals], dtype=np.float64)
+    faces_camera = dot(camera.X_WC.p - surface.corners[:, 0], area_normals(surface.corners)) > 0
+    kept = faces_camera | ~surface.closed
+    if opaque_only:
+        kept &= alpha[surface.visual] >= 1
+    index = np.flatnonzero(kept)
+    hits = first_hits(turned(camera.X_WC.rotation.T, surface.corners[index] - camera.X_WC.p), rays)
+    triangle = np.where(hits.triangle >= 0, index[hits.triangle] if len(index) else -1, -1)
+    return Hits(triangle, hits.inverse_depth, hits.weights)
+
+
+def _directions(rays: Rays, camera: Camera) -> Array:
+    """Ray directions in the world, shape (n, 3), of length one along the optical axis."""
+    return turned(camera.X_WC.rotation, np.stack([rays.x, rays.y, np.ones_like(rays.x)], axis=1))
+
+
+def _normals(surface: Surface, hits: Hits, directions: Array) -> Array:
+    """Unit shading normals toward the camera, shape (n, 3), where every ray along ``directions`` (n, 3) has hit."""
+    normals = unit(blend(surface.normals[hits.triangle], hits.weights))
+    away = dot(area_normals(surface.corners)[hits.triangle], directions) > 0  # the back of an open surface
+    return np.asarray(np.where(away[:, None], -normals, normals))
+
+
+def _colors(scene: Scene, surface: Surface, camera: Camera, rays: Rays, hits: Hits, samples: int) -> Array:
+    """Linear colour of each ray, shape (n, 3); where the first hit is translucent, mixed with the opaque one behind."""
+    directions = _directions(rays, camera)
+    color = background(directions)
+    met = np.flatnonzero(hits.triangle >= 0)
+    if not len(met):
+        return color
+    some, along = hits.at(met), directions[met]
+    row, column = np.divmod(met, camera.width * samples)
+    at = Points(
+        p=camera.X_WC.p + along / some.inverse_depth[:, None],
+        normals=_normals(surface, some, along),
+        to_eye=-unit(along),
+        group=row % samples * samples + column % samples,
+        groups=samples * samples,
+    )
+    front = shade(surface, studio(scene), some, at, camera.fx * camera.fy)
+    alpha = np.array([min(1.0, v.rgba[3]) for v in surface.visuals])[surface.visual[some.triangle]]
+    if (alpha < 1).any():
+        behind = _colors(scene, surface, camera, rays, _seen(surface, camera, rays, opaque_only=True), samples)
+        front = front * alpha[:, None] + behind[met] * (1 - alpha[:, None])
+    color[met] = front
+    return color

@@ -1,0 +1,263 @@
+"""Light on surfaces: lights, shadows, textures and colour spaces. All arithmetic is in linear light."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.visibility import (
+    NEAREST,
+    Hits,
+    area_normals,
+    blend,
+    dot,
+    first_hits,
+    scattered_rays,
+    turned,
+    unit,
+)
+from simfoundry.render.surface import Surface
+from simfoundry.scene.frames import Array, frozen_array, look_at
+from simfoundry.scene.model import LightType, Mesh, Scene
+
+SHADOW_BIAS = 2e-4
+"""Something that is closer to a point than this along the light [m] is the point's own surface."""
+
+DISTANT = 1e4
+"""A distant light stands this many scene radii away."""
+
+FILL = 0.22
+"""Ambient light of a scene that lights itself but has no dome: a real room is never black in the shade."""
+
+LAMP_RADIUS = 0.03
+"""Half the angle under which a distant lamp appears [rad], for soft shadows."""
+
+SKY_SPOTS = 4
+"""How many spots of the sky each sub-pixel looks at."""
+
+KEY_DIRECTION = frozen_array(unit(np.array([-0.16, 0.66, 0.82])))
+"""Where the light of a scene without lights comes from (unit, world)."""
+
+SKY = frozen_array([0.86, 0.93, 1.0])
+GROUND = frozen_array([0.42, 0.39, 0.36])
+HORIZON = frozen_array([0.80, 0.84, 0.88])
+ZENITH = frozen_array([0.38, 0.50, 0.66])
+NADIR = frozen_array([0.50, 0.52, 0.55])
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A light that casts shadows: at ``p`` [m, world] or, if ``distant``, from direction ``p`` (unit); linear rgb."""
+
+    p: Array
+    distant: bool
+    rgb: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """All light on a scene: its lamps, and ambient linear rgb that falls on what faces up and on what faces down."""
+
+    lamps: tuple[Lamp, ...]
+    up: Array
+    down: Array
+
+
+def studio(scene: Scene) -> Studio:
+    """The scene's own lights, or daylight from the upper left of a robot that looks along x."""
+    if not scene.lights:
+        lamp = Lamp(KEY_DIRECTION, True, np.array([0.86, 0.83, 0.78]))
+        return Studio((lamp,), 0.36 * SKY, 0.30 * GROUND)
+    lamps, dome = [], np.zeros(3)
+    for light in scene.lights:
+        rgb = light.intensity * np.asarray(light.rgb)
+        match light.type:
+            case LightType.DISTANT:
+                lamps.append(Lamp(light.X_WL.rotation[:, 2], True, rgb))
+            case LightType.POINT:
+                lamps.append(Lamp(light.X_WL.p, False, rgb))
+            case LightType.DOME:
+                dome = dome + rgb
+    if not dome.any():
+        return Studio(tuple(lamps), FILL * SKY, FILL * GROUND)
+    return Studio(tuple(lamps), dome, dome)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Seen points, n of them: ``p`` [m, world] (n, 3), unit ``normals`` (n, 3), unit directions ``to_eye`` (n, 3).
+
+    ``group`` shape (n,) says which of the ``groups`` sub-pixels a point belongs to: each is lit from its own spots of a
+    lamp and of the sky, so that their mean has soft shadows.
+    """
+
+    p: Array
+    normals: Array
+    to_eye: Array
+    group: NDArray[np.int64]
+    groups: int
+
+
+def shade(surface: Surface, lights: Studio, hits: Hits, at: Points, focal_squared: float) -> Array:
+    """Linear colour of the n hits, shape (n, 3); ``focal_squared`` [px^2] says how large a pixel is."""
+    albedo = _albedo(surface, hits, np.abs(dot(at.normals, at.to_eye)), focal_squared)
+    sky = (0.5 + 0.5 * at.normals[:, 2])[:, None]
+    light = lights.down * (1 - sky) + lights.up * sky * _openness(surface, at)[:, None]
+    shine = np.zeros_like(light)
+    for lamp in lights.lamps:
+        to_lamp = lamp.p if lamp.distant else lamp.p - at.p
+        direction = np.broadcast_to(unit(to_lamp), at.p.shape)
+        cosine = np.maximum(dot(at.normals, direction), 0.0)
+        for k in range(at.groups):
+            facing = np.flatnonzero((at.group == k) & (cosine > 0))
+            cosine[facing[_in_shadow(surface, _spot(lamp, k, at.groups), at.p[facing])]] = 0.0
+        gloss = 0.10 * np.maximum(dot(at.normals, unit(direction + at.to_eye)), 0.0) ** 48
+        light = light + cosine[:, None] * lamp.rgb
+        shine = shine + np.where(cosine > 0, gloss, 0.0)[:, None] * lamp.rgb
+    return albedo * light + shine
+
+
+def _spot(lamp: Lamp, k: int, count: int) -> Lamp:
+    """The ``k``-th of ``count`` spots spread over a distant lamp; a single spot, or a point lamp, is its centre."""
+    if count == 1 or not lamp.distant:
+        return lamp
+    radius, turn = LAMP_RADIUS * np.sqrt((k + 0.5) / count), 2.399963 * k
+    side = look_at(np.zeros(3), lamp.p).rotation
+    p = lamp.p + radius * (np.cos(turn) * side[:, 0] + np.sin(turn) * side[:, 1])
+    return Lamp(unit(p), True, lamp.rgb)
+
+
+def _openness(surface: Surface, at: Points) -> Array:
+    """How much of the sky above it each point sees, in [0, 1], shape (n,); all of it where there is but one group."""
+    open_sky = np.ones(len(at.p))
+    if at.groups == 1:
+        return open_sky
+    total = at.groups * SKY_SPOTS
+    for k in range(at.groups):
+        mine = np.flatnonzero(at.group == k)
+        p, normals = at.p[mine], at.normals[mine]
+        seen, asked = np.zeros(len(mine)), np.full(len(mine), 1e-9)
+        for spot in range(k, total, at.groups):
+            height, turn = np.sqrt(1 - (spot + 0.5) / total), 2.399963 * spot
+            flat = np.sqrt(1 - height**2)
+            direction = np.array([flat * np.cos(turn), flat * np.sin(turn), height])
+            cosine = np.maximum(dot(normals, direction), 0.0)
+            facing = np.flatnonzero(cosine > 0)
+            asked[facing] += cosine[facing]
+            cosine[facing[_in_shadow(surface, Lamp(direction, True, SKY), p[facing])]] = 0.0
+            seen[facing] += cosine[facing]
+        open_sky[mine] = np.where(asked > 1e-6, seen / asked, 1.0)
+    return open_sky
+
+
+def _in_shadow(surface: Surface, lamp: Lamp, points: Array) -> NDArray[np.bool_]:
+    """Whether something opaque stands between each point and the lamp, shape (n,).
+
+    Of a closed surface its far side casts the shadow: the same shadow, and smooth shading keeps its soft terminator.
+    """
+    shadow = np.zeros(len(points), dtype=np.bool_)
+    if not len(points) or not len(surface.corners):
+        return shadow
+    low, high = surface.corners.min(axis=(0, 1)), surface.corners.max(axis=(0, 1))
+    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-9
+    origin = centre + DISTANT * radius * lamp.p if lamp.distant else lamp.p
+    aim = centre if float(np.linalg.norm(centre - origin)) > 1e-6 else origin - np.array([0.0, 0.0, 1.0])
+    R_LW = look_at(origin, aim).rotation.T
+    local = turned(R_LW, points - origin)
+    reached = np.flatnonzero(local[:, 2] > NEAREST)
+    if not len(reached):
+        return shadow
+    x, y, z = local[reached].T
+    far_side = dot(origin - surface.corners[:, 0], area_normals(surface.corners)) < 0
+    opaque = np.array([v.rgba[3] >= 1 for v in surface.visuals], dtype=np.bool_)[surface.visual]
+    casters = opaque & (far_side | ~surface.closed)
+    floor = 1.0 / np.maximum(z - SHADOW_BIAS, NEAREST)
+    hits = first_hits(turned(R_LW, surface.corners[casters] - origin), scattered_rays(x / z, y / z), floor)
+    shadow[reached] = hits.triangle >= 0
+    return shadow
+
+
+def background(directions: Array) -> Array:
+    """Linear colour of the sky along world ``directions``, shape (n, 3): a soft gradient by elevation."""
+    rise = unit(directions)[:, 2:]
+    up = np.clip(rise, 0, 1) ** 0.6
+    down = np.clip(-rise, 0, 1) ** 0.6
+    return np.asarray(HORIZON * (1 - up - down) + ZENITH * up + NADIR * down)
+
+
+def _albedo(surface: Surface, hits: Hits, facing: Array, focal_squared: float) -> Array:
+    """Linear base colour of each hit, shape (n, 3): the visual's rgba times its texture."""
+    visual = surface.visual[hits.triangle]
+    rgb = np.array([v.rgba[:3] for v in surface.visuals], dtype=np.float64)
+    color = decode_srgb(np.clip(rgb, 0, 1))[visual]
+    for k, item in enumerate(surface.visuals):
+        if isinstance(item.geometry, Mesh) and item.geometry.texture is not None and item.geometry.uv is not None:
+            mine = np.flatnonzero(visual == k)
+            if len(mine):
+                texture = item.geometry.texture
+                color[mine] *= _textured(surface, texture, hits.at(mine), facing[mine], focal_squared)
+    return color
+
+
+def _textured(surface: Surface, texture: bytes, hits: Hits, facing: Array, focal_squared: float) -> Array:
+    """Texture colour of each hit, shape (n, 3), from the level whose texels are about as large as the pixel."""
+    levels = _pyramid(texture)
+    uv = surface.uv[hits.triangle]
+    at = blend(uv, hits.weights)
+    height, width = levels[0].shape[:2]
+    (du1, dv1), (du2, dv2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
+    texels = np.abs(du1 * dv2 - dv1 * du2) * width * height
+    normals = area_normals(surface.corners[hits.triangle])
+    area = np.sqrt(dot(normals, normals))
+    footprint = 1.0 / (hits.inverse_depth**2 * focal_squared * np.maximum(facing, 0.1))
+    scale = texels / np.maximum(area, 1e-30) * footprint  # texels of the finest level under one pixel
+    level = np.clip(np.floor(0.5 * np.log2(np.maximum(scale, 1e-30)) + 0.5), 0, len(levels) - 1).astype(np.int64)
+    color = np.zeros((len(at), 3))
+    for k in np.unique(level):
+        color[level == k] = _bilinear(levels[k], at[level == k])
+    return color
+
+
+def _bilinear(image: Array, uv: Array) -> Array:
+    """Sample ``image`` (h, w, 3) at ``uv`` (n, 2), v up, repeating beyond [0, 1]."""
+    h, w = image.shape[:2]
+    x, y = uv[:, 0] * w - 0.5, (1 - uv[:, 1]) * h - 0.5
+    left, top = np.floor(x), np.floor(y)
+    fx, fy = (x - left)[:, None], (y - top)[:, None]
+    u0, v0 = left.astype(np.int64) % w, top.astype(np.int64) % h
+    u1, v1 = (u0 + 1) % w, (v0 + 1) % h
+    upper = image[v0, u0] * (1 - fx) + image[v0, u1] * fx
+    lower = image[v1, u0] * (1 - fx) + image[v1, u1] * fx
+    return np.asarray(upper * (1 - fy) + lower * fy)
+
+
+@lru_cache(maxsize=32)
+def _pyramid(png: bytes) -> tuple[Array, ...]:
+    """The texture in linear light, each level half the size of the one before, down to a few texels."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(png)) as picture:
+        image = decode_srgb(np.asarray(picture.convert("RGB"), dtype=np.float64) / 255)
+    levels = [image]
+    while min(image.shape[:2]) >= 4:
+        h, w = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+        image = image[:h, :w].reshape(h // 2, 2, w // 2, 2, 3).mean(axis=(1, 3))
+        levels.append(image)
+    return tuple(levels)
+
+
+def decode_srgb(values: Array) -> Array:
+    """SRGB in [0, 1] to linear light."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def encode_srgb(linear: Array) -> NDArray[np.uint8]:
+    """Linear light to sRGB bytes; what is brighter than white is white."""
+    c = np.clip(linear, 0, 1)
+    return np.asarray(
+        np.rint(255 * np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055)), dtype=np.uint8
+    )

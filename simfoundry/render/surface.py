@@ -1,0 +1,125 @@
+"""The visible surface of a scene as one list of triangles, with what shading needs at every corner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.visibility import area_normals, dot, turned, unit
+from simfoundry.scene.frames import Array, Pose
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import Geometry, Scene, Visual
+from simfoundry.scene.state import SceneState
+from simfoundry.scene.tessellate import tessellate
+
+SEGMENTS = 96
+"""How finely round primitives are drawn: the radius of a 5 cm cup is off by at most 27 micrometres."""
+
+CREASE_DEG = 35.0
+"""Faces that meet at a smaller angle are shaded as one smooth surface."""
+
+_CROWDED = 512
+"""A vertex of more corners than this (the hub of a fan) is not smoothed: pairs grow with the square."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """All m visible triangles of a scene.
+
+    ``corners`` [m, world], shape (m, 3, 3); ``normals`` unit, world, at each corner, shape (m, 3, 3); ``uv`` shape
+    (m, 3, 2), zero where there is none; ``visual`` shape (m,) indexes ``visuals``; ``object`` shape (m,) indexes the
+    scene's objects; ``closed`` bool, shape (m,): part of a watertight, outward surface, whose inside nobody sees.
+    """
+
+    corners: Array
+    normals: Array
+    uv: Array
+    visual: NDArray[np.int64]
+    object: NDArray[np.int64]
+    closed: NDArray[np.bool_]
+    visuals: tuple[Visual, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Patch:
+    """One geometry in its own frame; arrays as in :class:`Surface`."""
+
+    corners: Array
+    normals: Array
+    uv: Array
+    closed: bool
+
+
+def scene_surface(scene: Scene, state: SceneState | None = None) -> Surface:
+    """The visible triangles of ``scene`` in ``state``, by default the state that the scene describes."""
+    state = SceneState.initial(scene) if state is None else state
+    patches: list[_Patch] = []
+    visuals: list[Visual] = []
+    owners: list[int] = []
+    for index, item in enumerate(scene.objects):
+        X_WO = state.poses.get(item.name, item.X_WO)
+        X_OL = link_poses(item, state.of_object(item))
+        for link in item.links:
+            for visual in link.visuals:
+                if visual.rgba[3] > 0:
+                    patches.append(_posed(_patch(visual.geometry), X_WO @ X_OL[link.name] @ visual.X_LG))
+                    visuals.append(visual)
+                    owners.append(index)
+    sizes = [len(p.corners) for p in patches]
+    return Surface(
+        corners=np.concatenate([np.zeros((0, 3, 3)), *(p.corners for p in patches)]),
+        normals=np.concatenate([np.zeros((0, 3, 3)), *(p.normals for p in patches)]),
+        uv=np.concatenate([np.zeros((0, 3, 2)), *(p.uv for p in patches)]),
+        visual=np.repeat(np.arange(len(patches)), sizes),
+        object=np.repeat(np.array(owners, dtype=np.int64), sizes),
+        closed=np.repeat(np.array([p.closed for p in patches], dtype=np.bool_), sizes),
+        visuals=tuple(visuals),
+    )
+
+
+def _posed(patch: _Patch, X_WG: Pose) -> _Patch:
+    R_WG = X_WG.rotation
+    return _Patch(turned(R_WG, patch.corners) + X_WG.p, turned(R_WG, patch.normals), patch.uv, patch.closed)
+
+
+@lru_cache(maxsize=512)
+def _patch(geometry: Geometry) -> _Patch:
+    mesh = tessellate(geometry, SEGMENTS)
+    corners = mesh.vertices[mesh.faces]
+    uv = np.zeros((len(mesh.faces), 3, 2)) if mesh.uv is None else np.asarray(mesh.uv)[mesh.faces]
+    _, merged = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = merged.reshape(-1)[mesh.faces].astype(np.int64)
+    return _Patch(corners, _corner_normals(corners, faces), uv, _is_closed(corners, faces))
+
+
+def _is_closed(corners: Array, faces: NDArray[np.int64]) -> bool:
+    """Whether every edge is met once in each direction and the volume inside is positive."""
+    if not len(faces):
+        return False
+    start, stop = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    count = int(faces.max()) + 1
+    forth, back = np.sort(start * count + stop), np.sort(stop * count + start)
+    volume = float(dot(corners[:, 0], area_normals(corners)).sum())
+    return volume > 0 and bool((forth == back).all()) and bool((np.diff(forth) > 0).all())
+
+
+def _corner_normals(corners: Array, faces: NDArray[np.int64]) -> Array:
+    """Unit normals, shape (m, 3, 3): the area-weighted mean of the faces at a corner's vertex, creases apart."""
+    area = area_normals(corners)
+    facet = unit(area)
+    vertex = faces.ravel()
+    order = np.argsort(vertex, kind="stable")
+    size = np.bincount(vertex) if len(vertex) else np.zeros(0, dtype=np.int64)
+    start = np.cumsum(size) - size
+    count = np.where(size > _CROWDED, 0, size)[vertex]
+    corner = np.repeat(np.arange(len(vertex)), count)
+    within = np.arange(len(corner)) - np.repeat(np.cumsum(count) - count, count)
+    face, other = corner // 3, order[start[vertex[corner]] + within] // 3
+    smooth = dot(facet[face], facet[other]) > np.cos(np.radians(CREASE_DEG))
+    sums = [np.bincount(corner[smooth], weights=area[other[smooth], k], minlength=len(vertex)) for k in range(3)]
+    normals = np.stack(sums, axis=1).astype(np.float64)
+    smoothed = dot(normals, normals)[:, None] > 0
+    return np.where(smoothed, unit(normals), np.repeat(facet, 3, axis=0)).reshape(-1, 3, 3)

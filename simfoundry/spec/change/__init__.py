@@ -1,0 +1,1 @@
+"""Changes of documents: differences, three-way merges, migration and formatting."""

@@ -1,0 +1,223 @@
+"""Two states of a document compared: what changed, as data and in words, and what is wrong with either."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from simfoundry.spec.change.diff.changes import Change, diff
+from simfoundry.spec.change.diff.words import Entry, describe, summary, text
+from simfoundry.spec.change.flatten import relocated
+from simfoundry.spec.check.validate import sound_part
+from simfoundry.spec.diagnostics import Diagnostic, Severity
+from simfoundry.spec.files import FileError
+from simfoundry.spec.load import kind_of, load
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.kinds import model_of
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.yaml.write import to_data
+
+
+@dataclass(frozen=True)
+class Side:
+    """One state of a document, ``label`` for people (``HEAD~1:desk.scene.yaml``).
+
+    ``spec`` is what is sound of it, None where nothing is; ``text`` as it stands in the file.
+    """
+
+    label: str
+    loaded: Loaded
+    spec: DocumentSpec | None
+    text: str
+    findings: tuple[Diagnostic, ...]
+
+    @cached_property
+    def data(self) -> dict[str, Any]:
+        """Plain data without defaults."""
+        return to_data(self.spec) if self.spec is not None else {}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two states of the document ``name``; a side is None where there was or is no such document."""
+
+    name: str
+    old: Side | None
+    new: Side | None
+    changes: tuple[Change, ...]
+    entries: tuple[Entry, ...]
+    obstacle: str = ""
+    """Why the two cannot be compared, where they cannot."""
+
+    @property
+    def differs(self) -> bool:
+        """Whether anything but the writing changed."""
+        return bool(self.changes or self.entries or self.obstacle or self.old is None or self.new is None)
+
+    @property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """The errors of both sides."""
+        return tuple(d for side in (self.old, self.new) if side is not None for d in side.findings)
+
+    @property
+    def along(self) -> tuple[str, ...]:
+        """The objects that say the same as before and stand elsewhere, as their places name what moved."""
+        if self.new is None or not isinstance(self.new.spec, SceneSpec):
+            return ()
+        named = {e.name for e in self.entries if e.section == "objects"}
+        gone = {e.name for e in self.entries if e.section == "objects" and "moved" in e.marks}
+        places = {name: item.place for name, item in self.new.spec.objects.items() if item.place is not None}
+        while found := {name for name, place in places.items() if name not in gone and gone & _anchors(place)}:
+            gone |= found
+        return tuple(name for name in places if name in gone - named)
+
+    def lines(self) -> list[str]:
+        """What changed, and a line that counts it."""
+        if self.obstacle:
+            return [f"cannot be compared: {self.obstacle}"]
+        if self.old is None or self.new is None:
+            return [f"{'added' if self.old is None else 'removed'}: {_content(self.new or self.old)}"]
+        if self.entries:
+            along = self.along
+            whose = "its place names" if len(along) == 1 else "their places name"
+            lines = [f"{', '.join(along)} moved with what {whose}"] if along else []
+            return [*text(self.entries), *lines, summary(self.entries)]
+        if self.changes:
+            return ["the same, in another order"]
+        return ["the same, written otherwise" if self.old.text != self.new.text else "no difference"]
+
+
+def _anchors(place: Place) -> set[str]:
+    """The objects by which a place says where in the plane something stands."""
+    if place.xy is not None:
+        return set()
+    beside = {n for n in (place.left_of, place.right_of, place.in_front_of, place.behind) if n is not None}
+    return beside or {(place.on or place.inside or "").partition(".")[0]}
+
+
+def side(path: Path, label: str, root: Path | None = None) -> Side:
+    """Read one state of a document from a file; findings name it by ``label``, and their files by its revision."""
+    loaded = load(path, root)
+    spec = loaded.spec or _sound(loaded)
+    text_ = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    errors = tuple(_named(d, loaded, label) for d in loaded.all_findings() if d.severity is Severity.ERROR)
+    return Side(label, loaded, spec, text_, errors)
+
+
+def compare(name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True) -> Comparison:
+    """Compare two states of a document, and (unless ``files`` is false) the files that both refer to."""
+    present = [s for s in (old, new) if s is not None]
+    unsound = [s for s in present if s.spec is None]
+    if unsound:
+        reason = f"nothing is sound in {' and '.join(s.label for s in unsound)}"
+        return Comparison(name, old, new, (), (), reason)
+    if old is None or new is None:
+        return Comparison(name, old, new, (), ())
+    assert old.spec is not None and new.spec is not None
+    if type(old.spec) is not type(new.spec):
+        kinds = [str(s.data["simfoundry"]) for s in present]
+        return Comparison(name, old, new, (), (), f"it was `{kinds[0]}` and is `{kinds[1]}`")
+    before = _named_alike(old, new)
+    changes = diff(before, new.data)
+    entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
+    if files:
+        entries += tuple(_changed_files(old, new, verbose))
+    return Comparison(name, old, new, changes, entries)
+
+
+def _named_alike(old: Side, new: Side) -> dict[str, Any]:
+    """The old data with its files named from the folder of the new, where both lie in one project."""
+    assert old.spec is not None
+    if old.loaded.root != new.loaded.root:
+        return old.data
+    return relocated(old.data, type(old.spec), old.loaded.path.parent, new.loaded.path.parent)
+
+
+def _sound(loaded: Loaded) -> DocumentSpec | None:
+    """What is sound of a document with errors; nothing where what it extends is missing: it is not half of itself."""
+    document = loaded.document
+    if document is None or not isinstance(document.data, dict):
+        return None
+    kind, _ = kind_of(document)
+    if kind is None or ("extends" in document.data and not loaded.bases):
+        return None
+    return sound_part(model_of(kind), document)
+
+
+def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
+    """The same finding with its file as the reader knows it."""
+    if d.file == str(loaded.path):
+        return replace(d, file=label)
+    revision, colon, _ = label.rpartition(":")
+    file = Path(d.file).resolve()
+    if not colon or not file.is_relative_to(loaded.root):
+        return d
+    return replace(d, file=f"{revision}:{file.relative_to(loaded.root).as_posix()}")
+
+
+def _content(side: Side | None) -> str:
+    """What a document holds, in one line: ``7 objects (desk, cereal, …), 1 camera (view)``."""
+    parts = []
+    for section, members in (side.data if side is not None else {}).items():
+        if isinstance(members, dict) and members and all(isinstance(m, dict) for m in members.values()):
+            names = list(members)
+            few = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
+            parts.append(f"{len(names)} {section.removesuffix('s') if len(names) == 1 else section} ({few})")
+    return ", ".join(parts) or "nothing with a name"
+
+
+def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
+    """The units of the joint positions of a scene's objects, from their asset documents."""
+    if not isinstance(side.spec, SceneSpec):
+        return {}
+    found: dict[tuple[str, str], str] = {}
+    for name, item in side.spec.objects.items():
+        used = side.loaded.used(item.asset) if item.asset is not None else None
+        if used is not None and isinstance(used.spec, AssetSpec):
+            found |= {(name, j): "m" if s.type == "prismatic" else "rad" for j, s in used.spec.joints.items()}
+    return found
+
+
+def _changed_files(old: Side, new: Side, verbose: bool) -> list[Entry]:
+    """Objects whose document says the same, but whose asset or mesh is another file than it was."""
+    if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
+        return []
+    entries = []
+    for name, item in new.spec.objects.items():
+        before = old.spec.objects.get(name)
+        for key in ("asset", "visual"):
+            reference = getattr(item, key)
+            if before is None or reference is None or reference != getattr(before, key):
+                continue
+            fact = _file_change(old.loaded, new.loaded, reference, verbose)
+            if fact:
+                entries.append(Entry("objects", name, "", ("changed",), (), (fact,)))
+    return entries
+
+
+def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str:
+    """What changed in a file that both sides refer to, in a few words; empty where nothing did."""
+    before, after = old.used(reference), new.used(reference)
+    if before is None or after is None:
+        return f"{reference} is another file" if _bytes(old, reference) != _bytes(new, reference) else ""
+    if before.spec is None or after.spec is None:
+        return ""
+    entries = describe(to_data(before.spec), to_data(after.spec), _model(after), verbose=verbose)
+    return f"{reference} changed ({summary(entries)})" if entries else ""
+
+
+def _model(loaded: Loaded) -> type[Model] | None:
+    return type(loaded.spec) if loaded.spec is not None else None
+
+
+def _bytes(loaded: Loaded, reference: str) -> bytes:
+    try:
+        return loaded.file(reference).read_bytes()
+    except (OSError, ValueError, FileError):
+        return b""

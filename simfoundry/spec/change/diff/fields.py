@@ -1,0 +1,293 @@
+"""What changed about one member of a document, field by field, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from simfoundry.spec.change.diff import poses, values
+from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
+from simfoundry.spec.change.diff.renames import SECTIONS, same
+from simfoundry.spec.models.base import Model
+
+Path_ = tuple[str, ...]
+
+INHERITED = ("density", "friction", "restitution", "color")
+"""What a body has from its material where it does not say it itself."""
+
+_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "at")
+
+
+class Verbs(list[str]):
+    """Sentences that follow a name; ``moved`` says whether one of them is a movement."""
+
+    moved = False
+
+
+class Describing:
+    """Two documents, the old one with its new names, and what is known of their fields."""
+
+    def __init__(
+        self,
+        a: Mapping[str, Any],
+        b: Mapping[str, Any],
+        model: type[Model] | None,
+        joint_units: Mapping[tuple[str, str], str],
+        verbose: bool,
+    ) -> None:
+        self.a, self.b, self.model, self.joint_units, self.verbose = a, b, model, joint_units, verbose
+
+    def member(self, path: Path_, old: Any, new: Any) -> tuple[Verbs, list[str]]:
+        """Verbs and facts of what changed about the member at ``path`` of both documents."""
+        verbs, facts = Verbs(), list[str]()
+        if not isinstance(old, dict) or not isinstance(new, dict):
+            return verbs, [] if same(old, new) else [values.pair(path[-1], old, new)]
+        done = self._where(path, old, new, verbs, facts)
+        for key in dict.fromkeys((*old, *new)):
+            if key not in done and not (key in old and key in new and same(old[key], new[key])):
+                found = self.field((*path, key), old.get(key), new.get(key), key in old, key in new)
+                if key == "closed" and path[0] == "joints":
+                    verbs.append(_closing(old.get(key), new.get(key)))
+                elif key == "fixed":
+                    verbs.append("is fixed now" if new.get(key) else "is no longer fixed")
+                else:
+                    facts += found
+        if path[0] == "materials" and facts:
+            facts[-1] += self._users(path[1])
+        return verbs, facts
+
+    def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
+        """Facts of one field, which ``was`` in the old document or not and ``is_`` in the new."""
+        key = path[-1]
+        if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
+            return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
+        if key == "shape" and isinstance(old, dict) and isinstance(new, dict):
+            return [_shape(old, new)]
+        if path == ("origin", "cousin") and isinstance(new, dict) and {"recipe", "index", "seed"} <= new.keys():
+            return [f"origin: cousin {new['index']} of recipe {new['recipe']}, seed {new['seed']}"]
+        whole = isinstance(old or {}, dict) and isinstance(new or {}, dict) and path[-2:-1] != ("start",)
+        if key == "pose" and whole:
+            return self._pose(path, old or {}, new or {})
+        if key == "place" and whole:
+            return [f"{_label(path)} {values.pair('', _place(old), _place(new))}"]
+        if isinstance(old if was else {}, dict) and isinstance(new if is_ else {}, dict) and not _quantity(old, new):
+            return list(self._mapping(path, old if was else {}, new if is_ else {}))
+        return [self._leaf(path, old, new, was, is_)]
+
+    def summary(self, section: str, item: Any) -> str:
+        """What a new member is, in a few words."""
+        if not isinstance(item, dict):
+            return values.value("", item)
+        words = [values.shape(item["shape"])] if "shape" in item else []
+        words += [values.shortened(str(item[key])) for key in ("asset", "model", "type") if key in item]
+        if isinstance(item.get("place"), dict):
+            words.append(values.place(item["place"]))
+        elif isinstance(item.get("pose"), dict) and section in ("objects", "robots", "cameras"):
+            words.append(f"at {values.value('', item['pose'].get('xyz', (0.0, 0.0, 0.0)))} m")
+        if section == "materials":
+            words += [f"{key} {self._with_unit((section, '*', key), item[key])}" for key in item if key != "color"]
+        if section == "subtasks" and "goal" in item:
+            words.append(expression(item["goal"]))
+        if not words and len(item) <= values.FEW and not any(isinstance(v, dict) for v in item.values()):
+            words.append(values.value("", item))
+        return ", ".join(words)
+
+    # -- where it is ------------------------------------------------------------------------------------------------
+
+    def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
+        """Movement from poses or places; returns the keys that are dealt with."""
+        if any("place" in side for side in (old, new)):
+            self._placed(old, new, verbs)
+        elif path[0] == "joints" and len(path) == 2:  # a joint does not move: its frame is elsewhere
+            return ()
+        elif not same(old.get("pose"), new.get("pose")):
+            found = poses.motion(old.get("pose") or {}, new.get("pose") or {})
+            verbs += poses.words(found)
+            verbs.moved = found.moved or found.turned
+            if self.verbose and not verbs.moved:
+                facts.append("the same pose, written otherwise")
+        return ("pose", "place")
+
+    def _placed(self, old: dict[str, Any], new: dict[str, Any], verbs: Verbs) -> None:
+        before, after = old.get("place"), new.get("place")
+        if same(before, after) and same(old.get("pose"), new.get("pose")):
+            return
+        if (
+            isinstance(before, dict)
+            and isinstance(after, dict)
+            and all(same(before.get(key), after.get(key)) for key in _CARRIER if key != "at")
+            and all((key in before) == (key in after) for key in ("xy", "at"))
+        ):
+            found = poses.motion(_flat(before), _flat(after))
+            verbs += poses.words(found)
+            verbs.moved = found.moved or found.turned
+            return
+        verbs.append(f"is now {_where(new)} (was {_where(old)})")
+        turn = poses.motion({**_angles(old), "xyz": (0, 0, 0)}, {**_angles(new), "xyz": (0, 0, 0)})
+        verbs += poses.words(turn)
+        verbs.moved = True
+
+    def _pose(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> list[str]:
+        """A pose inside a thing: of a part, of a joint, of a background."""
+        found = poses.words(poses.motion(old, new))
+        label = _label(path)
+        if found:
+            return [f"{label} {', '.join(found)}"]
+        return [f"{label}: the same pose, written otherwise"] if self.verbose else []
+
+    # -- values -----------------------------------------------------------------------------------------------------
+
+    def _mapping(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> Iterator[str]:
+        for key in dict.fromkeys((*old, *new)):
+            here = (*path, key)
+            if key in old and key in new and same(old[key], new[key]):
+                continue
+            if path[-1] in SECTIONS and (key not in old or key not in new) and not self._has_default(here):
+                about = self.summary(path[-1], new[key]) if key in new else ""
+                verb = ("added" if key in new else "removed") + (f": {about}" if about else "")
+                yield f"{_label(here)} {verb}"
+                continue
+            yield from self.field(here, old.get(key), new.get(key), key in old, key in new)
+
+    def _has_default(self, path: Path_) -> bool:
+        """Whether a member is 0 where it is not written, as the joints of an object are."""
+        return path[0] == "objects" and path[-2] == "joints"
+
+    def _leaf(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> str:
+        key, unit = path[-1], self._unit(path)
+        label = _label(path)
+        if self._has_default(path):
+            old, new = (old if was else 0.0), (new if is_ else 0.0)
+            return f"{label} {values.pair(key, old, new, unit)}"
+        if was and is_ and not isinstance(old, dict) and not isinstance(new, dict):
+            return f"{label} {values.pair(key, old, new, unit)}"
+        left = self._side(path, old, was, self.a, unit if not (was and is_) else "")
+        right = self._side(path, new, is_, self.b, unit)
+        if not was and not left:
+            return f"{label} now {right}"
+        if not is_ and not right:
+            return f"{label} {left} removed"
+        return f"{label} {left} → {right}"
+
+    def _side(self, path: Path_, item: Any, given: bool, document: Mapping[str, Any], unit: str) -> str:
+        """A value with its unit, or where it comes from where it is not written."""
+        key = path[-1]
+        if given:
+            return values.with_unit(values.value(key, item), unit)
+        inherited = _material(path, document) if key in INHERITED else None
+        if inherited is not None:
+            name, material = inherited
+            found = material.get(key, values.default(self.model, ("materials", "*", key)))
+            if found is not None:
+                return f"{values.with_unit(values.value(key, found), unit)} (from {name})"
+        found = values.default(self.model, _generic(path))
+        return f"{values.value(key, found)} (default)" if found is not None and found != () else ""
+
+    def _unit(self, path: Path_) -> str:
+        if self._has_default(path):
+            return self.joint_units.get((path[1], path[-1]), "")
+        return values.unit(self.model, _generic(path))
+
+    def _with_unit(self, path: Path_, item: Any) -> str:
+        return values.with_unit(values.value(path[-1], item), self._unit(path))
+
+    def _users(self, material: str) -> str:
+        """Who is made of a material, for a change of it is a change of them."""
+        things = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
+        users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
+        more = f" and {len(users) - 3} more" if len(users) > 3 else ""
+        return f" (of {', '.join(users[:3])}{more})" if users else ""
+
+
+def _closing(old: Any, new: Any) -> str:
+    """At which end of its way a joint is closed now, and was."""
+    now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
+    return f"closes {now} (was: {before})"
+
+
+def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
+    """``goal gains Inside(cup, bowl)``, ``relations lose OnTop(cup, desk)``."""
+    label, gain, lose = (key, "gain", "lose") if key == "relations" else (key, "gains", "loses")
+    if key == "goal":
+        before, after = _conjuncts(old), _conjuncts(new)
+    else:
+        before, after = (tuple(map(expression, side)) if isinstance(side, tuple | list) else () for side in (old, new))
+    come, gone = [t for t in after if t not in before], [t for t in before if t not in after]
+    said = [f"{verb} {', '.join(items)}" for verb, items in ((gain, come), (lose, gone)) if items]
+    if said:
+        yield f"{label} {' and '.join(said)}"
+    elif verbose:
+        yield f"{label}: in another order"
+
+
+def _conjuncts(goal: Any) -> tuple[str, ...]:
+    """What must hold at once: the members of an ``all``, nested ones too."""
+    match goal:
+        case () | None:
+            return ()
+        case {"all": tuple() | list() as below} if len(goal) == 1:
+            return tuple(text for item in below for text in _conjuncts(item))
+    return (expression(goal),)
+
+
+def _shape(old: dict[str, Any], new: dict[str, Any]) -> str:
+    left, right = values.shape(old), values.shape(new)
+    if left == right:
+        return f"{left.partition(' of ')[0]} of another outline"
+    return f"{left.removesuffix(' m')} → {right}" if "box" in old and "box" in new else f"{left} → {right}"
+
+
+def _place(item: Any) -> str:
+    return values.place(item) if item else "none"
+
+
+def _where(item: dict[str, Any]) -> str:
+    if isinstance(item.get("place"), dict):
+        return values.place(item["place"])
+    return f"at {values.value('', (item.get('pose') or {}).get('xyz', (0.0, 0.0, 0.0)))} m"
+
+
+def _angles(item: dict[str, Any]) -> dict[str, Any]:
+    return item.get("place") or item.get("pose") or {}
+
+
+def _flat(place: dict[str, Any]) -> dict[str, Any]:
+    """A place as a pose on the ground, to compare with another of the same kind."""
+    x, y = place.get("xy") or place.get("at") or (0.0, 0.0)
+    return {**place, "xyz": (x, y, 0.0)}
+
+
+def _quantity(old: Any, new: Any) -> bool:
+    """Whether one of two mappings is a value of its own: an estimate, or degrees."""
+    return any(isinstance(side, dict) and ("value" in side or "deg" in side) for side in (old, new))
+
+
+def _material(path: Path_, document: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
+    """The material that a member at ``path[:-1]`` is made of."""
+    place: Any = document
+    name = None
+    for part in path[:-1]:
+        place = place.get(part) if isinstance(place, dict) else None
+        name = place["material"] if isinstance(place, dict) and "material" in place else name
+    found = _mapping_at(document, "materials").get(name) if isinstance(name, str) else None
+    return (str(name), found) if isinstance(found, dict) else None
+
+
+def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = document.get(key)
+    return found if isinstance(found, dict) else {}
+
+
+def _generic(path: Path_) -> Path_:
+    """The path with ``*`` for names, by which what is known of a field is remembered."""
+    return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
+
+
+def _label(path: Path_) -> str:
+    """What a field is called in a sentence: the way to it below its member, ``part left color``."""
+    start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
+    parts = [part.removesuffix("_deg") for part in path[start:]]
+    for k in range(len(parts) - 1):
+        if path[start + k] in SECTIONS:
+            parts[k] = parts[k].removesuffix("s")
+    return " ".join(parts)

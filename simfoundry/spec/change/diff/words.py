@@ -1,0 +1,157 @@
+"""What changed, in the words of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from simfoundry.spec.change.diff.changes import Change, diff
+from simfoundry.spec.change.diff.fields import Describing
+from simfoundry.spec.change.diff.renames import Rename, renamed, same
+from simfoundry.spec.models.base import Model
+
+WIDTH = 100
+"""A thing whose changes are longer than this has them on lines of their own."""
+
+_NAMED = ("objects", "robots", "links", "joints", "subtasks", "cameras", "lights", "materials", "frames")
+"""Sections whose members are shown one by one, in this order; what else a document says comes between."""
+
+_RANK = {"objects": 0, "robots": 1, "links": 2, "joints": 3, "goal": 4, "subtasks": 5, "relations": 6}
+_LAST = {"cameras": 8, "lights": 9, "materials": 10}
+
+_MARKS = ("moved", "added", "removed", "renamed", "changed")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """All that changed about one thing.
+
+    ``section`` and ``name`` say which it is (``name`` is empty for what the document says of itself), ``was`` what it
+    was called before; ``marks`` are among moved, added, removed, renamed, changed; ``verbs`` follow its name directly
+    (``moved 3 cm``), ``facts`` after a colon (``mass 0.20 → 0.31 kg``).
+    """
+
+    section: str
+    name: str
+    was: str
+    marks: tuple[str, ...]
+    verbs: tuple[str, ...]
+    facts: tuple[str, ...]
+
+    @property
+    def subject(self) -> str:
+        """What it is called in a sentence: ``cup``, ``camera left``."""
+        kind = self.section.removesuffix("s")
+        name = self.was or self.name
+        return name if self.section == "objects" else f"{kind} {name}"
+
+    def lines(self) -> tuple[str, ...]:
+        """One line where it fits; else the facts one by one, indented."""
+        facts = [_single(fact) for fact in self.facts]
+        if not self.name:
+            return ("; ".join(facts),)
+        head = _single(self.subject + (f" {', '.join(self.verbs)}" if self.verbs else ":"))
+        if not facts:
+            return (head,)
+        whole = f"{head}{';' if self.verbs else ''} {'; '.join(facts)}"
+        return (whole,) if len(whole) <= WIDTH or len(facts) == 1 else (head, *(f"  {fact}" for fact in facts))
+
+
+def describe(
+    a: Any,
+    b: Any,
+    model: type[Model] | None = None,
+    joint_units: Mapping[tuple[str, str], str] | None = None,
+    verbose: bool = False,
+    changes: Iterable[Change] | None = None,
+) -> tuple[Entry, ...]:
+    """What changed between the plain data of two documents, thing by thing.
+
+    ``model`` knows the units of the fields, ``joint_units`` those of the joints of objects (by object and joint, as
+    named in ``b``). What means the same and is only written otherwise, and another order, are said if ``verbose``.
+    ``changes`` are those of :func:`diff`, if they are known already.
+    """
+    a, b = (side if isinstance(side, dict) else {} for side in (a, b))
+    renames = [c for c in (diff(a, b) if changes is None else changes) if isinstance(c, Rename)]
+    a = renamed(a, renames)
+    words = Describing(a, b, model, joint_units or {}, verbose)
+    was = {(*r.section, r.new): r.old for r in renames}
+    found: list[tuple[int, Entry]] = []
+    for section in _in_order(a, b):
+        rank = _RANK.get(section, _LAST.get(section, 7))
+        old, new = a.get(section), b.get(section)
+        if section in _NAMED and isinstance(old or {}, dict) and isinstance(new or {}, dict):
+            found += ((rank, e) for e in _members(words, section, old or {}, new or {}, was))
+        elif not same(old, new):
+            facts = words.field((section,), old, new, _given(a, section), _given(b, section))
+            if facts:
+                found.append((rank, Entry("", "", "", ("changed",), (), tuple(facts))))
+    found += ((r, e) for r, e in _other_renames(renames))
+    return tuple(entry for _, entry in sorted(found, key=lambda item: item[0]))
+
+
+def text(entries: Iterable[Entry]) -> list[str]:
+    """The lines of all entries."""
+    return [line for entry in entries for line in entry.lines()]
+
+
+def summary(entries: Iterable[Entry]) -> str:
+    """``2 moved, 1 removed, goal changed``; empty where nothing changed."""
+    entries = tuple(entries)
+    named = [e for e in entries if e.name]
+    counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]
+    parts = [f"{count} {mark}" for count, mark in counts if count]
+    parts += [f"{_topic(e)} changed" for e in entries if not e.name]
+    return ", ".join(dict.fromkeys(parts))
+
+
+def _single(sentence: str) -> str:
+    """A sentence on one line, whatever the texts in it hold."""
+    return " ".join(sentence.split())
+
+
+def _topic(entry: Entry) -> str:
+    return entry.facts[0].partition(" ")[0].rstrip(":")
+
+
+def _in_order(a: Mapping[str, Any], b: Mapping[str, Any]) -> list[str]:
+    return list(dict.fromkeys((*b, *a)))
+
+
+def _given(document: Mapping[str, Any], key: str) -> bool:
+    return key in document
+
+
+def _members(
+    words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
+) -> Iterable[Entry]:
+    """What changed about each member of a section: those of the old document in their order, then those added."""
+    for name in dict.fromkeys((*old, *new)):
+        before = was.get((section, name), "")
+        if name not in new:
+            yield Entry(section, name, "", ("removed",), ("removed",), ())
+        elif name not in old:
+            about = words.summary(section, new[name])
+            yield Entry(section, name, "", ("added",), (f"added: {about}" if about else "added",), ())
+        elif before or not same(old[name], new[name]):
+            verbs, facts = words.member((section, name), old[name], new[name])
+            marks = ["moved"] * bool(verbs.moved) + ["renamed"] * bool(before)
+            marks += ["changed"] * bool(not marks or facts)
+            sentences = [f"renamed to {name}"] * bool(before) + list(verbs)
+            if sentences or facts:
+                yield Entry(section, name, before, tuple(marks), tuple(sentences), tuple(facts))
+    if words.verbose:
+        kept = [name for name in old if name in new]
+        if kept != [name for name in new if name in old]:
+            yield Entry("", "", "", ("changed",), (), (f"{section}: in another order",))
+
+
+def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, Entry]]:
+    """Renames of what is not a member of a section of its own: parts of links, objects that a task only names."""
+    for r in renames:
+        if len(r.section) > 1 or r.section[0] not in _NAMED:
+            kind = r.section[-1].removesuffix("s")
+            where = f" of {r.section[-2]}" if len(r.section) > 1 else ""
+            fact = f"{kind} {r.old}{where} renamed to {r.new}"
+            yield 7, Entry("", "", "", ("renamed",), (), (fact,))

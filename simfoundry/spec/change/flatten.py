@@ -1,0 +1,79 @@
+"""A whole document: what it extends joined in, every default written out."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from simfoundry.spec.compose import EXCLUSIVE
+from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.order import field_order
+from simfoundry.spec.models.types import Pattern, file_patterns
+from simfoundry.spec.yaml.tree import plain_tree
+from simfoundry.spec.yaml.write import write_tree
+
+
+def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
+    """The canonical text of a composed document with the value of every default that is one.
+
+    What has no value of its own (a friction that is the material's) stays out. Flattening the text again gives the same
+    text. Files that it names stay relative to ``folder``, that of the document, or become relative to ``into``.
+    """
+    data = full(spec)
+    data.pop("extends", None)
+    if folder is not None and into is not None:
+        data = relocated(data, type(spec), folder, into)
+    return write_tree(plain_tree(data), type(spec))
+
+
+def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
+    """Data of a document in ``folder`` whose files are named from ``into``."""
+    if folder.resolve() != into.resolve():
+        step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
+        for pattern in file_patterns(model):
+            data = _moved(data, pattern, step)
+    return data
+
+
+def digest(text: str) -> str:
+    """The SHA-256 of a flattened text, in hex: equal documents have equal digests, however they are written."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def full(spec: Model) -> dict[str, Any]:
+    """Plain data of a part of a document with its defaults, in canonical order."""
+    given = {name for name in spec.model_fields_set if getattr(spec, name) is not None}
+    out: dict[str, Any] = {}
+    for name in field_order(type(spec)):
+        value = getattr(spec, name)
+        rivals = {key for group in EXCLUSIVE if name in group for key in group} - {name}
+        if value is None or (name not in given and (rivals & given or (isinstance(value, dict | tuple) and not value))):
+            continue
+        out[name] = _plain(value)
+    return out
+
+
+def _plain(value: Any) -> Any:
+    match value:
+        case Model():
+            return full(value)
+        case dict():
+            return {key: _plain(item) for key, item in value.items()}
+        case tuple():
+            return tuple(_plain(item) for item in value)
+    return value
+
+
+def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
+    """The data in which the files at ``pattern`` are meant from another folder."""
+    if not pattern:
+        stays = not isinstance(data, str) or ":" in data or data.startswith("/")
+        return data if stays else os.path.normpath(step / data)
+    if isinstance(data, dict):
+        keys = list(data) if pattern[0] == "*" else [k for k in data if k == pattern[0]]
+        return {key: _moved(item, pattern[1:], step) if key in keys else item for key, item in data.items()}
+    if isinstance(data, tuple) and pattern[0] == "*":
+        return tuple(_moved(item, pattern[1:], step) for item in data)
+    return data

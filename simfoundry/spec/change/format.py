@@ -1,0 +1,102 @@
+"""The canonical form of a text: the same meaning and the same comments, one way to write each thing."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.load import kind_of
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.kinds import model_of
+from simfoundry.spec.project import project_root
+from simfoundry.spec.yaml.text import Document, YamlError, parse, read
+from simfoundry.spec.yaml.tree import KIND, Tree, read_tree
+from simfoundry.spec.yaml.write import write_tree
+
+_MODELINE = re.compile(r"#\s*yaml-language-server:\s*\$schema=(\S+)\s*\Z")
+
+
+@dataclass(frozen=True)
+class Formatted:
+    """A text as it is and as it should be."""
+
+    before: str
+    after: str
+
+    @property
+    def changed(self) -> bool:
+        """Whether the text is not in canonical form."""
+        return self.before != self.after
+
+
+def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
+    """The canonical form of a document; raises :class:`SpecError` where the text cannot be read.
+
+    With ``schema``, a relative path or a URL, the first line names it for editors; without, the line that the text has
+    for this is kept.
+    """
+    try:
+        document = parse(text, file)
+    except YamlError as error:
+        raise SpecError([error.diagnostic(file)]) from None
+    return _formatted(document, _model(document), schema)
+
+
+def format_file(path: Path) -> Formatted:
+    """A document with its canonical form; nothing is written. Raises :class:`SpecError` where it cannot be read.
+
+    Where the schema of its kind lies in ``schemas/`` or ``.simfoundry/schemas/`` of a folder above it in the project,
+    the first line names it for editors; a line that names another place is kept where that exists or is a URL.
+    """
+    try:
+        document = read(path)
+    except YamlError as error:
+        raise SpecError([error.diagnostic(str(path))]) from None
+    model = _model(document)
+    return Formatted(document.text, _formatted(document, model, schema_line(path, document)))
+
+
+def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
+    """The path of a schema that the first line of a document should name; None where it may stay as it is.
+
+    It is looked for up to ``root``, by default that of the document's project.
+    """
+    tree = Tree(None, tuple(_top_comments(document.text)))
+    named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
+    folder = path.resolve().parent
+    if named is not None and ("://" in named or (folder / named).is_file()):
+        return None
+    kind = str(document.data[KIND]).partition("/")[0]
+    root = project_root(path) if root is None else root
+    for above in (folder, *folder.parents):
+        for schemas in (above / "schemas", above / ".simfoundry" / "schemas"):
+            if (schemas / f"{kind}.schema.json").is_file():
+                return Path(os.path.relpath(schemas / f"{kind}.schema.json", folder)).as_posix()
+        if above == root:
+            break
+    return None
+
+
+def _top_comments(text: str) -> list[str]:
+    """The comments on the lines above everything else."""
+    top = re.match(r"\ufeff?(?:[ \t]*(?:#.*)?(?:\r\n|\r|\n|\Z))*", text)
+    return [line.strip() for line in top[0].removeprefix("\ufeff").splitlines() if line.strip()] if top else []
+
+
+def _model(document: Document) -> type[Model]:
+    kind, finding = kind_of(document)
+    if kind is None or document.duplicates:
+        raise SpecError([*document.duplicates, *([finding] if finding is not None else [])])
+    return model_of(kind)
+
+
+def _formatted(document: Document, model: type[Model], schema: str | None) -> str:
+    tree = read_tree(document)
+    lines = [c for c in tree.above if _MODELINE.match(c)]
+    others = [c for c in tree.above if not _MODELINE.match(c)]
+    if schema is not None:
+        lines = [f"# yaml-language-server: $schema={schema}", *lines[1:]]
+    return write_tree(replace(tree, above=(*lines, *others)), model)

@@ -1,0 +1,1 @@
+"""Documents as git keeps them: revisions, history, and git's own diff driver."""

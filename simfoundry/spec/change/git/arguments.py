@@ -1,0 +1,173 @@
+"""Which states of which documents a person means: files, revisions, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.compare import Comparison, Side, compare, side
+from simfoundry.spec.change.git.history import Step, history
+from simfoundry.spec.change.git.revisions import commit, differing, export, files_of, merge_base, repository
+
+
+class ArgumentError(SimfoundryError):
+    """Arguments that name no two things to compare."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One state of a document: the file ``path``, or, of a ``commit``, ``path`` in the repository at ``root``."""
+
+    path: str
+    label: str
+    root: Path | None = None
+    commit: str = ""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two states of the document ``name``."""
+
+    name: str
+    old: Source | None
+    new: Source | None
+
+
+@dataclass(frozen=True)
+class _Span:
+    """From one revision to another, or (``new`` empty) to the working tree; both as the person wrote them."""
+
+    old: str
+    new: str
+    commits: tuple[str, str]
+
+
+def pairs(arguments: Sequence[str]) -> list[Pair]:
+    """What to compare; raises :class:`ArgumentError` or a :class:`GitError` where the arguments do not say it."""
+    if len(arguments) == 2 and all(_is_state(a) for a in arguments):
+        old, new = (_state(a) for a in arguments)
+        return [Pair(new.label, old, new)]
+    files = [a for a in arguments if _is_file(a)]
+    revisions = [a for a in arguments if not _is_file(a)]
+    if len(revisions) > 2 or any(_is_file(a) for a in arguments[: len(revisions)]):
+        raise ArgumentError("give two files; or a revision, or two, and then files")
+    if not files:
+        root = repository(Path.cwd())
+        return list(_below(_span(root, revisions or ["HEAD"]), root, root))
+    return [pair for f in files for pair in _of_file(Path(f), revisions or ["HEAD"])]
+
+
+def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[Step]:
+    """The commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
+    *revisions, file = arguments or [""]
+    if not file or len(revisions) > 1:
+        raise ArgumentError("give one document, perhaps behind a revision or a range: main..feature a.scene.yaml")
+    if Path(file).is_dir():
+        raise ArgumentError(f"{file} is a folder; give one document")
+    root, inside = _inside(Path(file))
+    if not revisions or ".." not in revisions[0]:
+        return history(root, [commit(root, (revisions or ["HEAD"])[0])], inside, verbose)
+    old, new = _span(root, revisions).commits
+    return history(root, [f"^{old}", new], inside, verbose)
+
+
+def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> Comparison:
+    """Read both states and compare them; revisions are written below ``folder``, which must be empty."""
+    old, new = (_open(source, folder / k) for source, k in ((pair.old, "old"), (pair.new, "new")))
+    if old is None and new is None:
+        label = (pair.new or pair.old or Source("", pair.name)).label
+        raise ArgumentError(f"there is no document {label}")
+    return compare(pair.name, old, new, verbose)
+
+
+def _open(source: Source | None, folder: Path) -> Side | None:
+    if source is None:
+        return None
+    if source.root is None:
+        path = Path(source.path)
+        return side(path, source.label) if path.exists() else None
+    with files_of(source.root, source.commit) as read:
+        found = export(read, source.path, folder)
+    return side(found, source.label, folder) if found is not None else None
+
+
+def _is_state(argument: str) -> bool:
+    """Whether an argument alone names one state of one document."""
+    return Path(argument).is_file() or _is_rev_path(argument)
+
+
+def _is_rev_path(argument: str) -> bool:
+    revision, colon, path = argument.partition(":")
+    return bool(revision and colon and path) and not Path(argument).exists()
+
+
+def _is_file(argument: str) -> bool:
+    """Whether an argument is a path: one that exists, or one that is called like a document and no longer does."""
+    return Path(argument).exists() or (argument.endswith(".yaml") and ":" not in argument)
+
+
+def _state(argument: str) -> Source:
+    if not _is_rev_path(argument):
+        return Source(argument, argument)
+    revision, _, path = argument.partition(":")
+    root = repository(Path.cwd())
+    return Source(path.removeprefix("./"), argument, root, commit(root, revision))
+
+
+def _span(root: Path, revisions: Sequence[str]) -> _Span:
+    """``A``, ``A B``, ``A..B`` (an empty end is HEAD) or ``A...B`` (from where the two parted to B)."""
+    if len(revisions) == 2:
+        old, new = revisions
+    elif "..." in revisions[0]:
+        left, _, right = revisions[0].partition("...")
+        old, new = left or "HEAD", right or "HEAD"
+        base = merge_base(root, commit(root, old), commit(root, new))
+        return _Span(base[:10], new, (base, commit(root, new)))
+    else:
+        old, dots, new = revisions[0].partition("..")
+        old, new = old or "HEAD", new or ("HEAD" if dots else "")
+    return _Span(old, new, (commit(root, old), commit(root, new) if new else ""))
+
+
+def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
+    """One document, or every one below a folder that differs."""
+    root, inside = _inside(path)
+    span = _span(root, revisions)
+    if path.is_dir():
+        yield from _below(span, root, path.resolve())
+    else:
+        yield _pair(span, root, inside, inside, str(path))
+
+
+def _inside(path: Path) -> tuple[Path, str]:
+    """The repository of a file or folder, and its path in there."""
+    folder = path if path.is_dir() else path.parent
+    while not folder.is_dir():  # a folder that a later revision no longer has
+        folder = folder.parent
+    root = repository(folder)
+    try:
+        return root, (path.parent.resolve() / path.name).relative_to(root).as_posix()
+    except ValueError:
+        raise ArgumentError(f"{path} is not in the repository {root}") from None
+
+
+def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
+    """Every document below a folder that differs."""
+    below = "" if folder == root else folder.relative_to(root).as_posix()
+    for found in differing(root, span.commits[0], span.commits[1] or None, below):
+        yield _pair(span, root, found.old, found.new, found.new or found.old or "")
+
+
+def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) -> Pair:
+    before = Source(old, f"{span.old}:{old}", root, span.commits[0]) if old is not None else None
+    after = None
+    if new is not None and span.new:
+        after = Source(new, f"{span.new}:{new}", root, span.commits[1])
+    elif new is not None:
+        shown = root / new
+        after = Source(
+            str(shown), str(shown.relative_to(Path.cwd())) if shown.is_relative_to(Path.cwd()) else str(shown)
+        )
+    return Pair(name, before, after)

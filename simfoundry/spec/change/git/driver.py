@@ -1,0 +1,119 @@
+"""What git asks of a diff driver: one document, its content before and after, and never a failure."""
+
+from __future__ import annotations
+
+import difflib
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from simfoundry.spec.change.compare import Comparison, Side, compare, side
+from simfoundry.spec.change.git.lookup import Blob, read_beside
+from simfoundry.spec.change.git.revisions import export, extended
+from simfoundry.spec.change.merge.conflict import ABSENT, dotted, shown
+from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.yaml.text import parse
+
+NOTHING = "/dev/null"
+"""What git passes for a file that is not there."""
+
+
+def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
+    """The answer to git's ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
+
+    ``top`` is the top folder of the working tree. A document that extends another is compared whole where it is sure
+    what that said on both sides, and else by its own fields. What cannot be compared is shown as a plain diff.
+    """
+    if len(arguments) == 1:
+        return [f"* unmerged: {arguments[0]}"]
+    if len(arguments) not in (7, 9):
+        return [f"a diff driver is called with 7 or 9 arguments, not {len(arguments)}"]
+    path, old_file, old_id, _, new_file, new_id, _ = arguments[:7]
+    new_path = arguments[7] if len(arguments) == 9 else path
+    old, new = _blob(path, old_file, old_id, top), _blob(new_path, new_file, new_id, top)
+    head = path if new_path == path else f"{path} renamed to {new_path}"
+    found = _compared(old, new, top)
+    if found is None:
+        return _plain(path, old, new_path, new)
+    return [head, *(f"  {line}" for line in found)]
+
+
+def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
+    """One side; None where git says that there is none."""
+    if file == NOTHING:
+        return None
+    known = id_ if id_.strip("0.") else ""
+    return Blob(path, _content(Path(file)), known, not known or (top / file).absolute() == (top / path).absolute())
+
+
+def _content(file: Path) -> bytes:
+    """What stands in a file, and of a link what it points to, as git has it."""
+    try:
+        return str(file.readlink()).encode() if file.is_symlink() else file.read_bytes()
+    except OSError:
+        return b""
+
+
+def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
+    """What changed; None where a side is unsound, or where anything else goes wrong: `git diff` must go on."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
+            whole = _compared_whole(old, new, top, Path(folder))
+        if whole is None:
+            return list(_own_fields(old, new))
+        sound = all(s is None or s.loaded.spec is not None for s in (whole.old, whole.new))
+        return whole.lines() if sound and not whole.obstacle else None
+    except Exception:
+        return None
+
+
+def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> Comparison | None:
+    """The comparison with what both sides extend; None where it is not known what that said."""
+    sides = dict[str, Side | None]()
+    for name, blob in (("old", old), ("new", new)):
+        read = read_beside(top, blob) if blob is not None else None
+        if blob is not None and read is None:
+            return None
+        found = export(read, blob.path, folder / name) if blob is not None and read is not None else None
+        sides[name] = side(found, blob.path, folder / name) if blob is not None and found is not None else None
+    return compare((new or old or Blob("", b"")).path, sides["old"], sides["new"], files=False)
+
+
+# -- documents of which it is not known what they extend ------------------------------------------------------------
+
+
+def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
+    """What the text of a document says, before and after; raises :class:`ValueError` where that is no answer."""
+    present = [blob for blob in (old, new) if blob is not None]
+    bases = [extended(blob.path, blob.content) for blob in present]
+    data = [parse(blob.content.decode("utf-8")).data for blob in present]
+    if None in bases or {d.get("simfoundry") for d in data} - set(KINDS):
+        raise ValueError
+    before, after = ({} if blob is None else dict(_leaves(data[present.index(blob)], ())) for blob in (old, new))
+    changed = [path for path in dict.fromkeys((*before, *after)) if before.get(path, ABSENT) != after.get(path, ABSENT)]
+    for path in changed:
+        yield f"{dotted(path)}: {shown(before.get(path, ABSENT))} → {shown(after.get(path, ABSENT))}"
+    if not changed:
+        yield "the same, written otherwise"
+    names = " or ".join(dict.fromkeys(map(str, bases)))
+    yield f"(only what this file says: git does not tell which revision of {names} it extends here;"
+    yield f" `simfoundry log {present[-1].path}` shows each commit in full)"
+
+
+def _leaves(data: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every value that is no mapping with entries, with its path."""
+    if isinstance(data, dict) and data:
+        for key, item in data.items():
+            yield from _leaves(item, (*path, key))
+    else:
+        yield path, data
+
+
+def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list[str]:
+    """A unified diff of the texts."""
+    before, after = (
+        (b"" if side is None else side.content).decode("utf-8", "replace").splitlines() for side in (old, new)
+    )
+    names = (NOTHING if old is None else f"a/{path}", NOTHING if new is None else f"b/{new_path}")
+    return [f"diff --git a/{path} b/{new_path}", *difflib.unified_diff(before, after, *names, lineterm="")]

@@ -1,0 +1,112 @@
+"""The commits that changed a document, or one that it extends or refers to, each with what it changed."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.spec.change.compare import Comparison, Side, compare, side
+from simfoundry.spec.change.git.revisions import Read, export, files_of, git, references, renamed_from
+
+_FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
+"""What is asked of git about a commit: its name, its parents, date, author and subject."""
+
+
+@dataclass(frozen=True)
+class Commit:
+    """A commit by its full name; ``date`` in ISO 8601. It is compared with its first parent."""
+
+    id: str
+    parents: tuple[str, ...]
+    date: str
+    author: str
+    subject: str
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one commit changed about a document."""
+
+    commit: Commit
+    comparison: Comparison
+
+
+def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[Step]:
+    """The commits that changed the document ``path`` of the repository at ``root``, the latest first.
+
+    ``revisions`` are as for `git rev-list`: commits to start from, and with ``^`` those at which to stop. Each commit
+    is compared with its first parent, both with what they extended at that time; one that merges counts only where it
+    differs from all of its parents. A document is followed to its former names.
+    """
+    names, commits = _trace(root, revisions, path)
+    for commit in commits:
+        with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
+            new = _side(root, commit.id, names, Path(folder) / "new")
+            olds = [_side(root, parent, names, Path(folder) / str(k)) for k, parent in enumerate(commit.parents)]
+            found = [compare(path, old, new, verbose) for old in olds or [None] if old is not None or new is not None]
+        if found and all(comparison.differs for comparison in found):
+            yield Step(commit, found[0])
+
+
+def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:
+    """The document under the first of its names that a commit has."""
+    with files_of(root, revision) as read:
+        for name in names:
+            found = export(read, name, folder)
+            if found is not None:
+                return side(found, f"{revision[:10]}:{name}", folder)
+    return None
+
+
+def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
+    """The names that a document had, and every commit that changed it or a file that it refers to."""
+    names, paths, read_already = [path], {path}, set[str]()
+    while True:
+        commits = list(_listed(root, revisions, sorted(paths)))
+        known = len(paths)
+        for commit in commits:
+            if commit.id in read_already:
+                continue
+            read_already.add(commit.id)
+            with files_of(root, commit.id) as read:
+                present = next((name for name in names if read(name) is not None), None)
+                paths |= _closure(read, present) if present is not None else set()
+            former = _former_name(root, commit, present) if present is not None else None
+            if former is not None and former not in names:
+                names.append(former)
+                paths.add(former)
+        if len(paths) == known:
+            return names, commits
+
+
+def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
+    """The commits that change one of the paths, the latest first."""
+    options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
+    found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
+    for line in found.decode(errors="replace").splitlines():
+        if "\0" in line:  # the others are headers
+            id_, parents, date, author, subject = line.split("\0", 4)
+            yield Commit(id_, tuple(parents.split()), date, author, subject)
+
+
+def _closure(read: Read, path: str) -> set[str]:
+    """The files that a document refers to, and those that the documents among them refer to, itself included."""
+    todo, seen = [path], {path}
+    while todo:
+        name = todo.pop()
+        data = read(name) if name.endswith(".yaml") else None
+        new = [reference for reference in references(name, data) if reference not in seen] if data is not None else []
+        seen.update(new)
+        todo += new
+    return seen
+
+
+def _former_name(root: Path, commit: Commit, path: str) -> str | None:
+    """What a document was called before a commit that gave it the name ``path``."""
+    for parent in commit.parents[:1]:
+        with files_of(root, parent) as read:
+            if read(path) is None:
+                return renamed_from(root, parent, commit.id, path)
+    return None

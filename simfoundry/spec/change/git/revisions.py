@@ -1,0 +1,206 @@
+"""Documents as a git revision has them, with the files that they refer to."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.files import write_file
+from simfoundry.spec.files import MAX_PATH
+from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.yaml.text import YamlError, parse
+
+Read = Callable[[str], bytes | None]
+"""The content of a file by its path in the repository (with ``/``); None where there is none."""
+
+MAX_FILES = 10_000
+"""No document refers to more files than this: with their textures, ten for each of a thousand objects."""
+
+_NAMED = {
+    ".obj": re.compile(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
+    ".mtl": re.compile(rb"^[ \t]*(?:map_\w+|bump|disp|decal|refl|norm)[ \t]+(.+?)[ \t\r]*$", re.MULTILINE),
+}
+"""Lines of meshes and materials that name other files, perhaps several, perhaps behind options."""
+
+
+class GitError(SimfoundryError):
+    """What git cannot do, in its own words."""
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """A document that differs: its path in the old and in the new revision, None where there is none."""
+
+    old: str | None
+    new: str | None
+
+
+def git(root: Path, *args: str) -> bytes:
+    """What git prints, called in ``root`` and without a shell; raises :class:`GitError`."""
+    try:
+        done = subprocess.run(["git", *args], cwd=root, capture_output=True, check=False, stdin=subprocess.DEVNULL)
+    except FileNotFoundError:
+        raise GitError("git is not installed, so revisions cannot be read") from None
+    if done.returncode:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        raise GitError(lines[0] if lines else f"git {args[0]} failed")
+    return done.stdout
+
+
+def repository(folder: Path) -> Path:
+    """The top folder of the repository that ``folder`` lies in."""
+    try:
+        return Path(git(folder, "rev-parse", "--show-toplevel").decode().rstrip("\n")).resolve()
+    except GitError as error:
+        if "not a git repository" in str(error):
+            raise GitError(f"{folder.resolve()} is in no git repository; give two files") from None
+        raise
+
+
+def commit(root: Path, revision: str) -> str:
+    """The commit that a person means by ``revision``: ``HEAD~1``, a branch, a tag; as its full name."""
+    if not revision.startswith("-") and "\0" not in revision:
+        try:
+            found = git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
+            return found.decode().strip()
+        except GitError:
+            pass
+    raise GitError(f"`{revision}` is neither a file nor a revision of this repository")
+
+
+def merge_base(root: Path, a: str, b: str) -> str:
+    """The commit in which two commits parted."""
+    return git(root, "merge-base", a, b).decode().strip()
+
+
+def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
+    """The documents below a folder that differ between two commits, or between one and the working tree."""
+    found = []
+    for pair in _renames(root, *([old] if new is None else [old, new])):
+        names = [name for name in (pair.old, pair.new) if name is not None]
+        if any(is_document(Path(name)) and (not below or name.startswith(f"{below}/")) for name in names):
+            found.append(pair)
+    return sorted(found, key=lambda pair: pair.new or pair.old or "")
+
+
+def renamed_from(root: Path, old: str, new: str, path: str) -> str | None:
+    """What the file ``path`` of a commit was called in an older one; None where it was not there."""
+    return next((pair.old for pair in _renames(root, old, new) if pair.new == path), None)
+
+
+def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
+    """The files that differ between two commits, or between one and the working tree."""
+    options = ["--name-status", "-z", "-M", "--no-ext-diff", "--no-color", "--ignore-submodules"]
+    fields = iter(git(root, "diff", *options, *revisions, "--").decode(errors="surrogateescape").split("\0"))
+    for status in fields:
+        if not status:
+            break
+        before = next(fields)
+        after = next(fields) if status[0] in "RC" else before
+        yield Renamed(None if status[0] in "AC" else before, None if status[0] == "D" else after)
+
+
+@contextmanager
+def files_of(root: Path, revision: str) -> Iterator[Read]:
+    """Reads files of a commit, all through one process."""
+    process = subprocess.Popen(
+        ["git", "cat-file", "--batch"],
+        cwd=root,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    assert process.stdin is not None and process.stdout is not None
+    ask, answer = process.stdin, process.stdout
+
+    def read(path: str) -> bytes | None:
+        if "\n" in path:
+            return None
+        ask.write(f"{revision}:{path}\n".encode(errors="surrogateescape"))
+        ask.flush()
+        head = answer.readline().split(b" ")
+        if len(head) != 3 or not head[2].strip().isdigit():
+            return None  # missing
+        data = answer.read(int(head[2]) + 1)[:-1]
+        return data if head[1] == b"blob" else None
+
+    with process:
+        yield read
+
+
+def export(read: Read, path: str, folder: Path) -> Path | None:
+    """Write a document and all that it refers to below ``folder``, as they lie in the repository.
+
+    Returns where the document is, or None where there is none. Raises :class:`GitError` where it refers to too much.
+    """
+    todo, seen, written = [path], {path}, 0
+    while todo:
+        name = todo.pop()
+        data = read(name)
+        if data is None:
+            continue
+        written += 1
+        if written > MAX_FILES:
+            raise GitError(f"{path} refers to more than {MAX_FILES} files, so its revisions cannot be compared")
+        write_file(folder / name, data)
+        new = [reference for reference in references(name, data) if reference not in seen]
+        seen.update(new)
+        todo += new
+    target = folder / path
+    return target if target.is_file() else None
+
+
+def document_references(name: str, data: bytes) -> list[str]:
+    """The paths of the documents in the repository that the document ``name`` may refer to."""
+    return [path for path in references(name, data) if path.endswith(".yaml")]
+
+
+def extended(name: str, data: bytes) -> str | None:
+    """The path in the repository of what the document ``name`` extends; None where it extends nothing."""
+    try:
+        written = parse(data.decode("utf-8")).data
+    except (YamlError, UnicodeDecodeError):
+        return None
+    base = written.get("extends") if isinstance(written, dict) else None
+    return posixpath.normpath(posixpath.join(posixpath.dirname(name), base)) if isinstance(base, str) else None
+
+
+def references(name: str, data: bytes) -> Iterator[str]:
+    """The paths in the repository that the file ``name`` may refer to; none that leave the repository."""
+    folder = posixpath.dirname(name)
+    for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
+        path = posixpath.normpath(posixpath.join(folder, written))
+        if not path.startswith(("/", "../")) and path.isprintable() and len(path) < MAX_PATH:
+            yield path
+
+
+def _file_names(kind: str, data: bytes) -> Iterator[str]:
+    """Every text in a file that may name another one, as it stands there."""
+    if kind == ".yaml":
+        try:
+            document = parse(data.decode("utf-8"))
+        except (YamlError, UnicodeDecodeError):  # it will be reported when it is read
+            return
+        yield from (text for text in _texts(document.data) if posixpath.splitext(text)[1])
+    elif kind in _NAMED:
+        for match in _NAMED[kind].finditer(data):
+            line = match[1].decode("utf-8", "replace")
+            yield line
+            yield from line.split()
+
+
+def _texts(data: Any) -> Iterator[str]:
+    todo = [data]
+    while todo:
+        item = todo.pop()
+        if isinstance(item, str):
+            yield item
+        elif isinstance(item, dict | tuple):
+            todo += item.values() if isinstance(item, dict) else item

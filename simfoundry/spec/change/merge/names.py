@@ -1,0 +1,87 @@
+"""Renames: the three documents of a merge in the same names."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from simfoundry.spec.change.diff.renames import Rename, find_renames, renamed
+from simfoundry.spec.change.merge.conflict import Conflict, Path_
+from simfoundry.spec.yaml.tree import Tree
+
+
+@dataclass(frozen=True)
+class SameNames:
+    """The three documents with every member under its new name.
+
+    ``edited`` are the paths of members that a side renamed and the other removed: to rename is to edit.
+    """
+
+    base: Tree
+    ours: Tree
+    theirs: Tree
+    edited: frozenset[Path_] = frozenset()
+    conflicts: tuple[Conflict, ...] = ()
+
+
+def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
+    """Take over to each side what the other renamed; where both renamed one member, ours counts."""
+    if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
+        return SameNames(base, ours, theirs)
+    data, datas = base.data, (ours.data, theirs.data)
+    found = [{(r.section, r.old): r for r in find_renames(data, side)} for side in datas]
+    if not any(found):
+        return SameNames(base, ours, theirs)
+    for_base = list[Rename]()
+    for_side: tuple[list[Rename], list[Rename]] = ([], [])
+    edited, conflicts = set[Path_](), list[Conflict]()
+    for here, there in ((0, 1), (1, 0)):
+        others = found[there]
+        taken = {(r.section, r.new): r.old for r in others.values()}
+        for key, rename in found[here].items():
+            twin = others.get(key)
+            if twin is not None:
+                if here == 0:
+                    for_base.append(rename)
+                    if twin.new != rename.new:
+                        for_side[1].append(Rename(rename.section, twin.new, rename.new))
+                        conflicts.append(Conflict((*key[0], key[1]), key[1], rename.new, twin.new))
+                continue
+            members = _members(datas[there], rename.section)
+            if rename.new in members or taken.get((rename.section, rename.new), rename.old) != rename.old:
+                continue  # the name means something else there
+            for_base.append(rename)
+            for_side[there].append(rename)
+            if rename.old not in members and len(rename.section) == 1:
+                edited.add((*rename.section, rename.new))
+    trees = (_renamed(base, for_base), _renamed(ours, for_side[0]), _renamed(theirs, for_side[1]))
+    return SameNames(*trees, frozenset(edited), tuple(conflicts))
+
+
+def _comes_and_goes(a: Tree, b: Tree) -> bool:
+    """Whether a key of some mapping is gone and another has come: it takes both for a rename."""
+    if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
+        return False
+    if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
+        return True
+    return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
+
+
+def _renamed(tree: Tree, renames: list[Rename]) -> Tree:
+    return _with_names(tree, renamed(tree.data, renames)) if renames else tree
+
+
+def _with_names(tree: Tree, data: Any) -> Tree:
+    """The tree with the keys and values of its own renamed data, which stand in the same order."""
+    if isinstance(data, dict):
+        pairs = zip(tree.value.values(), data.items(), strict=True)
+        return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})
+    if isinstance(data, tuple):
+        return replace(tree, value=tuple([_with_names(a, b) for a, b in zip(tree.value, data, strict=True)]))
+    return replace(tree, value=data)
+
+
+def _members(data: Any, section: Path_) -> dict[str, Any]:
+    for key in section:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data if isinstance(data, dict) else {}

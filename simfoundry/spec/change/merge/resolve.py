@@ -1,0 +1,137 @@
+"""Deciding recorded conflicts: one side's value takes its place, and the entry goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.renames import Rename, copied, renamed
+from simfoundry.spec.change.merge.conflict import ABSENT, Path_, dotted, parts
+from simfoundry.spec.change.merge.groups import rivals_at
+from simfoundry.spec.change.merge.order import reordered
+from simfoundry.spec.change.merge.trees import CONFLICTS
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.yaml.tree import Tree, with_data
+
+Side = Literal["ours", "theirs"]
+
+
+class ResolveError(SimfoundryError):
+    """A conflict that is not there, or whose place is not there any more."""
+
+
+def resolve(tree: Tree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()) -> tuple[Tree, list[str]]:
+    """The document with a side's values where there were conflicts, and the keys of the entries that went.
+
+    ``chosen`` are keys of ``conflicts``, or paths above some (`objects.cup`); every conflict where there is none. Keys
+    that exclude each other are decided together.
+    """
+    data = copied(tree.data)
+    entries = data.get(CONFLICTS) if isinstance(data, dict) else None
+    if not isinstance(entries, dict) or not entries:
+        raise ResolveError("no conflict is recorded here")
+    keys = _chosen(entries, model, list(chosen))
+    names = dict[tuple[Path_, str], str]()
+    for key in keys:
+        path, entry = parts(key), entries[key]
+        if not isinstance(entry, dict) or not path:
+            raise ResolveError(f"the entry `{key}` does not say what the sides have, and where")
+        _take(data, path, entry, entry.get(side, ABSENT), names)
+        if side == "theirs":
+            tree = _with_comment(tree, path, tree.value[CONFLICTS].value[key].beside)
+        del entries[key]
+    data[CONFLICTS] = {_under_new_name(key, names): entry for key, entry in entries.items()}
+    if not entries:
+        del data[CONFLICTS]
+    new = with_data(_without_gone(tree, names), renamed(data, _renames(names)) if names else data)
+    return new, keys
+
+
+def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[str]) -> list[str]:
+    if not chosen:
+        return list(entries)
+    found = dict[str, None]()
+    for wanted in chosen:
+        path = parts(wanted)
+        inside = [key for key in entries if key == wanted or parts(key)[: len(path)] == path]
+        if not inside:
+            listed = ", ".join(f"`{key}`" for key in entries)
+            raise ResolveError(f"no conflict is recorded at `{wanted}`; there is one at {listed}")
+        for key in inside:
+            found |= dict.fromkeys([key, *_rivals(entries, model, parts(key))])
+    return [key for key in entries if key in found]
+
+
+def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
+    """The entries of keys that exclude the one at ``path``."""
+    if path:
+        rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
+        yield from (key for key in entries if parts(key) in rivals)
+
+
+def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: dict[tuple[Path_, str], str]) -> None:
+    """Put a side's value at ``path``."""
+    place = data
+    for k, part in enumerate(path[:-1]):
+        place = place.get(part) if isinstance(place, dict) else None
+        if not isinstance(place, dict):
+            raise ResolveError(f"there is no `{dotted(path[: k + 1])}` any more; remove the entry `{dotted(path)}`")
+    key, here = path[-1], entry.get("ours")
+    if value is ABSENT:
+        place.pop(key, None)
+    elif isinstance(place.get(key), dict) and _is_order(value, place[key]):
+        place[key] = {name: place[key][name] for name in reordered(place[key], value)}
+    elif key not in place and entry.get("base") == key and isinstance(here, str) and here in place:
+        if value in place and value != here:
+            raise ResolveError(
+                f"`{dotted((*path[:-1], value))}` is another one; give one of the two a new name by hand"
+            )
+        names[path[:-1], here] = value  # both sides gave the member at `path` another name
+    else:
+        place[key] = value
+
+
+def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
+    """Whether a value is the order of a mapping, not another value for it."""
+    names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
+    return any(name in members for name in names)
+
+
+def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
+    """The key of an entry that stays, which may be about a member that has another name now."""
+    path = parts(key)
+    for (section, old), new in names.items():
+        if path[: len(section) + 1] == (*section, old):
+            return dotted((*section, new, *path[len(section) + 1 :]))
+    return key
+
+
+def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
+    return [Rename(section, old, new) for (section, old), new in names.items()]
+
+
+def _without_gone(tree: Tree, names: Mapping[tuple[Path_, str], str]) -> Tree:
+    """The tree with members under their new names, so that these keep their comments."""
+    for (section, old), new in names.items():
+
+        def with_new(members: Tree, old: str = old, new: str = new) -> Tree:
+            return replace(members, value={new if key == old else key: child for key, child in members.value.items()})
+
+        tree = _edited(tree, section, with_new)
+    return tree
+
+
+def _with_comment(tree: Tree, path: Path_, comment: str) -> Tree:
+    """The tree with the comment that waited beside a conflict."""
+    return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
+
+
+def _edited(tree: Tree, path: Path_, edit: Callable[[Tree], Tree]) -> Tree:
+    """The tree with what is at ``path``, if there is something, after an edit."""
+    if not path:
+        return edit(tree)
+    if not isinstance(tree.value, dict) or path[0] not in tree.value:
+        return tree
+    return replace(tree, value={**tree.value, path[0]: _edited(tree.value[path[0]], path[1:], edit)})

@@ -1,0 +1,88 @@
+"""The texts of three documents into one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.merge.conflict import Conflict
+from simfoundry.spec.change.merge.same import identical
+from simfoundry.spec.change.merge.trees import merge_trees
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.tree import KIND, Tree, read_tree
+from simfoundry.spec.yaml.write import write_tree
+
+_UNREADABLE = ("SF002", "SF004", "SF005")
+"""Codes of texts that are no documents at all."""
+
+
+class UnmergeableError(SimfoundryError):
+    """Texts that are not documents of one kind, so that they can only be merged line by line."""
+
+
+@dataclass(frozen=True)
+class MergedText:
+    """A merged document, its open conflicts recorded in it."""
+
+    text: str
+    conflicts: tuple[Conflict, ...]
+
+
+def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
+    """Merge three texts by meaning, comments included; ``base`` is empty where both sides added the document.
+
+    The result is the text of the side that already says it, or else in canonical form. Raises
+    :class:`UnmergeableError` where a text is no document, or they are of different kinds.
+    """
+    trees = [_tree(text, name) for text, name in ((base, "base"), (ours, "ours"), (theirs, "theirs"))]
+    kinds = {str(tree.value[KIND].data) for tree in trees if KIND in tree.value}
+    if len(kinds) > 1:
+        raise UnmergeableError(f"these are documents of different kinds: {', '.join(sorted(kinds))}")
+    merged = merge_trees(*trees)
+    for text, tree in ((ours, trees[1]), (theirs, trees[2])):
+        if identical(merged.tree, tree):
+            return MergedText(text, merged.conflicts)
+    kind = next(iter(kinds), "")
+    return MergedText(write_tree(merged.tree, model_of(kind) if kind in KINDS else None), merged.conflicts)
+
+
+def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
+    """Errors of a merged text at ``path`` that neither side has: what each side meant does not hold together.
+
+    Open conflicts are not among them. Files that the other side adds may not be there yet; they are missing in its own
+    text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: both together may be too large.
+    """
+    found = _errors(path, merged)
+    if not found:
+        return []
+    for d in found:
+        if d.code in _UNREADABLE:
+            raise UnmergeableError(f"both together cannot be read: {d.message}")
+    known = {(d.code, d.path, d.message) for text in (ours, theirs) for d in _errors(path, text)}
+    return [d for d in found if (d.code, d.path, d.message) not in known]
+
+
+def _errors(path: Path, text: str) -> list[Diagnostic]:
+    from simfoundry.spec.load import load
+
+    findings = load(path, text=text).findings
+    return [d for d in findings if d.severity is Severity.ERROR and d.code != "SF209"]
+
+
+def _tree(text: str, name: str) -> Tree:
+    try:
+        document = parse(text, name)
+        if document.data is None and name == "base":
+            return Tree({})
+        tree = read_tree(document)
+    except YamlError as error:
+        raise UnmergeableError(f"{name} cannot be read: line {error.line}: {error.message}") from None
+    except SpecError as error:
+        first = error.diagnostics[0]
+        raise UnmergeableError(f"{name} cannot be read: line {first.line}: {first.message}") from None
+    if not isinstance(tree.value, dict):
+        raise UnmergeableError(f"{name} is not a document")
+    return tree

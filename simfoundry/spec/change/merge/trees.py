@@ -1,0 +1,257 @@
+"""Three documents into one, by meaning.
+
+Mappings are merged key by key, ``relations``, ``no_contact`` and the lists of goals as sets, all else as a whole. Edits
+of different things never meet; equal edits are one. What cannot be united is a :class:`Conflict`: the document keeps
+ours (or, where one side removed what the other changed, what was changed), and says under ``conflicts`` what all three
+had.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from simfoundry.spec.change.merge.comments import commented, rescued, united
+from simfoundry.spec.change.merge.conditions import is_list_of_conditions, matched, spelled
+from simfoundry.spec.change.merge.conflict import ABSENT, Conflict, Path_, dotted, numbered
+from simfoundry.spec.change.merge.groups import at_odds, named_twice, torn
+from simfoundry.spec.change.merge.names import same_names
+from simfoundry.spec.change.merge.order import merged_order
+from simfoundry.spec.change.merge.same import identical, same
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.types import models_at
+from simfoundry.spec.yaml.tree import Tree, plain_tree
+
+ORDERED = (("subtasks",), ("links",), ("frames",))
+"""Named mappings whose order means something."""
+
+CONFLICTS = "conflicts"
+
+
+@dataclass(frozen=True)
+class Merged:
+    """A merged document, its open conflicts recorded in it; ``conflicts`` are those that this merge added."""
+
+    tree: Tree
+    conflicts: tuple[Conflict, ...]
+
+    @property
+    def data(self) -> Any:
+        """The plain data of the document."""
+        return self.tree.data
+
+
+def merge(base: Any, ours: Any, theirs: Any) -> Merged:
+    """Merge three documents as plain data; ``base`` is None where both sides added the document."""
+    return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
+
+
+def merge_trees(base: Tree, ours: Tree, theirs: Tree) -> Merged:
+    """Merge three documents with their comments."""
+    named = same_names(base, ours, theirs)
+    overlay = any("extends" in _mapping(tree) for tree in (base, ours, theirs))
+    merging = _Merging(_model(ours), named.edited, overlay, list(named.conflicts))
+    tree = merging.value(named.base, named.ours, named.theirs, ())
+    assert tree is not None
+    return Merged(_recorded(tree, merging.conflicts), tuple(merging.conflicts))
+
+
+def _model(document: Tree) -> type[Model] | None:
+    kind = document.value.get("simfoundry") if isinstance(document.value, dict) else None
+    return model_of(kind.value) if kind is not None and kind.value in KINDS else None
+
+
+def _recorded(tree: Tree, conflicts: list[Conflict]) -> Tree:
+    """The document with an entry for each conflict."""
+    if not conflicts or not isinstance(tree.value, dict):
+        return tree
+    section = tree.value.get(CONFLICTS) or Tree({})
+    entries: dict[str, Tree] = dict(section.value) if isinstance(section.value, dict) else {}
+    for conflict in conflicts:
+        record, path = conflict.record(), dotted(conflict.path)
+        if path in entries and entries[path].data == record:
+            continue
+        entries[numbered(path, entries)] = replace(plain_tree(record), beside=conflict.comment)
+    return replace(tree, value={**tree.value, CONFLICTS: replace(section, value=entries)})
+
+
+@dataclass
+class _Merging:
+    """One merge: the model of the document, the members that a side renamed, and the conflicts found so far.
+
+    In an ``overlay``, which extends another document, a list that is not written is that of the other.
+    """
+
+    model: type[Model] | None
+    edited: frozenset[Path_]
+    overlay: bool
+    conflicts: list[Conflict] = field(default_factory=list)
+
+    def value(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+        """What the three make of one value; None where it is gone."""
+        if ours is None or theirs is None:
+            return self.one_sided(base, ours, theirs, path)
+        if base is not None and not self.edited and identical(base, theirs):
+            return ours
+        if base is not None and not self.edited and identical(base, ours):
+            return theirs
+        old = base.value if base is not None else None
+        if isinstance(ours.value, dict) and isinstance(theirs.value, dict) and not _is_whole(path, ours, theirs):
+            tree = self.mapping(base, ours, theirs, path)
+        elif is_list_of_conditions(path, ours.value, theirs.value, old if old is not None else ()):
+            tree = self.conditions(base, ours, theirs, path)
+        else:
+            return self.whole(base, ours, theirs, path)
+        return commented(tree, base, ours, theirs)
+
+    def one_sided(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+        """A value that one side does not have: new on the other, or removed here."""
+        there = theirs if ours is None else ours
+        if there is None or base is None:
+            return there
+        if self.is_empty_where_absent(base, there, path):
+            nothing = Tree(type(there.value)())
+            tree = self.value(base, ours or nothing, theirs or nothing, path)
+            return tree if tree is not None and tree.value else None
+        if path not in self.edited and same(base, there, path):
+            return None
+        if path[:1] != (CONFLICTS,):
+            self.clash(path, base, ours, theirs)
+        return there
+
+    def is_empty_where_absent(self, base: Tree, there: Tree, path: Path_) -> bool:
+        """Whether a mapping by name, or a list of relations or pairs, is not written where it is empty."""
+        if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
+            return not models_at(self.model, path)
+        is_set = path in (("relations",), ("no_contact",))
+        return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
+
+    def whole(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+        """A value that is taken as it is, from one side."""
+        if same(ours, theirs, path):
+            return united(base, ours, theirs)
+        taken, other = ours, theirs
+        if base is not None and same(base, ours, path):
+            taken, other = theirs, ours
+        elif base is None or not same(base, theirs, path):
+            comment = (
+                theirs.beside if theirs.beside != ours.beside and (base is None or theirs.beside != base.beside) else ""
+            )
+            self.clash(path, base, ours, theirs, comment)
+            theirs = replace(theirs, beside=ours.beside)
+        return rescued(commented(taken, base, ours, theirs), base, other)
+
+    def mapping(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+        """A mapping, key by key."""
+        before: Mapping[str, Tree] = base.value if base is not None and isinstance(base.value, dict) else {}
+        sides = (ours.value, theirs.value)
+        merged = dict[str, Tree]()
+        for key in dict.fromkeys([*ours.value, *theirs.value]):
+            tree = self.value(before.get(key), ours.value.get(key), theirs.value.get(key), (*path, key))
+            if tree is not None:
+                merged[key] = tree
+        if odd := torn(self.model, path, before, sides):
+            self.keep_ours(odd, before, sides, merged, path)
+        while odd := at_odds(self.model, path, sides, merged):
+            self.keep_ours(odd, before, sides, merged, path)
+        self.keep_ours_of_start(before, sides, merged, path)
+        if path == (CONFLICTS,):
+            self.keep_both(before, sides, merged)
+        order = merged_order(before, *sides, merged, path in ORDERED)
+        if order.clash and path in ORDERED:
+            self.conflicts.append(Conflict(path, tuple(before), tuple(sides[0]), tuple(sides[1])))
+        rest = [key for key in merged if key not in set(order.keys)] if len(order.keys) < len(merged) else []
+        return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
+
+    def conditions(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+        """A list of conditions as a set; where two edits of one condition clash, the list does."""
+        before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
+        sides = (matched(ours.value, before), matched(theirs.value, before))
+        found, merged = len(self.conflicts), dict[str, Tree]()
+        for name in dict.fromkeys([*sides[0], *sides[1]]):
+            tree = self.condition(before.get(name), sides[0].get(name), sides[1].get(name), (*path, name))
+            if tree is not None:
+                merged[name] = tree
+        if len(self.conflicts) > found:
+            del self.conflicts[found:]
+            self.clash(path, base, ours, theirs)
+            return ours
+        order = merged_order(before, *sides, merged, ours_first=False)
+        return replace(ours, value=tuple([merged[name] for name in order.keys]))
+
+    def condition(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+        """One condition of a list; however it is spaced, it is the same."""
+        given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
+        if len(set(given)) > 1:
+            return self.value(base, ours, theirs, path)
+        if ours is None or theirs is None:
+            return None if base is not None else ours or theirs
+        taken = min((ours, theirs), key=lambda tree: repr(tree.data))  # whichever side is which
+        return commented(taken, base, ours, theirs)
+
+    # -- conflicts --------------------------------------------------------------------------------------------------
+
+    def clash(self, path: Path_, base: Tree | None, ours: Tree | None, theirs: Tree | None, comment: str = "") -> None:
+        """Note a conflict."""
+        was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
+        self.conflicts.append(Conflict(path, was, here, there, comment))
+
+    def keep_ours(
+        self,
+        keys: set[str],
+        base: Mapping[str, Tree],
+        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
+        merged: dict[str, Tree],
+        path: Path_,
+    ) -> None:
+        """Take the ``keys`` as ours has them, each that differs a conflict."""
+        ours, theirs = sides
+        inside = {(*path, key) for key in keys}
+        self.conflicts = [c for c in self.conflicts if c.path[: len(path) + 1] not in inside]
+        for key in sorted(keys):
+            if key in ours:
+                merged[key] = ours[key]
+            else:
+                merged.pop(key, None)
+            if not same(ours.get(key), theirs.get(key), (*path, key)):
+                self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
+
+    def keep_ours_of_start(
+        self,
+        base: Mapping[str, Tree],
+        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
+        merged: dict[str, Tree],
+        path: Path_,
+    ) -> None:
+        """The same for a name that has a pose by one side and a place by the other at the start of a task."""
+        for name in list(named_twice(self.model, path, merged)):
+            for key in ("place", "pose"):
+                inner = dict(merged[key].value)
+                of = [_mapping(members.get(key)) for members in (base, *sides)]
+                self.keep_ours({name}, of[0], (of[1], of[2]), inner, (*path, key))
+                merged[key] = replace(merged[key], value=inner)
+
+    def keep_both(
+        self,
+        base: Mapping[str, Tree],
+        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
+        merged: dict[str, Tree],
+    ) -> None:
+        """Entries of ``conflicts`` that the sides have differently: both stay."""
+        theirs = sides[1]
+        for conflict in [c for c in self.conflicts if c.path[:1] == (CONFLICTS,)]:
+            self.conflicts.remove(conflict)
+            path = conflict.path[1]
+            merged[numbered(path, {**merged, **theirs})] = theirs[path]
+
+
+def _is_whole(path: Path_, ours: Tree, theirs: Tree) -> bool:
+    """Whether mappings are one value: an estimate, whose parts mean nothing alone, or an entry of ``conflicts``."""
+    estimate = path[-1:] in (("mass",), ("density",)) and ("value" in ours.value or "value" in theirs.value)
+    return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
+
+
+def _mapping(tree: Tree | None) -> Mapping[str, Tree]:
+    return tree.value if tree is not None and isinstance(tree.value, dict) else {}

@@ -1,0 +1,133 @@
+"""What the checks of all kinds of document share."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from simfoundry.spec.check.plausible import implausible
+from simfoundry.spec.check.validate import MAX_FINDINGS
+from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
+from simfoundry.spec.files import FileError, reachable
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.base import WORLD, Body, Material, quantity_value
+from simfoundry.spec.yaml.text import Document
+
+Path_ = tuple[str | int, ...]
+Use = Callable[[Path, tuple[str, ...]], Loaded | None]
+"""Reads and checks a document of one of some kinds; None for a document of another kind."""
+
+
+class Checker:
+    """Collects findings of one document beyond its types.
+
+    Where the document is not ``whole``, its spec lacks its faulty members; their names still count as defined.
+    """
+
+    def __init__(self, loaded: Loaded, whole: bool, use: Use) -> None:
+        assert loaded.document is not None
+        self.document: Document = loaded.document
+        self.loaded, self.whole, self._use = loaded, whole, use
+        self.findings: list[Diagnostic] = []
+        self._counts: Counter[Severity] = Counter()
+
+    def add(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
+        """Add an error."""
+        self._add(code, path, message, hint, Severity.ERROR, about)
+
+    def warn(self, code: str, path: Path_, message: str, hint: str = "", about: tuple[str, ...] = ()) -> None:
+        """Add a warning."""
+        self._add(code, path, message, hint, Severity.WARNING, about)
+
+    def _add(self, code: str, path: Path_, message: str, hint: str, severity: Severity, about: tuple[str, ...]) -> None:
+        self._counts[severity] += 1
+        if self._counts[severity] <= MAX_FINDINGS:  # each kind for itself: no error is lost behind warnings
+            line, column = self.document.place(path)
+            dotted = ".".join(map(str, path))
+            file = self.document.source(path)
+            self.findings.append(Diagnostic(code, severity, message, file, line, column, dotted, hint, about))
+
+    def names(self, section: str) -> dict[str, Any]:
+        """The names that a section of the text defines, sound or not."""
+        members = self.document.data.get(section) if isinstance(self.document.data, dict) else None
+        return members if isinstance(members, dict) else {}
+
+    def name(self, name: str, choices: Collection[str], path: Path_, what: str) -> bool:
+        """Whether ``name`` is among the choices; a finding where it is not."""
+        if name in choices:
+            return True
+        if self._counts[Severity.ERROR] < MAX_FINDINGS:
+            hint = nearest(name, choices) or "none is defined"
+            if what == "material" and not hint.startswith("did"):
+                hint += "; a new one is written under `materials`"
+            self.add("SF201", path, f"no {what} is called `{name}`", hint)
+        return False
+
+    def reserved(self, path: Path_, what: str) -> None:
+        """A finding for a thing that is called as formats call what does not move."""
+        message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF call what does not move so"
+        self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
+
+    def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
+        """Whether ``reference`` is a file with one of the suffixes, below the project root or of a package."""
+        try:
+            reachable(reference, self.loaded.path, self.loaded.root, suffixes)
+        except FileError as wrong:
+            self.add(wrong.code, path, str(wrong), wrong.hint)
+            return False
+        return True
+
+    def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
+        """The document of one of the kinds that ``reference`` names; None, with a finding, where there is none."""
+        if not self.file(reference, path, suffixes):
+            return None
+        target = str(self.loaded.file(reference))
+        if target not in self.loaded.uses:
+            used = self._use(self.loaded.shown(reference), kinds)
+            if used is None:  # a document of another kind, which might even be this one
+                listed = " or ".join(f"`simfoundry: {kind}`" for kind in kinds)
+                self.add("SF006", path, f"`{reference}` is a document of another kind", f"it must start with {listed}")
+                return None
+            self.loaded.uses[target] = used
+        return self.loaded.uses[target]
+
+    def material(self, body: Body, path: Path_) -> None:
+        """Whether the material of a body is defined."""
+        if body.material is not None:
+            self.name(body.material, self.names("materials"), (*path, "material"), "material")
+
+    def mass(self, body: Body, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
+        """A body has a mass or a density, or else every piece of it is made of something with a density."""
+        if body.model_fields_set & {"mass", "density"}:  # given, if only without a value, which is a finding itself
+            return
+        if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
+            hint = "give `mass`, `density`, or a `material` with a density"
+            self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
+
+    def densities(self, materials: Mapping[str, Material]) -> None:
+        """Whether the densities of materials are plausible."""
+        for name, material in materials.items():
+            if material.density is not None:
+                self.plausible(name, material.density, ("materials", name, "density"))
+
+    def density(self, body: Body, path: Path_, solid: float | None) -> None:
+        """Whether the density that a body has, given or as its mass over the ``solid`` volume [m^3], is plausible."""
+        given, mass = quantity_value(body.density), quantity_value(body.mass)
+        if given is not None:
+            self.plausible(str(path[-1]), given, (*path, "density"))
+        elif mass is not None and solid:
+            self.plausible(str(path[-1]), mass / solid, (*path, "mass"))
+
+    def plausible(self, name: str, density: float, path: Path_) -> None:
+        """Whether a density [kg/m^3] is one that things have."""
+        hint = implausible(density)
+        if hint:
+            self.warn("SF402", path, f"`{name}` has a density of {density:.4g} kg/m^3", hint)
+
+    def unused(self, materials: Mapping[str, Material], used: Collection[str | None]) -> None:
+        """A warning for each material of which nothing is made."""
+        for name in materials if self.whole else ():
+            if name not in used:
+                self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")

@@ -1,0 +1,106 @@
+"""A page for each diagnostic code: what it means, how to mend it, what is wrong and what is right; as Markdown."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.spec.diagnostics import CODES
+
+FOLDER = Path(__file__).parent / "findings"
+
+GROUPS = {
+    "SF0": "Files and their text",
+    "SF1": "Keys and values",
+    "SF2": "Names, files and parts that belong together",
+    "SF3": "Meshes",
+    "SF4": "Lints: warnings, which can be silenced with a reason",
+    "SF5": "Captures",
+}
+"""Codes by how they start, in the order in which a document is read."""
+
+_CODE = re.compile(r"(?:(?:error|warning)?\[)?(?:sf)?([0-9]{1,3})\]?", re.IGNORECASE)
+_FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Snippet:
+    """A file that a page shows under one of its leads (`Wrong`, `Right`, `Beside it`)."""
+
+    lead: str
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Page:
+    """What there is to say about one code; ``body`` is Markdown without the title."""
+
+    code: str
+    title: str
+    body: str
+
+    @property
+    def markdown(self) -> str:
+        """The whole page."""
+        return f"# {self.code} {self.title}\n\n{self.body}"
+
+    @property
+    def snippets(self) -> list[Snippet]:
+        """The files that the page shows, in order; each is a complete document or mesh whose first line names it."""
+        leads = re.split(r"^\*\*([^*]+?)\.?\*\*", self.body, flags=re.MULTILINE)
+        return [
+            Snippet(lead, name, text)
+            for lead, part in zip(leads[1::2], leads[2::2], strict=True)
+            for _, name, text in _FENCE.findall(part)
+        ]
+
+
+def page(code: str) -> Page:
+    """The page of a code; raises ``FileNotFoundError`` where there is none."""
+    title, _, body = (FOLDER / f"{code}.md").read_text(encoding="utf-8").partition("\n\n")
+    return Page(code, title.removeprefix(f"# {code} "), body)
+
+
+def pages() -> list[Page]:
+    """Every page, by code."""
+    return [page(path.stem) for path in sorted(FOLDER.glob("SF*.md"))]
+
+
+def code_of(text: str) -> str | None:
+    """The code that a person means by ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None where there is none."""
+    match = _CODE.fullmatch(text.strip())
+    code = f"SF{int(match[1]):03}" if match else ""
+    return code if code in CODES else None
+
+
+def grouped() -> dict[str, list[str]]:
+    """The title of each group that has codes, with its codes."""
+    return {title: [c for c in sorted(CODES) if c.startswith(start)] for start, title in GROUPS.items()}
+
+
+_INTRODUCTION = """\
+# Findings
+
+<!-- Written by `make schemas` from simfoundry/spec/check/findings; edit those pages, not this one. -->
+
+Everything that SimFoundry can find in a document has a code that stays the same. Codes that start with `SF4` are
+warnings, and can be silenced with a reason; all others are errors. `simfoundry explain SF201` prints one of these
+pages, and [checking.md](checking.md) says how to check at each commit and on a server.
+"""
+
+
+def findings_page() -> str:
+    """``docs/findings.md``: every page in one, with a table of contents."""
+    lines = [_INTRODUCTION]
+    for title, codes in grouped().items():
+        lines += [f"{title}:\n", *(f"- [{c} {CODES[c]}](#{_slug(f'{c} {CODES[c]}')})" for c in codes), ""]
+    for found in pages():
+        lines += [f'<a id="{found.code.lower()}"></a>\n', f"## {found.code} {found.title}\n", found.body]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _slug(heading: str) -> str:
+    """The anchor that GitHub gives to a heading."""
+    return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")

@@ -1,0 +1,95 @@
+"""Tasks: the names of the scene that goals, starts and resets speak of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from simfoundry.spec.check.checker import Checker, Path_
+from simfoundry.spec.check.joints import check_joints
+from simfoundry.spec.check.names import SceneNames
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.task import Start, TaskSpec
+
+
+def check_task(c: Checker, spec: TaskSpec) -> None:
+    """Findings of a task."""
+    scene = c.use(spec.scene, ("scene",), ("scene/1",), (".scene.yaml", ".yaml"))
+    names = scene_names(scene)
+    _goal(c, names, spec.goal, ("goal",))
+    _start(c, names, spec.start, ("start",))
+    for name, subtask in spec.subtasks.items():
+        _goal(c, names, subtask.goal, ("subtasks", name, "goal"))
+        if subtask.start is not None:
+            _start(c, names, subtask.start, ("subtasks", name, "start"))
+    if names is None:
+        return
+    for k, robot in enumerate(spec.robots or ()):
+        c.name(robot, names.robots, ("robots", k), "robot")
+    for name in spec.reset.objects:
+        path = ("reset", "objects", name)
+        if c.name(name, names.objects, path, "object"):
+            _moves(c, names, name, path)
+
+
+def scene_names(scene: Loaded | None) -> SceneNames | None:
+    """What can be named in a scene; None where there is none to be read."""
+    if scene is None or scene.document is None or not isinstance(scene.document.data, dict):
+        return None
+    return SceneNames(scene, scene.spec if isinstance(scene.spec, SceneSpec) else None)
+
+
+def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
+    """The names in a goal; and that it asks for something, since what asks for nothing succeeds at once."""
+    from simfoundry.spec.models.expressions import parts, texts
+
+    if names is not None:
+        names.check_condition(c, goal, path)
+    empty = [at for at, (tag, below) in _groups(goal, path, parts) if tag in ("all", "any") and not below]
+    for at in empty or ([path] if not any(True for _ in texts(goal)) else []):
+        never = at[-1] == "any"
+        message = "a goal that lists nothing " + ("never succeeds" if never else "succeeds at once")
+        c.warn("SF404", at, message, "name what must hold, as `Inside(cup, bowl)`")
+
+
+def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
+    """Every group of a condition with the path of its list."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return []
+    found = [((*path, tag), (tag, below))]
+    for k, item in enumerate(below):
+        at = (*path, tag) if tag == "not" else (*path, tag, k)
+        found += _groups(item, at, parts)
+    return found
+
+
+def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> None:
+    if names is None:
+        return
+    for name, place in start.place.items():
+        if c.name(name, names.objects, (*path, "place", name), "object"):
+            _moves(c, names, name, (*path, "place", name))
+            names.check_place(c, name, place, (*path, "place", name))
+    for name in start.pose:
+        if c.name(name, names.objects, (*path, "pose", name), "object"):
+            _moves(c, names, name, (*path, "pose", name))
+    for name, positions in start.joints.items():
+        place_of = (*path, "joints", name)
+        if not c.name(name, names.objects, place_of, "object"):
+            continue
+        asset = names.asset(name)
+        if asset is not None:
+            check_joints(c, asset, positions, place_of, resting=False)
+        elif names.is_known(name):
+            c.add("SF201", place_of, f"`{name}` has no joints")
+    names.check_order(c, start.place, {name: (*path, "place", name) for name in start.place})
+
+
+def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
+    """What is welded to the world cannot start elsewhere."""
+    item = names.spec.objects.get(name) if names.spec is not None else None
+    if item is not None and item.fixed:
+        message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"
+        c.add("SF107", path, message, "take it out here, or take `fixed` out there")

@@ -1,1 +1,0 @@
-"""What types cannot say of each kind of document: names, files, and what is plausible."""

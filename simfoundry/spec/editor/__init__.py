@@ -1,0 +1,1 @@
+"""Help for writing documents: JSON Schemas, snippets, starting files and the reference."""

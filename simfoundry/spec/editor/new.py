@@ -1,0 +1,232 @@
+"""Starting files: a valid document of each kind that teaches its keys."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from simfoundry.spec.change.format import format_text, schema_line
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.load import load
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.base import SphereShape
+from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.project import NoProjectError, common_project, markers
+from simfoundry.spec.yaml.text import parse
+from simfoundry.spec.yaml.write import number
+
+WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
+"""The kinds as people say them: ``scene``."""
+
+REGION = 0.05
+"""Half the width of the region [m] in which an object starts, around where it stands in the scene."""
+
+
+class NewError(Exception):
+    """Why no file can be made, in one sentence."""
+
+
+@dataclass(frozen=True)
+class New:
+    """A file to write, and what its project gets with it where it lacks them: schemas for editors, and its marker."""
+
+    path: Path
+    text: str
+    schemas: dict[Path, str]
+    marker: dict[Path, str]
+
+
+def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
+    """Kind and path from what was typed: ``desk.scene.yaml``, or ``scene desk``, where the kind completes the path."""
+    *before, last = words
+    path = Path(last)
+    by_name = next((kind for kind in WORDS if path.name.endswith(f".{kind}.yaml")), None)
+    by_name = "capture" if path.name == "capture.yaml" else by_name
+    if len(before) > 1 or (before and before[0] not in WORDS):
+        raise NewError(f"give a kind and a path, as `scene desk.scene.yaml`; the kinds are {', '.join(WORDS)}")
+    if not before:
+        if last in WORDS:
+            raise NewError(f"say how the {last} is called, as `new {last} desk` for {_file(last)}")
+        if by_name is None:
+            raise NewError(f"`{last}` does not say its kind; end it with .scene.yaml, or say `new scene {last}`")
+        return by_name, path
+    if by_name is None and path.suffix not in (".yaml", ".yml"):
+        return before[0], path / "capture.yaml" if before[0] == "capture" else Path(f"{path}.{before[0]}.yaml")
+    if by_name != before[0]:
+        raise NewError(f"a {before[0]} is not kept in `{path.name}`; end it with .{before[0]}.yaml")
+    return by_name, path
+
+
+def _file(kind: str) -> str:
+    return "desk/capture.yaml" if kind == "capture" else f"desk.{kind}.yaml"
+
+
+def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
+    """A starting file; raises :class:`NewError` where there can be none, :class:`SpecError` where a source is wrong."""
+    try:
+        project = common_project(path, *(named for named in (source, extends) if named is not None))
+    except NoProjectError as error:
+        raise NewError(str(error)) from None
+    values = {"name": _name(path, name), "source": _comment(path.name), "kind": kind}
+    if extends is not None:
+        template, more = "overlay", _overlay(kind, path, extends, project.root)
+    elif kind == "task":
+        template, more = kind, _task(path, source, project.root)
+    elif kind == "cousins":
+        template, more = kind, _cousins(path, source, project.root)
+    else:
+        if source is not None:
+            raise NewError(f"`--from` is for tasks and recipes; a {kind} that changes another is made with `--extends`")
+        template, more = kind, {}
+    text = (files("simfoundry.spec.editor") / "templates" / f"{template}.txt").read_text(encoding="utf-8")
+    text = format_text(Template(text).substitute(values | more), str(path))
+    line, schemas = schema_line(path, parse(text), project.root), dict[Path, str]()
+    if line is None:
+        from simfoundry.spec.editor.schema import schemas as texts
+
+        folder = project.root / ".simfoundry" / "schemas"
+        schemas = {folder / file: content for file, content in texts().items()}
+        line = _relative(folder / f"{kind}.schema.json", path)
+    return New(path, format_text(text, str(path), line), schemas, markers(project))
+
+
+def _name(path: Path, name: str | None) -> str:
+    """What a document is called: as asked, or as its file (a capture: as its folder)."""
+    if name is not None:
+        if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
+            message = "a name is lower-case letters, digits and `_`, and starts with a letter"
+            raise NewError(f"`{name}` cannot be a name: {message}")
+        return name
+    stem = path.resolve().parent.name if path.name == "capture.yaml" else path.name.partition(".")[0]
+    plain = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")[:64]
+    if not plain or not plain[0].isalpha():
+        raise NewError(f"no name can be made of `{stem}`; give one with --name")
+    return plain
+
+
+def _relative(target: Path, path: Path) -> str:
+    return Path(os.path.relpath(target.resolve(), path.resolve().parent)).as_posix()
+
+
+def _named(source: Path, path: Path) -> dict[str, str]:
+    """The path of another document, as a value and for a comment."""
+    relative = _relative(source, path)
+    return {"quoted": json.dumps(relative), "source": _comment(relative)}
+
+
+def _comment(text: str) -> str:
+    """A text that does not end a comment."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
+    """The document that another is made from: the one that was named, or the only one beside it."""
+    if source is None:
+        folder = path.parent
+        beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
+        if len(beside) != 1:
+            found = "there are several" if beside else "there is none"
+            raise NewError(f"say with --from which scene it is about; {found} in {folder.resolve().name}/")
+        source = beside[0]
+    loaded = load(source, root)
+    if loaded.errors:
+        raise SpecError(loaded.errors)
+    return loaded
+
+
+def _scene(loaded: Loaded) -> SceneSpec:
+    """The scene that a document is, or is about."""
+    spec = loaded.spec
+    if isinstance(spec, TaskSpec):
+        used = loaded.used(spec.scene)
+        spec = used.spec if used is not None else None
+    if not isinstance(spec, SceneSpec):
+        message = "expected a scene, or a task in one"
+        raise SpecError([Diagnostic("SF006", Severity.ERROR, message, str(loaded.path), 1, 1, "simfoundry")])
+    return spec
+
+
+def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
+    """The objects that can move."""
+    free = {name: item for name, item in _scene(loaded).objects.items() if not item.fixed}
+    if not free:
+        raise NewError(f"nothing in {loaded.path.name} can move: every object is fixed")
+    return free
+
+
+def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
+    """Put the first thing that carries nothing and does not roll on another such; where there is none, lift it."""
+    loaded = _source(path, source, (".scene.yaml",), root)
+    free = _free(loaded)
+    carriers = {_carrier(item) for item in free.values()}
+    rolling = [name for name, item in free.items() if isinstance(item.shape, SphereShape)]
+    thing, *after = sorted(free, key=lambda name: (name in carriers, name in rolling))  # stable: else as written
+    others = [name for name in after if name not in (_carrier(free[thing]), *rolling)]
+    goal = f"OnTop({thing}, {others[0]})" if others else f"Lifted({thing})"
+    said = f"Put the {_said(thing)} on the {_said(others[0])}." if others else f"Lift the {_said(thing)}."
+    regions = [(name, _where(item)) for name, item in free.items() if name in (thing, *others[:1])]
+    lines = [f"    {name}: {_region(*where)}" for name, where in regions if where is not None]
+    ranges = "ranges of x and y in the world [m], and of the turn about z"
+    reset = ["  objects:", f"    # {ranges}", *lines]
+    if not lines:
+        reset = [f"  # {ranges}:", f"  # objects: {{{thing}: {_region(0.45, 0)}}}"]
+    return {
+        **_named(loaded.path, path),
+        "thing": thing,
+        "goal": goal,
+        "step": f"{thing}_on_{others[0]}" if others else f"lift_{thing}",
+        "instruction": said,
+        "reset": "\n".join(reset),
+    }
+
+
+def _carrier(item: ObjectSpec) -> str:
+    """The object that another stands on or lies in, as far as its document says so."""
+    return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
+
+
+def _said(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _where(item: ObjectSpec) -> tuple[float, float] | None:
+    """Where an object stands in the world [m], as far as its document says so."""
+    return (item.pose.xyz[0], item.pose.xyz[1]) if item.place is None else item.place.xy
+
+
+def _region(x: float, y: float) -> str:
+    ends = [[number(v - REGION), number(v + REGION)] for v in (x, y)]
+    return f"{{x: [{', '.join(ends[0])}], y: [{', '.join(ends[1])}], yaw_deg: [-180, 180]}}"
+
+
+def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
+    """Move the first thing that can move around another, or around what is fixed."""
+    loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
+    thing, *others = _free(loaded)
+    anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
+    if not anchors:
+        raise NewError(f"{loaded.path.name} has one object only, so nothing can be placed around another")
+    return {**_named(loaded.path, path), "thing": thing, "anchor": anchors[0]}
+
+
+def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
+    """A change of the first thing that can move: it is turned."""
+    loaded = load(base, root)
+    if loaded.errors:
+        raise SpecError(loaded.errors)
+    if getattr(loaded.spec, "simfoundry", None) != f"{kind}/1":
+        raise NewError(f"a {kind} extends another {kind}, and {base} is none")
+    lines: list[str] = []
+    if isinstance(loaded.spec, SceneSpec):
+        free = {name: item for name, item in loaded.spec.objects.items() if not item.fixed}
+        for name, item in list(free.items())[:1]:
+            key = "pose" if item.place is None else "place"
+            lines = ["", "objects:", f"  {name}:", f"    {key}: {{yaw_deg: 45}}  # turned; the rest is as it was"]
+    return {**_named(base, path), "objects": "\n".join(lines)}

@@ -1,0 +1,326 @@
+"""JSON Schemas of the documents, for editors: what they complete, what they show and what they underline.
+
+They are the schemas of the models, rewritten for what a person sees. Alternatives (a number, or a mapping with a range)
+are joined into one schema wherever their types differ, so that a slip is reported where it is and not as "no match". A
+key carries its words with its unit, and a first value to fill in. ``null`` stands in overlays only, where it removes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+from simfoundry.spec.editor.overlays import OVERLAY, loose
+from simfoundry.spec.editor.snippets import CHOICES, FIRST, MEMBERS, NAMES, WORDS, Body, predicates, robots
+from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
+from simfoundry.spec.yaml.write import number
+
+Schema = dict[str, Any]
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+UNIONS = {
+    "Shape": {"BoxShape", "SphereShape", "CylinderShape", "CapsuleShape", "PrismShape", "LatheShape"},
+    "Condition": {"AllOf", "AnyOf", "NoneOf"},
+    "Quantity": {"Estimate"},
+    "JointPosition": {"Degrees"},
+    "RobotModel": {"RobotFiles"},
+}
+"""Alternatives that are joined into one part, by the models among them."""
+
+FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
+"""In braces, plain YAML splits ``goal: OnTop(cup, desk)`` at its comma: the rest of the text arrives as a key."""
+
+
+def _predicate_pattern() -> str:
+    """The pattern of a predicate, or what plain YAML makes of one in brackets: its start or its end."""
+    aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
+    return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
+
+
+LISTED = "Listed"
+"""The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
+
+
+FOR_EDITORS = ("defaultSnippets", "enumDescriptions", "markdownDescription", "patternErrorMessage")
+"""Keywords that editors have added to JSON Schema; a strict validator, as ajv, refuses a schema with such."""
+
+_BY_NAME = ("$defs", "patternProperties", "properties")
+"""Keywords whose value is a mapping by names, which may be called like a keyword."""
+
+
+def schemas(standard: bool = False) -> dict[str, str]:
+    """File name to text of every schema, as checked in below ``schemas/``; ``standard`` without words for editors."""
+    return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
+
+
+def without_editor_words(part: Any) -> Any:
+    """The same schema in the keywords of the standard; it accepts the same documents."""
+    if isinstance(part, list):
+        return [without_editor_words(item) for item in part]
+    if not isinstance(part, dict):
+        return part
+    return {
+        key: {name: without_editor_words(inner) for name, inner in value.items()}
+        if key in _BY_NAME
+        else without_editor_words(value)
+        for key, value in part.items()
+        if key not in FOR_EDITORS
+    }
+
+
+def schema(kind: str) -> Schema:
+    """The JSON Schema of one kind of document, as ``scene/1``.
+
+    A document that extends another is held against a looser copy: nothing is required, and null removes.
+    """
+    parts = _Parts(model_of(kind).model_json_schema()).all()
+    overlay = {f"{OVERLAY}{name}": loose(part) for name, part in parts.items()}
+    overlay[f"{OVERLAY}Document"]["properties"] |= {
+        key: parts["Document"]["properties"][key] for key in ("simfoundry", "extends")
+    }
+    extends = {"title": "extends", "type": "string"}
+    return {
+        "$schema": DIALECT,
+        "$id": f"simfoundry/{kind}",
+        "title": f"SimFoundry {kind}",
+        "description": parts["Document"]["description"],
+        "$defs": {**parts, **overlay},
+        "if": {"type": "object", "required": ["extends"], "properties": {"extends": extends}},
+        "then": {"$ref": f"#/$defs/{OVERLAY}Document"},
+        "else": {"$ref": "#/$defs/Document"},
+    }
+
+
+@dataclass
+class _Parts:
+    """The parts of a model's own schema, rewritten."""
+
+    raw: Schema
+    joined: dict[str, Schema] = field(default_factory=dict)
+
+    def all(self) -> dict[str, Schema]:
+        """Every part by name; the document itself is ``Document``."""
+        models = {**self.raw["$defs"], "Document": {k: v for k, v in self.raw.items() if k != "$defs"}}
+        apart = set().union(*UNIONS.values())
+        owners = {"Document": self.raw["title"]}
+        parts = {n: self.model(owners.get(n, n), body) for n, body in models.items() if n not in apart}
+        parts["Document"] |= {
+            "title": self.raw["title"].removesuffix("Spec").lower(),
+            "description": self.raw["description"],
+        }
+        return dict(sorted((parts | self.joined).items()))
+
+    def model(self, owner: str, body: Schema) -> Schema:
+        """A mapping of known keys; the key of the kind comes first."""
+        keys = sorted(body["properties"], key=lambda key: key != "simfoundry")
+        properties = {key: self.key(owner, key, body["properties"][key]) for key in keys}
+        required = sorted(body.get("required", ()), key=keys.index)
+        whole = {
+            "$comment": body["description"],
+            "type": "object",
+            "properties": properties,
+            **({"required": required} if required else {}),
+            "additionalProperties": False,
+        }
+        return whole | _fragments(properties)
+
+    def key(self, owner: str, key: str, body: Schema) -> Schema:
+        """The value of a key with its words and a first value."""
+        core, text = self.core(body), self.text(owner, key, body)
+        default = body.get("default")
+        if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
+            text = f"{text.rstrip('.')}; default: {_plain(default)}."
+        words = _words(key, text)
+        if "enum" in core or "const" in core:
+            return words | core
+        first = FIRST.get(f"{owner}.{key}", FIRST.get(key))
+        if isinstance(default, int | float | str | list) and default != []:
+            first = _holes(default)
+        return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
+
+    def text(self, owner: str, key: str, body: Schema) -> str:
+        """What is said of a key; the models leave it out where it is what they say of its value."""
+        said = body.get("description") or WORDS.get(f"{owner}.{key}")
+        return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
+
+    def core(self, body: Schema) -> Schema:
+        """What may stand at a place, without words."""
+        options = _options(body)
+        if len(options) > 1:
+            named = {option["$ref"].rpartition("/")[2] for option in options if "$ref" in option}
+            union = next((name for name, models in UNIONS.items() if named == models), None)
+            if union is None:
+                return self.join(options)
+            if union not in self.joined:
+                self.joined[union] = {}  # a condition holds conditions
+                self.joined[union] = self.join(options) | _special(union)
+            return {"$ref": f"#/$defs/{union}"}
+        (body,) = options
+        if "$ref" in body:
+            return {"$ref": body["$ref"]}
+        if "patternProperties" in body:
+            ((pattern, value),) = body["patternProperties"].items()
+            title, text = NAMES[pattern]
+            keys = {
+                "title": title,
+                "description": _sentence(text),
+                **_pattern(pattern),
+                **body.get("propertyNames", {}),
+            }
+            bounds = {key: body[key] for key in ("minProperties",) if key in body}
+            return {"type": "object", "propertyNames": keys, "additionalProperties": self.member(value), **bounds}
+        if isinstance(body.get("additionalProperties"), dict):
+            return {"type": "object", "additionalProperties": self.member(body["additionalProperties"])}
+        plain = {k: v for k, v in body.items() if k not in ("title", "description", "default")}
+        if "prefixItems" in plain:
+            items = [self.core(item) for item in plain.pop("prefixItems")]
+            return plain | ({"items": items[0]} if all(i == items[0] for i in items) else {"prefixItems": items})
+        if "items" in plain:
+            return plain | {"items": self.item(plain["items"])}
+        if plain.get("type") == "boolean":
+            plain = {"enum": [False, True]}
+        if "enum" in plain:
+            return plain | {"enumDescriptions": list(CHOICES[tuple(plain["enum"])])}
+        return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
+
+    def item(self, body: Schema) -> Schema:
+        """What may stand in a list."""
+        core = self.core(body)
+        if core == {"type": "string"}:  # the only texts of free form in lists are relations
+            return {"type": ["string", "number"], **_special("Condition")}
+        if core == {"$ref": "#/$defs/Condition"}:
+            if LISTED not in self.joined:
+                self.joined[LISTED] = {}
+                joined = self.join(_options(body)) | _special("Condition")
+                self.joined[LISTED] = joined | {"type": ["string", "number", "object"]}
+            return {"$ref": f"#/$defs/{LISTED}"}
+        return core
+
+    def member(self, body: Schema) -> Schema:
+        """What may stand at a name of one's own choice."""
+        core = self.core(body)
+        model = core.get("$ref", "").rpartition("/")[2]
+        described = self.raw["$defs"].get(model, {}).get("description", "")
+        if not described:
+            return core
+        words = _words(_title(model), described)
+        if model not in MEMBERS:
+            return words | {"allOf": [core]}
+        return words | _snippet(MEMBERS[model], described) | {"allOf": [core]}
+
+    def join(self, options: list[Schema]) -> Schema:
+        """Alternatives as one schema: each keyword speaks of one type of value only."""
+        out: Schema = {}
+        types: list[str] = []
+        models = [o["$ref"].rpartition("/")[2] for o in options if "$ref" in o]
+        for option in options:
+            core = self.core(option) if "$ref" not in option else {"type": "object"}
+            kind = core.pop("type")
+            types += [kind] if kind not in types else []
+            if "const" in core:
+                core = {"pattern": f"^{core['const']}$", "patternErrorMessage": f"expected `{core['const']}`"}
+            bounds = {"minItems": min, "maxItems": max}
+            out |= {k: bounds[k](out[k], v) if k in bounds and k in out else v for k, v in core.items()}
+        if models:
+            out |= self.join_models(models)
+        return {"type": types if len(types) > 1 else types[0], **out}
+
+    def join_models(self, names: list[str]) -> Schema:
+        """Models of which one may stand here; several become a mapping with keys of any of them."""
+        bodies = [self.raw["$defs"][name] for name in names]
+        if len(names) == 1:
+            whole = self.model(names[0], bodies[0])
+            return {k: v for k, v in whole.items() if k not in ("$comment", "type")}
+        properties = {}
+        for name, body in zip(names, bodies, strict=True):
+            alone = len(body["properties"]) == 1
+            for key, value in body["properties"].items():
+                text = self.text(name, key, value)
+                text = f"{body['description']} {text}" if alone else text
+                properties[key] = self.key(name, key, value | {"description": text})
+        return {"properties": properties, "additionalProperties": False, "minProperties": 1} | _fragments(properties)
+
+
+def _options(body: Schema) -> list[Schema]:
+    """The alternatives of a value, flat and without null."""
+    for key in ("anyOf", "oneOf"):
+        if key in body:
+            return [inner for option in body[key] for inner in _options(option)]
+    return [] if body == {"type": "null"} else [body]
+
+
+def _special(union: str) -> Schema:
+    """What the words of a model cannot say about alternatives."""
+    if union == "Condition":
+        message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
+        return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
+    if union == "Shape":  # apart from its keys, because an editor offers none of them where one is the most
+        return {"allOf": [{"maxProperties": 1}]}
+    return {"defaultSnippets": robots()} if union == "RobotModel" else {}
+
+
+def _pattern(pattern: str) -> Schema:
+    return {"pattern": pattern, "patternErrorMessage": NAMES[pattern][1]}
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _fragments(properties: Schema) -> Schema:
+    """Leave for the rest of a text with commas, where texts of any form may stand."""
+    cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
+    free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
+    conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
+    return {"patternProperties": {FRAGMENT: {"type": "null"}}} if free or conditions else {}
+
+
+def _words(title: str, text: str) -> Schema:
+    """Title and description; as Markdown too where an editor would show signs of Markdown as they are."""
+    markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
+    return {"title": title, "description": text, **markdown}
+
+
+def _title(model: str) -> str:
+    """``CameraSpec`` is called ``camera``, ``DepthImage`` ``depth image``."""
+    return " ".join(re.findall(r"[A-Z][a-z]+", model.removesuffix("Spec"))).lower()
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(_plain(item) for item in value)}]"
+    return number(value) if isinstance(value, int | float) else str(value)
+
+
+def _holes(value: Any) -> str:
+    """A value as a snippet in which each number and each word can be filled in."""
+    if isinstance(value, list):
+        return f"[{', '.join(f'${{{k}:{_plain(item)}}}' for k, item in enumerate(value, 1))}]"
+    return f"${{1:{_plain(value)}}}"
+
+
+def _snippet(body: Body, text: str) -> Schema:
+    """A first value for an editor to offer, shown on one line without its holes."""
+    label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
+    return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
+
+
+def _flow(body: Body) -> str:
+    match body:
+        case dict():
+            return "{" + ", ".join(f"{key}: {_flow(value)}" for key, value in body.items()) + "}"
+        case list():
+            return f"[{', '.join(map(_flow, body))}]"
+    return body
+
+
+@cache
+def _text(kind: str, standard: bool) -> str:
+    whole = without_editor_words(schema(kind)) if standard else schema(kind)
+    return json.dumps(whole, indent=2, ensure_ascii=False) + "\n"

@@ -1,0 +1,209 @@
+"""``asset/1``: a thing with parts, links and joints, used by scenes."""
+
+import math
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import (
+    Body,
+    Color,
+    DocumentSpec,
+    FileName,
+    Material,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Origin,
+    Point3,
+    Pose,
+    Positive,
+    Shape,
+    Vec3,
+    exclusive,
+)
+
+
+class Part(Model):
+    """One piece of a link: a shape or a mesh, posed in the link."""
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    pose: Pose = Field(Pose(), description="Pose in the link's frame.")
+    material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
+    color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
+    use: Literal["both", "visual", "collision"] = Field(
+        "both",
+        description="`visual` is only seen: nothing touches it and it weighs nothing; `collision` touches and weighs, "
+        "and is not seen.",
+    )
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> Self:
+        exclusive(self, "shape", "mesh", needed=True)
+        if self.mesh is None and self.scale != 1.0:
+            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
+        return self
+
+
+class Inertial(Model):
+    """A measured inertia, which replaces the one computed from the parts."""
+
+    com: Point3 = Field((0.0, 0.0, 0.0), description="Centre of mass in the link's frame [m].")
+    inertia: tuple[Number, Number, Number, Number, Number, Number] | None = Field(
+        None,
+        description="ixx, iyy, izz, ixy, ixz, iyz about the centre of mass, in link axes [kg m^2]; default: that of "
+        "the parts about their own.",
+    )
+
+    @model_validator(mode="after")
+    def _of_a_body(self) -> Self:
+        if self.inertia is not None and not _is_of_a_body(self.inertia):
+            message = (
+                "no body has this inertia: its principal moments must be positive, and none above the sum of the rest"
+            )
+            raise PydanticCustomError("sf104", "{message}", {"message": message, "at": "inertia"})
+        return self
+
+
+ROUNDING = 1e-6
+"""Share by which a principal moment may exceed the sum of the other two: files give six digits."""
+
+
+def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
+    """Whether the tensor is positive definite and its principal moments keep the triangle inequality."""
+    trace = sum(inertia[:3])
+    if not 0 < trace < math.inf:
+        return False
+    xx, yy, zz, xy, xz, yz = (value / trace for value in inertia)
+    # With a trace of 1, c <= (1 - c) (1 + ROUNDING) holds for the greatest moment c where c < most.
+    most = (1 + ROUNDING) / (2 + ROUNDING)
+    return _is_positive(xx, yy, zz, xy, xz, yz) and _is_positive(most - xx, most - yy, most - zz, -xy, -xz, -yz)
+
+
+def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
+    """Whether a symmetric tensor is positive definite: whether its leading minors are positive (Sylvester)."""
+    minor = xx * yy - xy * xy
+    return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
+
+
+class LinkSpec(Body):
+    """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
+
+    parts: dict[Name, Part] = Field({}, description="The pieces it is made of, by name.")
+    inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
+
+    @model_validator(mode="after")
+    def _mass(self) -> Self:
+        exclusive(self, "mass", "density")
+        if self.inertial is not None and self.mass is None:
+            raise PydanticCustomError("sf107", "`inertial` needs `mass` beside it", {"at": "inertial"})
+        if all(part.use == "visual" for part in self.parts.values()) and not self.weighed:
+            raise PydanticCustomError("sf107", "a link that touches nothing needs `mass` and `inertial.inertia`", {})
+        return self
+
+    @property
+    def weighed(self) -> bool:
+        """Whether its mass, centre of mass and inertia are given, so that its parts need not weigh anything."""
+        return self.inertial is not None and self.inertial.inertia is not None
+
+
+JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "free"]
+
+
+class Mimic(Model):
+    """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
+
+    joint: Name = Field(description="The joint that it follows.")
+    multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
+    offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
+
+
+class Drive(Model):
+    """A motor that holds a position like a spring, or resists motion, up to a force.
+
+    Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
+    """
+
+    stiffness: NonNegative = Field(0.0, description="Force for a unit of deviation [N/m, or N m/rad].")
+    damping: NonNegative = Field(0.0, description="Force against a unit of velocity [N s/m, or N m s/rad].")
+    target: Number | None = Field(None, description="Where it holds the joint [m, or rad]; default: where it starts.")
+    force_limit: Positive | None = Field(None, description="The greatest force that it exerts [N, or N m].")
+
+    @model_validator(mode="after")
+    def _acts(self) -> Self:
+        if self.stiffness == 0 and self.damping == 0:
+            raise PydanticCustomError("sf107", "a drive needs `stiffness` or `damping`", {})
+        return self
+
+
+class JointSpec(Model):
+    """A joint between two links; it acts at the origin of the child's frame."""
+
+    type: JointKind = Field(description="How the child moves in the parent.")
+    parent: Name = Field(description="The link that carries.")
+    child: Name = Field(description="The link that moves.")
+    pose: Pose = Field(Pose(), description="Pose of the child's frame in the parent's at position zero.")
+    axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
+    limits: tuple[Number, Number] | None = Field(
+        None, description="Lowest and highest position of a prismatic joint [m]."
+    )
+    limits_deg: tuple[Number, Number] | None = Field(
+        None, description="Lowest and highest position of a revolute joint [deg]."
+    )
+    closed: Literal["lower", "upper"] | None = Field(
+        None,
+        description="The limit at which `Open` and `Closed` take it for closed; default: zero, or the limit nearest "
+        "to zero.",
+    )
+    damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
+    friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
+    armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
+    mimic: Mimic | None = Field(None, description="Another joint that it follows.")
+    drive: Drive | None = Field(None, description="A motor in it.")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.type == "prismatic" and self.limits is None:
+            raise PydanticCustomError("sf107", "a prismatic joint needs `limits`, in metres")
+        if self.type == "revolute" and self.limits_deg is None:
+            raise PydanticCustomError("sf107", "a revolute joint needs `limits_deg`; without limits it is `continuous`")
+        for given, name, kind in ((self.limits, "limits", "prismatic"), (self.limits_deg, "limits_deg", "revolute")):
+            if given is not None and self.type != kind:
+                message = f"`{name}` belong to {kind} joints, and this one is {self.type}"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+            if given is not None and given[0] >= given[1]:
+                raise PydanticCustomError("sf104", "the lower limit must lie below the upper one", {"at": name})
+        if sum(v * v for v in self.axis) < 1e-12:
+            raise PydanticCustomError("sf104", "`axis` must not be zero", {"at": "axis"})
+        for name in ("damping", "friction", "armature") if self.type == "free" else ():
+            if getattr(self, name):
+                message = f"`{name}` has no effect: a free joint holds nothing"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+        if self.closed is not None and self.type not in ("revolute", "prismatic"):
+            message = f"`closed` names a limit, and a {self.type} joint has none"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "closed"})
+        for name in ("mimic", "drive"):
+            if getattr(self, name) is not None and self.type not in ("revolute", "prismatic", "continuous"):
+                message = f"`{name}` belongs to joints with one axis, and this one is {self.type}"
+                raise PydanticCustomError("sf107", "{message}", {"message": message, "at": name})
+        return self
+
+
+class AssetSpec(DocumentSpec):
+    """A reusable object of one or more links."""
+
+    simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
+    category: Name | None = Field(None, description="What it is, as `drawer_cabinet`.")
+    materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
+    links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
+    joints: dict[Name, JointSpec] = Field({}, description="What connects them, by name.")
+    no_contact: tuple[tuple[Name, Name], ...] = Field(
+        (),
+        max_length=1000,
+        description="Pairs of links that pass through each other, besides those that a joint connects.",
+    )
+    origin: Origin | None = Field(None, description="Where it comes from.")

@@ -1,0 +1,64 @@
+"""``capture/1``: the pictures of a real scene and the camera that took them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Pose, Positive
+
+
+class Intrinsics(Model):
+    """Intrinsics of a pinhole camera without distortion [px]."""
+
+    fx: Positive = Field(description="Focal length in x [px].")
+    fy: Positive = Field(description="Focal length in y [px].")
+    cx: Number = Field(description="Principal point in x [px].")
+    cy: Number = Field(description="Principal point in y [px].")
+
+
+class DepthImage(Model):
+    """A depth picture: 16-bit PNG, TIFF or NumPy array; the value is the distance along the optical axis."""
+
+    image: FileName = Field(description="File, relative to this document.")
+    scale: Positive = Field(0.001, description="Metres of one unit of the picture; 0.001 where it is in millimetres.")
+    invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
+    camera: Intrinsics | None = Field(None, description="The depth camera, where it is not the colour camera.")
+    pose: Pose | None = Field(
+        None, description="Pose of the depth camera in the colour camera's frame (x right, y down, z forward)."
+    )
+
+    @model_validator(mode="after")
+    def _both(self) -> Self:
+        if (self.camera is None) != (self.pose is None):
+            raise PydanticCustomError("sf107", "`camera` and `pose` of a depth camera go together")
+        return self
+
+
+class Masks(Model):
+    """Instance masks: a picture in which each object has a number of its own."""
+
+    image: FileName = Field(description="File, relative to this document; as large as the colour picture.")
+    background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that are no object.")
+    names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Names of objects by their number.")
+
+
+class Shot(Model):
+    """One picture: colour, depth, the camera, and masks where there are some."""
+
+    color: FileName = Field(description="Colour picture, relative to this document.")
+    depth: DepthImage
+    camera: Intrinsics = Field(description="The colour camera.")
+    masks: Masks | None = Field(None, description="Instance masks.")
+
+
+class CaptureSpec(DocumentSpec):
+    """A capture of a real scene."""
+
+    simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
+    frames: dict[Name, Shot] = Field(
+        min_length=1, description="Pictures by name; the first is reconstructed by default."
+    )
+    truth: FileName | None = Field(None, description="A scene that says what is really there.")

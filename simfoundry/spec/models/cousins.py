@@ -1,0 +1,150 @@
+"""``cousins/1``: a recipe for variants of a scene that keep what can be done in it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, NonNegative, Number, Positive
+
+Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
+Source = Literal["procedural", "library", "model"]
+Engine = Literal["mujoco", "pybullet"]
+Change = Literal["geometry", "topology", "appearance"]
+Count = Annotated[int, Field(ge=0, le=1000)]
+Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
+ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
+
+
+class Between(Model):
+    """A range; an end that is left out is open."""
+
+    least: NonNegative | None = Field(None, description="The least.")
+    most: Positive | None = Field(None, description="The most.")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.least is not None and self.most is not None and self.least > self.most:
+            raise PydanticCustomError("sf104", "`least` lies above `most`", {"at": "least"})
+        return self
+
+
+class SceneAxis(Model):
+    """Other layouts: objects are placed anew around an anchor, which stays."""
+
+    anchor: Name | None = Field(
+        None, description="The object that stays; default: the one that the task's goal is about."
+    )
+    objects: dict[Name, tuple[Side, ...]] = Field(
+        min_length=1, description="The objects that move, each with the predicates it may have to the anchor."
+    )
+    together: Annotated[int, Field(ge=1, le=3)] = Field(1, description="How many predicates hold at once.")
+    gap: tuple[NonNegative, NonNegative] = Field(
+        (0.02, 0.2), description="Least and greatest free space between an object and the anchor [m]."
+    )
+    yaw_deg: tuple[Number, Number] = Field((-180.0, 180.0), description="Lowest and highest turn about z [deg].")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("gap", "yaw_deg"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise PydanticCustomError("sf104", "the lower end must not lie above the upper one", {"at": name})
+        return self
+
+
+class ObjectVariants(Model):
+    """Other things in the place of an object, which can do the same."""
+
+    sources: tuple[Source, ...] = Field(
+        ("procedural",), min_length=1, description="Where they come from: rules, a library of meshes, or models."
+    )
+    changes: tuple[Change, ...] = Field(
+        ("geometry", "appearance"), min_length=1, description="What may differ: shape, parts, or colour and material."
+    )
+    components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all of them.")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="How many variants.")
+
+
+class ObjectModels(Model):
+    """Who makes the variants whose source is `model`; addresses and keys are in the environment."""
+
+    vlm: ModelName | None = Field(
+        None,
+        description="The vision-language model that names parts, proposes changes and judges pictures, as "
+        "`openai:gpt-5`; default: that of `--vlm`.",
+    )
+    images: ModelName | None = Field(
+        None, description="The model that edits pictures, as its server calls it; default: the environment's."
+    )
+    meshes: Literal["hunyuan3d"] = Field(
+        "hunyuan3d", description="Whose interface the server speaks that makes a mesh of a picture."
+    )
+    texture: bool = Field(True, description="Whether the meshes are painted, which not every such server can.")
+
+
+class ObjectAxis(Model):
+    """Other objects in the same layout."""
+
+    objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
+    library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
+    models: ObjectModels = Field(ObjectModels(), description="Who makes variants where a source is `model`.")
+
+
+class DistractorAxis(Model):
+    """Things beside the task: taken from a library, placed without collision."""
+
+    count: tuple[Count, Count] = Field((1, 4), description="Fewest and most of them in a scene.")
+    library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
+    shipped: bool = Field(True, description="Whether to choose from the assets that come with the project, too.")
+    categories: tuple[Name, ...] = Field(
+        (), description="Categories to choose from; default: every one that nothing in the twin has."
+    )
+    without: tuple[Name, ...] = Field((), description="Categories to leave out.")
+    mass: Between = Field(Between(), description="Mass [kg].")
+    volume: Between = Field(Between(), description="Volume [m^3].")
+    density: Between = Field(Between(), description="Density [kg/m^3].")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.count[0] > self.count[1]:
+            raise PydanticCustomError("sf104", "the fewest are more than the most", {"at": "count"})
+        if self.library is None and not self.shipped:
+            raise PydanticCustomError("sf107", "without what is shipped a `library` is needed", {"at": "shipped"})
+        return self
+
+
+class TaskAxis(Model):
+    """Other tasks in the same scene."""
+
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="How many tasks.")
+    proposals: Literal["affordances", "model"] = Field(
+        "affordances", description="Enumerated from what the objects afford, or proposed by a vision-language model."
+    )
+    objects: tuple[Name, ...] = Field(
+        (), description="Objects that the tasks may be about; default: all that are free."
+    )
+    engines: tuple[Engine, ...] = Field(
+        ("mujoco",), min_length=1, description="Engines in which what a task asks for lasts once it is done."
+    )
+
+
+class CousinsSpec(DocumentSpec):
+    """A recipe: the twin, which axes vary, and how many variants; the same recipe and seed give the same variants."""
+
+    simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
+    twin: FileName = Field(description="The scene or task to vary, relative to this document.")
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="How many variants.")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="What the random choices start from.")
+    scene: SceneAxis | None = Field(None, description="Vary the layout.")
+    object: ObjectAxis | None = Field(None, description="Vary the objects.")
+    distractors: DistractorAxis | None = Field(None, description="Add things beside the task.")
+    task: TaskAxis | None = Field(None, description="Vary the task.")
+
+    @model_validator(mode="after")
+    def _varies(self) -> Self:
+        if self.scene is None and self.object is None and self.distractors is None and self.task is None:
+            raise PydanticCustomError("sf107", "one of `scene`, `object`, `distractors`, `task` is needed", {})
+        return self

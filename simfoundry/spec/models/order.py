@@ -1,0 +1,89 @@
+"""The order of keys that documents are written in: what people look for first, then as the models have it."""
+
+from __future__ import annotations
+
+import functools
+import typing
+from collections.abc import Iterable
+from typing import Any
+
+from simfoundry.spec.models.base import Body, DocumentSpec, Model
+from simfoundry.spec.models.types import flat
+
+_FIRST = (
+    "simfoundry",
+    "extends",
+    "name",
+    "description",
+    "category",
+    "labels",
+    "fixed",
+    "shape",
+    "asset",
+    "mesh",
+    "scale",
+    "visual",
+    "material",
+    "color",
+    "mass",
+    "density",
+    "friction",
+    "restitution",
+    "collision",
+    "solid",
+    "pose",
+    "place",
+)
+"""Fields of bodies and documents that people look for come first; the others follow in the order of their model."""
+_LAST = ("allow", "conflicts")
+_RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fromkeys(_LAST, 1)
+
+
+def field_order(model: type[Model]) -> list[str]:
+    """The names of a model's fields in the order in which they are written.
+
+    That is the order of the model, but for bodies and whole documents, whose models begin with what they inherit.
+    """
+    if not issubclass(model, Body | DocumentSpec):
+        return list(model.model_fields)
+    return sorted(model.model_fields, key=lambda name: _RANK.get(name, 0))
+
+
+class Slot:
+    """What may stand at a place of a document, as far as the order of its keys goes."""
+
+    def __init__(self, *types_: Any) -> None:
+        kinds = [kind for type_ in types_ for _, kind in flat(type_)]
+        self._fields: dict[str, Any] = {}
+        for model in (k for k in kinds if isinstance(k, type) and issubclass(k, Model)):
+            for name in field_order(model):
+                info = model.model_fields[name]
+                self._fields.setdefault(name, info.annotation)
+        self._rank = {name: rank for rank, name in enumerate(self._fields)}
+        self._others = [typing.get_args(k)[-1] for k in kinds if typing.get_origin(k) is dict]
+        self._items = [t for k in kinds if typing.get_origin(k) is tuple for t in typing.get_args(k) if t is not ...]
+        self._inside: dict[str, Slot] = {}
+
+    def ordered(self, keys: Iterable[str]) -> list[str]:
+        """Fields in their order, then other keys as they come; where there are only names, these as they come."""
+        rank = self._rank
+        return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
+
+    def member(self, key: str) -> Slot:
+        """What may stand under a key."""
+        known = key in self._fields
+        slot = self._inside.get(key if known else "")
+        if slot is None:
+            slot = self._inside[key if known else ""] = Slot(*([self._fields[key]] if known else self._others))
+        return slot
+
+    @functools.cached_property
+    def item(self) -> Slot:
+        """What may stand in a list."""
+        return Slot(*self._items)
+
+
+@functools.cache
+def slot_of(model: type[Model] | None) -> Slot:
+    """The place of a whole document."""
+    return Slot(model)

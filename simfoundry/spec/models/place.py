@@ -1,0 +1,47 @@
+"""Where a thing stands, said as people say it: on the desk, left of the plate, inside the bowl."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import FARTHEST, Model, Name, NonNegative, Number, PartName, Point2, Vec3, exclusive
+
+SIDES = ("left_of", "right_of")
+DEPTHS = ("in_front_of", "behind")
+
+
+class Place(Model):
+    """A pose to be solved: what carries the thing and where on it; it is dropped onto the real shapes below it.
+
+    Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `at` and these four it is in
+    the middle of what carries it; one of the four leaves the other direction at the middle of its anchor.
+    """
+
+    on: PartName | None = Field(None, description="What it stands on: an object, or one of its links (`shelf.board`).")
+    inside: PartName | None = Field(
+        None, description="What it lies in: an object with a cavity, or one of its links (`cabinet.drawer`)."
+    )
+    xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
+    at: Point2 | None = Field(None, description="Position of its frame in the frame of what carries it [m].")
+    left_of: Name | None = Field(None, description="The object that it stands left of.")
+    right_of: Name | None = Field(None, description="The object that it stands right of.")
+    in_front_of: Name | None = Field(None, description="The object that it stands in front of, nearer to the viewer.")
+    behind: Name | None = Field(None, description="The object that it stands behind, farther from the viewer.")
+    gap: NonNegative = Field(0.03, le=FARTHEST, description="Free space between it and the object beside it [m].")
+    yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
+    rpy_deg: Vec3 | None = Field(
+        None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        exclusive(self, "on", "inside", needed=True)
+        exclusive(self, "yaw_deg", "rpy_deg")
+        exclusive(self, *SIDES)
+        exclusive(self, *DEPTHS)
+        beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
+        exclusive(self, "xy", "at", *([beside] if beside else []))
+        if beside is None and self.gap != Place.model_fields["gap"].default:
+            raise PydanticCustomError("sf107", "`gap` is for left_of, right_of, in_front_of and behind", {"at": "gap"})
+        return self

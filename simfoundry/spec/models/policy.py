@@ -1,0 +1,133 @@
+"""``policy/1``: where a policy answers, and what its protocol leaves unsaid."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
+
+WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
+"""A key of the messages that the policy takes: ``observation/wrist_image_left``."""
+
+VARIABLE = r"^[A-Z_][A-Z0-9_]*$"
+
+
+def _variable(text: str) -> str:
+    """What is said of another text does not repeat it: it may be a key."""
+    if re.match(VARIABLE, text) is None or len(text) > 128:
+        message = "expected the name of an environment variable in capitals, never a key itself"
+        raise PydanticCustomError("sf104", "{message}", {"message": message})
+    return text
+
+
+Variable = Annotated[str, AfterValidator(_variable), Field(json_schema_extra={"pattern": VARIABLE})]
+"""An environment variable. In capitals only, so that a key that is pasted here by mistake is refused."""
+
+Pixels = Annotated[int, Field(ge=1, le=8192)]
+Whole = Annotated[int, Field(ge=0, le=100)]
+Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
+
+SCHEMES = {"openpi": ("ws", "wss"), "roboarena": ("ws", "wss"), "groot": ("tcp",)}
+"""What the address of each protocol may start with; the first is meant where none is given."""
+
+PORTS = {"openpi": 8000, "roboarena": 8000, "groot": 5555}
+"""The port of each protocol where the address has none."""
+
+_ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
+
+
+def address_uri(protocol: str, address: str) -> str:
+    """An address in full, ``ws://localhost:8000`` of ``localhost``; raises :class:`ValueError` with a sentence."""
+    found = _ADDRESS.fullmatch(address)
+    schemes = SCHEMES[protocol]
+    if found is None:
+        raise ValueError(f"`{address}` is not an address, as `{schemes[0]}://localhost:{PORTS[protocol]}`")
+    scheme, host, port, path = found.groups()
+    if scheme is not None and scheme not in schemes:
+        raise ValueError(f"an address of {protocol} starts with `{'://` or `'.join(schemes)}://`, not `{scheme}://`")
+    if port is not None and not 0 < int(port) < 65536:
+        raise ValueError(f"there is no port {port}; ports go from 1 to 65535")
+    if path is not None and protocol == "groot":
+        raise ValueError("an address of groot has no path")
+    number = "" if port is None and (scheme == "wss" or path) else f":{port or PORTS[protocol]}"
+    return f"{scheme or schemes[0]}://{host}{number}{path or ''}"
+
+
+class CameraView(Model):
+    """A picture that the policy takes: a camera of the scene, resized without distortion and padded with black."""
+
+    camera: Name = Field(description="A camera of the scene.")
+    size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy takes [px].")
+    render: tuple[Pixels, Pixels] | None = Field(
+        None, description="Width and height that the simulator renders, before resizing [px]; default: `size`."
+    )
+
+
+class Gripper(Model):
+    """How the policy speaks of the gripper, in what it is shown and in what it answers."""
+
+    open: Number = Field(0.0, description="The number that means open.")
+    closed: Number = Field(1.0, description="The number that means closed.")
+    threshold: Number | None = Field(
+        None, description="How far closed, 0 to 1, counts as closed altogether; default: it stops in between too."
+    )
+
+    @model_validator(mode="after")
+    def _apart(self) -> Self:
+        if self.open == self.closed:
+            raise PydanticCustomError("sf104", "`open` and `closed` must differ", {"at": "closed"})
+        if self.threshold is not None and not 0 < self.threshold < 1:
+            raise PydanticCustomError("sf104", "`threshold` must lie between 0 and 1", {"at": "threshold"})
+        return self
+
+
+class PolicySpec(DocumentSpec):
+    """A policy behind a server: where it is, and what its protocol does not say."""
+
+    simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
+    protocol: Literal["openpi", "roboarena", "groot"] = Field(description="How the server speaks.")
+    address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
+        description="Where the server is: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
+    )
+    action_space: Literal["joint_position", "joint_velocity"] = Field(
+        description="What the arm's numbers of an action mean; no protocol says it for certain."
+    )
+    velocity_unit: Positive | None = Field(
+        None,
+        description="The velocity [rad/s or m/s] that 1 means, where velocities come as -1 to 1; DROID: 3. "
+        "Default: they come in rad/s or m/s.",
+    )
+    horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
+        description="Steps of each answer that are carried out before the policy is asked again."
+    )
+    cameras: dict[WireKey, CameraView] = Field({}, description="Pictures that the policy takes, by its own keys.")
+    state: dict[WireKey, Reading] | None = Field(
+        None, description="What the policy is told of the robot, by its own keys; default: as the robots of DROID do."
+    )
+    gripper: Gripper = Field(Gripper(threshold=0.5), description="How the policy speaks of the gripper.")
+    timeout: Positive = Field(60.0, le=86400, description="Longest wait for an answer [s].")
+    warm_up: Positive = Field(
+        600.0, le=86400, description="Longest wait for the first answer of a connection, while the server compiles [s]."
+    )
+    retries: Whole = Field(3, description="How often a lost connection is made anew before a rollout has failed.")
+    api_key: Variable | None = Field(
+        None, description="The environment variable that holds the key of the server; never the key itself."
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        try:
+            address_uri(self.protocol, self.address)
+        except ValueError as error:
+            raise PydanticCustomError("sf104", "{message}", {"message": str(error), "at": "address"}) from None
+        if self.velocity_unit is not None and self.action_space != "joint_velocity":
+            message = "`velocity_unit` has no effect on joint positions"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "velocity_unit"})
+        if self.protocol == "groot" and self.state is not None:
+            message = "a server of groot says itself what it is told of the robot; remove `state`"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "state"})
+        return self

@@ -1,0 +1,195 @@
+"""``scene/1``: objects, materials, cameras, lights and what should hold among them."""
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import (
+    Body,
+    CameraPose,
+    Color,
+    DocumentSpec,
+    FileName,
+    Material,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    Origin,
+    PartName,
+    Point3,
+    Pose,
+    Positive,
+    Shape,
+    Vec3,
+    exclusive,
+)
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.robot import RobotSpec
+
+
+class Degrees(Model):
+    """A joint position in degrees."""
+
+    deg: Number = Field(description="Position of a revolute or continuous joint [deg].")
+
+
+def _position_tag(value: Any) -> str:
+    if isinstance(value, Pose) or (isinstance(value, dict) and any(key in value for key in Pose.model_fields)):
+        return "pose"
+    return "degrees" if isinstance(value, dict | Degrees) else "number"
+
+
+JointPosition = Annotated[
+    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[Pose, Tag("pose")],
+    Discriminator(_position_tag),
+]
+"""Where a joint is: a number, ``{deg: 30}``, or of a ball or free joint a pose from where it is at zero."""
+
+Touching = tuple[PartName, PartName]
+
+
+Labels = Annotated[tuple[Name, ...], Field(max_length=32)]
+
+DEFAULT_VARIANT = "default"
+"""The variant of an object that is the object as it is written."""
+
+
+class VariantSpec(Body):
+    """What differs in one variant of an object; all else is as the object has it.
+
+    A new `shape` or `asset` comes without the old one's `scale` and `visual`.
+    """
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    asset: FileName | None = Field(
+        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
+    )
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    visual: FileName | None = Field(None, description="A mesh that is shown in place of the shape.")
+    category: Name | None = Field(None, description="What it is, as `mug`.")
+    labels: Labels = Field((), description="What it is to a vision system; default: the object's.")
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Self:
+        exclusive(self, "shape", "asset")
+        exclusive(self, "mass", "density")
+        if not self.model_fields_set:
+            raise PydanticCustomError("sf107", "a variant says what differs, and this one says nothing")
+        return self
+
+
+class ObjectSpec(Body):
+    """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
+
+    shape: Shape | None = Field(None, description="A primitive.")
+    asset: FileName | None = Field(
+        None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
+    )
+    scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
+    visual: FileName | None = Field(
+        None, description="A mesh that is shown in place of the shape; it has no effect in physics."
+    )
+    category: Name | None = Field(None, description="What it is, as `mug`; default: its name.")
+    labels: Labels = Field(
+        (), description="What it is to a vision system, the most telling first; default: its category."
+    )
+    fixed: bool = Field(False, description="Welded to the world.")
+    pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
+    place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
+    joints: dict[Name, JointPosition] = Field(
+        {},
+        description="Joint positions by name: metres, radians, or `{deg: 30}`; of a ball joint its rotation, as "
+        "`{rpy_deg: [10, 0, 20]}`, of a free joint a pose; default 0.",
+    )
+    variant: Name | None = Field(
+        None, description="Which of its `variants` is compiled; default: `default`, the object as it is written."
+    )
+    variants: dict[Name, VariantSpec] = Field(
+        {}, description="What it could be instead, by name, each with what differs; in USD one variant set holds all."
+    )
+    origin: Origin | None = Field(None, description="Where the description comes from.")
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> Self:
+        exclusive(self, "shape", "asset", needed=True)
+        exclusive(self, "mass", "density")
+        exclusive(self, "pose", "place")
+        if DEFAULT_VARIANT in self.variants:
+            message = "`default` is the object as it is written, so no variant can be called so"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "variants"})
+        if self.asset is None and self.visual is None and self.scale != 1.0:
+            raise PydanticCustomError("sf107", "`scale` is for meshes; change the shape itself", {"at": "scale"})
+        return self
+
+
+class CameraSpec(Model):
+    """A pinhole camera."""
+
+    size: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]] = Field(
+        description="Width and height of the picture [px]."
+    )
+    fx: Positive = Field(description="Focal length in x [px].")
+    fy: Positive = Field(description="Focal length in y [px].")
+    cx: Number | None = Field(None, description="Principal point in x [px]; default: the middle, (width - 1) / 2.")
+    cy: Number | None = Field(None, description="Principal point in y [px]; default: the middle, (height - 1) / 2.")
+    pose: CameraPose = Field(description="Pose in the world, or in the frame of what it is mounted on.")
+    mount: PartName | None = Field(
+        None, description="What carries it: a robot's link (`arm.hand`), an object, or a link of one."
+    )
+
+
+class LightSpec(Model):
+    """A light."""
+
+    type: Literal["distant", "point", "dome"] = Field(description="Parallel rays, a point, or from everywhere.")
+    intensity: NonNegative = Field(1.0, description="Relative: 1 lights a white surface that faces it fully.")
+    color: Color = Field((1.0, 1.0, 1.0), description="sRGB colour, 0 to 1.")
+    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Where a distant light shines to.")
+    xyz: Point3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
+
+    @model_validator(mode="after")
+    def _shines_somewhere(self) -> Self:
+        if math.hypot(*self.direction) < 1e-6:
+            raise PydanticCustomError("sf104", "`direction` must not be zero", {"at": "direction"})
+        return self
+
+
+class Background(Model):
+    """What is seen around the scene; nothing touches it."""
+
+    mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
+    splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
+    pose: Pose = Field(Pose(), description="Pose in the world.")
+    scale: Positive = Field(1.0, description="Factor from the units of the file to metres.")
+
+    @model_validator(mode="after")
+    def _one_file(self) -> Self:
+        exclusive(self, "mesh", "splat", needed=True)
+        return self
+
+
+class SceneSpec(DocumentSpec):
+    """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
+
+    simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
+    viewpoint: Name | None = Field(
+        None,
+        description="The camera or robot from which left, right, front and behind are seen; default: x away, y left.",
+    )
+    gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")
+    materials: dict[Name, Material] = Field({}, description="What things are made of, by name.")
+    objects: dict[Name, ObjectSpec] = Field({}, description="The things in the scene, by name.")
+    robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
+    cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
+    lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
+    background: Background | None = Field(None, description="What is seen around the scene.")
+    no_contact: tuple[Touching, ...] = Field(
+        (),
+        max_length=1000,
+        description="Pairs that pass through each other: objects, or links of them as `cabinet.door`.",
+    )
+    relations: tuple[str, ...] = Field((), description="What should hold, as `OnTop(cup, desk)`.")
+    origin: Origin | None = Field(None, description="Where the scene comes from.")

@@ -1,0 +1,86 @@
+"""``task/1``: what is to be done in a scene, when it is done, and how it starts."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, StringConstraints, model_validator
+from pydantic_core import PydanticCustomError
+
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, Pose, Positive
+from simfoundry.spec.models.expressions import Condition
+from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.scene import JointPosition
+
+Instruction = Annotated[str, StringConstraints(min_length=1, max_length=500)]
+Cells = Annotated[int, Field(ge=1, le=100)]
+Range = tuple[Number, Number]
+
+
+class Start(Model):
+    """What differs from the scene at the start."""
+
+    place: dict[Name, Place] = Field({}, description="Objects that stand elsewhere, by name.")
+    pose: dict[Name, Pose] = Field({}, description="Objects that have another pose, by name.")
+    joints: dict[Name, dict[Name, JointPosition]] = Field(
+        {}, description="Joint positions by object and joint, as in a scene."
+    )
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        twice = [name for name in self.place if name in self.pose]
+        if twice:
+            message = f"`{twice[0]}` has a place and a pose; give one"
+            raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "pose"})
+        return self
+
+
+class Subtask(Model):
+    """A step of the task, done once its goal has held."""
+
+    goal: Condition = Field(description="When the step is done: a predicate, or `all`, `any`, `not` of some.")
+    instruction: Instruction | None = Field(None, description="What a policy is told where the step is done alone.")
+    start: Start | None = Field(
+        None, description="How the step starts where it is done alone; on top of the `start` of the task."
+    )
+
+
+class ResetRegion(Model):
+    """Where an object may start: its frame, at the height that the scene gives it."""
+
+    x: Point2 = Field(description="Lowest and highest x in the world [m].")
+    y: Point2 = Field(description="Lowest and highest y in the world [m].")
+    yaw_deg: Range = Field((0.0, 0.0), description="Lowest and highest turn about z, on top of the scene's pose [deg].")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("x", "y", "yaw_deg"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise PydanticCustomError("sf104", "the lower end must not lie above the upper one", {"at": name})
+        return self
+
+
+class Reset(Model):
+    """How the starts of rollouts differ: each object takes another cell of its region's grid in each rollout."""
+
+    grid: tuple[Cells, Cells] = Field((5, 5), description="Cells of each region along x and y.")
+    objects: dict[Name, ResetRegion] = Field({}, description="The objects that move, by name.")
+
+
+class TaskSpec(DocumentSpec):
+    """A task: an instruction, the goal that ends it, its steps, and the starts of its rollouts."""
+
+    simfoundry: Literal["task/1"] = Field(description="The kind and version of this document.")
+    scene: FileName = Field(description="The scene, relative to this document.")
+    instruction: Instruction = Field(description="What a policy is told.")
+    robots: tuple[Name, ...] | None = Field(
+        None, min_length=1, max_length=8, description="The robots that act; default: all of the scene."
+    )
+    goal: Condition = Field(description="When it is done: a predicate, or `all`, `any`, `not` of some.")
+    subtasks: dict[Name, Subtask] = Field({}, description="Its steps by name, in order.")
+    start: Start = Field(Start(), description="What differs from the scene at the start.")
+    reset: Reset = Field(Reset(), description="How the starts of rollouts differ.")
+    control_hz: Positive = Field(15.0, le=1000, description="Control steps in a second [Hz].")
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(600, description="Control steps until it has failed.")
+    origin: Origin | None = Field(None, description="Where the task comes from.")

@@ -1,0 +1,84 @@
+"""What may stand where: the types of the models, walked along the paths of documents."""
+
+from __future__ import annotations
+
+import types
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel, Tag
+
+from simfoundry.spec.models.base import Model, Reference
+
+Pattern = tuple[str, ...]
+"""A path in which ``*`` stands for any name or index."""
+
+
+def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
+    """The model classes that may stand at ``loc`` below the type ``root``."""
+    current = list(flat(root))
+    for part in loc:
+        following: list[Any] = []
+        for tag, kind in current:
+            if tag is not None and tag == part:
+                following += [(None, kind)]
+            following += [t for inner in inside(kind, part) for t in flat(inner)]
+        current = following
+    return [kind for _, kind in current if isinstance(kind, type) and issubclass(kind, BaseModel)]
+
+
+def inside(kind: Any, part: Any) -> Iterator[Any]:
+    """The types that may stand below ``part`` of a type."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if part in kind.model_fields:
+            info = kind.model_fields[part]
+            yield typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+    elif typing.get_origin(kind) is dict:
+        yield typing.get_args(kind)[1]
+    elif typing.get_origin(kind) is tuple and isinstance(part, int):
+        yield typing.get_args(kind)[0]
+
+
+def is_mapping(model: type[BaseModel], key: str) -> bool:
+    """Whether a field holds a mapping by name."""
+    return typing.get_origin(model.model_fields[key].annotation) is dict
+
+
+def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
+    """The plain types of a type, each with its union tag."""
+    origin = typing.get_origin(kind)
+    if origin is typing.Annotated:
+        inner, *metadata = typing.get_args(kind)
+        tags = [m.tag for m in metadata if isinstance(m, Tag)]
+        yield from flat(inner, tags[0] if tags else tag)
+    elif origin in (typing.Union, types.UnionType):
+        for member in typing.get_args(kind):
+            yield from flat(member, tag)
+    else:
+        yield tag, kind
+
+
+def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
+    """Where a kind of document names files relative to itself."""
+    for name, info in model.model_fields.items():
+        whole = typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
+        yield from ((name, *below) for below in _files(whole, (*seen, model)))
+
+
+def _files(kind: Any, seen: tuple[type, ...]) -> Iterator[Pattern]:
+    origin = typing.get_origin(kind)
+    if origin is typing.Annotated:
+        inner, *metadata = typing.get_args(kind)
+        if any(isinstance(m, Reference) for m in metadata):
+            yield ()
+        yield from _files(inner, seen)
+    elif origin in (typing.Union, types.UnionType):
+        for member in typing.get_args(kind):
+            yield from _files(member, seen)
+    elif origin is dict:
+        yield from (("*", *below) for below in _files(typing.get_args(kind)[1], seen))
+    elif origin is tuple:
+        yield from (("*", *below) for below in _files(typing.get_args(kind)[0], seen))
+    elif isinstance(kind, type) and issubclass(kind, Model) and kind not in seen:
+        yield from file_patterns(kind, seen)

@@ -1,0 +1,275 @@
+"""Where the comments of a text belong: every one of them is found, exactly, and given to what it is about."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from simfoundry.spec.yaml.text import Node, Path_
+
+_BREAK = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
+_COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")
+_ANCHOR = re.compile("&[0-9A-Za-z_-]+")
+_GAP = re.compile("(?:[ \t\r\n\x85\u2028\u2029\ufeff]|#[^\r\n\x85\u2028\u2029]*)*")
+_HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
+"""The first line of a block text with a comment in it."""
+
+
+@dataclass(slots=True)
+class Notes:
+    """The comments of one place, and of what is inside it by key or index."""
+
+    above: list[str] = field(default_factory=list)
+    beside: str = ""
+    end: list[str] = field(default_factory=list)
+    inside: dict[str | int, Notes] = field(default_factory=dict)
+
+    def at(self, part: str | int) -> Notes:
+        """The comments of what is inside at a key or index."""
+        return self.inside.setdefault(part, Notes())
+
+
+def read_notes(text: str, root: Node, first: str) -> Notes:
+    """The comments of a text that was read to ``root``, without byte order mark and without a key that is there twice.
+
+    Comments on top are the document's where ``first`` is its first key.
+    """
+    return _Reader(text, root, first).read()
+
+
+@dataclass(slots=True)
+class _Frame:
+    """A mapping or list whose end has not come yet; ``indent`` is its column, or -1 in brackets."""
+
+    node: Node
+    path: Path_
+    indent: int
+    part: str | int | None = None  # the key or index of the entry that was read last
+    value_next: bool = False  # a key was read, and its value comes next
+    open: int = 0  # parentheses that the last item of a bracketed list has not closed
+
+    @property
+    def mapping(self) -> bool:
+        return isinstance(self.node.children, dict)
+
+
+@dataclass(slots=True)
+class _Pending:
+    """A comment whose place the next event decides; ``alone`` on its line or after a dash."""
+
+    start: int
+    column: int
+    alone: bool
+    text: str
+
+
+class _Reader:
+    """Goes through the events of a text and gives each comment between them to the place where it belongs.
+
+    A comment on a line of its own belongs to what comes next, or to the end of the mapping or list that ends next if it
+    is indented deeper than what holds that one. A comment behind something belongs to what is before it.
+    """
+
+    def __init__(self, text: str, root: Node, first: str) -> None:
+        self.text, self.node, self.first = text, root, first
+        self.root = Notes()
+        self.starts = [0, *(m.end() for m in _BREAK.finditer(text))]
+        self.stack: list[_Frame] = []
+        self.pending: list[_Pending] = []
+        self.owner: tuple[str, Path_, int] = ("", (), -1)  # what was read last: its kind, path and end
+        self.next = text.find("#")  # the next that may start a comment
+        self.directives = 0  # where they end
+        self.plain: dict[str, str] = {}  # unquoted scalars by anchor
+
+    def read(self) -> Notes:
+        events: Iterator[Any] = yaml.parse(self.text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        for event in events:
+            match type(event).__name__:
+                case "ScalarEvent":
+                    self._scalar(event)
+                case "AliasEvent":
+                    self._gap(event.start_mark.index)
+                    self._value(self.plain.get(event.anchor, ""), event.end_mark.index)
+                case "MappingStartEvent" | "SequenceStartEvent":
+                    self._open(event)
+                case "MappingEndEvent" | "SequenceEndEvent":
+                    self._close(event)
+                case "DocumentStartEvent":
+                    self.directives = event.end_mark.index
+        self._gap(len(self.text))
+        self.root.end += [c.text for c in self.pending]
+        return self.root
+
+    # -- events ---------------------------------------------------------------------------------------------------
+
+    def _scalar(self, event: Any) -> None:
+        end = event.end_mark.index
+        start = min(self._start(event), end)
+        if self.next >= 0 and self.next < start:
+            self._gap(start)
+        plain = "" if event.style else event.value
+        if event.anchor is not None:
+            self.plain[event.anchor] = plain
+        frame = self.stack[-1] if self.stack else None
+        if frame is not None and frame.mapping and not frame.value_next:
+            if not frame.path and frame.part is None and self.pending:
+                self._take_top(event.value, start)
+            self._key(frame, event.value, end)
+        else:
+            self._value(plain, end)
+        if 0 <= self.next < end:
+            header = _HEADER.match(self.text, start) if event.style in ("|", ">") else None
+            if header is not None:
+                self._beside(header[1])
+            self.next = self.text.find("#", end)
+
+    def _key(self, frame: _Frame, key: str, end: int) -> None:
+        assert isinstance(frame.node.children, dict)
+        if key in frame.node.children:  # otherwise it is the rest of the text before it, which has a comma
+            frame.part = key
+        frame.value_next = True
+        self._owned("key", (*frame.path, frame.part or ""), end)
+
+    def _value(self, plain: str, end: int) -> None:
+        path = self._next_path(plain)
+        self._owned("scalar", path, end)
+
+    def _owned(self, kind: str, path: Path_, end: int) -> None:
+        """Something was read; the comments before it are its own."""
+        if self.pending:
+            notes = self._at(path)
+            if notes.beside:  # beside the key, and the value comes lines later
+                notes.above.append(notes.beside)
+                notes.beside = ""
+            notes.above += [c.text for c in self.pending]
+            self.pending = []
+        self.owner = (kind, path, end)
+
+    def _open(self, event: Any) -> None:
+        start = self._start(event)
+        self._gap(start)
+        in_list = bool(self.stack) and not self.stack[-1].mapping
+        path = self._next_path("")
+        node = self.node
+        for frame in self.stack[-1:]:
+            children: Any = frame.node.children
+            node = children[path[-1]]
+        if event.flow_style:
+            self._owned("open", path, event.end_mark.index)
+        else:
+            count = self._about_whole(start, in_list)
+            self._at(path).above += [c.text for c in self.pending[:count]]
+            del self.pending[:count]
+        self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
+
+    def _about_whole(self, start: int, in_list: bool) -> int:
+        """How many of the pending comments are about all of what starts here, not about its first entry.
+
+        They stand above the dash of an item, beside its dash, or beside a colon that has a line of its own.
+        """
+        ends = [c.start for c in self.pending[1:]] + [start]
+        for k in range(len(self.pending) - 1, -1, -1):
+            comment = self.pending[k]
+            dash = in_list and "-" in self.text[comment.start + len(comment.text) : ends[k]]
+            if dash or not comment.alone:
+                return k + 1
+        return 0
+
+    def _close(self, event: Any) -> None:
+        self._gap(event.start_mark.index)
+        frame = self.stack.pop()
+        outer = self.stack[-1].indent if self.stack else -1
+        inside = 0
+        while inside < len(self.pending) and (frame.indent < 0 or self.pending[inside].column > outer):
+            inside += 1
+        if inside:
+            self._at(frame.path).end += [c.text for c in self.pending[:inside]]
+            del self.pending[:inside]
+        if frame.indent < 0:
+            self.owner = ("close", frame.path, event.end_mark.index)
+
+    def _next_path(self, plain: str) -> Path_:
+        """The path of the value that starts here."""
+        if not self.stack:
+            return ()
+        frame = self.stack[-1]
+        if frame.mapping:
+            frame.value_next = False
+        else:
+            open_ = plain.count("(") - plain.count(")")
+            if frame.indent < 0 and frame.open > 0 and plain:  # the rest of a text that has a comma in parentheses
+                frame.open += open_
+            else:
+                frame.part = 0 if frame.part is None else int(frame.part) + 1
+                frame.open = open_
+        return (*frame.path, frame.part if frame.part is not None else "")
+
+    # -- comments -------------------------------------------------------------------------------------------------
+
+    def _gap(self, end: int) -> None:
+        """Take the comments before ``end``, up to which there is nothing else."""
+        while 0 <= self.next < end:
+            match = _COMMENT.match(self.text, self.next)
+            assert match is not None
+            start = self.next
+            if start < self.directives and self.text[start - 1 : start].strip():
+                self.next = self.text.find("#", start + 1)  # in a word of a directive
+                continue
+            self.next = self.text.find("#", match.end())
+            self._comment(start, match[0].rstrip(" \t"))
+
+    def _comment(self, start: int, text: str) -> None:
+        line = self.starts[bisect_right(self.starts, start) - 1]
+        alone = not self.text[line:start].strip(" \t\ufeff")
+        _, path, end = self.owner
+        if not alone and end >= line and (path or not self.node.children):
+            self._beside(text)
+        else:
+            self.pending.append(_Pending(start, start - line, alone, text))
+
+    def _beside(self, text: str) -> None:
+        kind, path, _ = self.owner
+        notes = self._at(path)
+        if kind == "close" and notes.beside:
+            notes.end.append(text)
+        else:
+            notes.above += [notes.beside] * bool(notes.beside)
+            notes.beside = text
+
+    def _take_top(self, key: str, start: int) -> None:
+        """Give the document the comments on top: those above its first ``key``.
+
+        Those directly above a key that should not come first, parted from others by a blank line, are the key's.
+        """
+        parted = len(self.pending)
+        ends = [c.start for c in self.pending[1:]] + [start]
+        for k in range(len(self.pending) if key != self.first else 0):
+            comment = self.pending[k]
+            if len(_BREAK.findall(self.text, comment.start + len(comment.text), ends[k])) > 1:
+                parted = k + 1
+        self.root.above += [c.text for c in self.pending[:parted]]
+        del self.pending[:parted]
+
+    def _at(self, path: Path_) -> Notes:
+        notes = self.root
+        for part in path:
+            notes = notes.at(part)
+        return notes
+
+    def _start(self, event: Any) -> int:
+        """Where the value itself starts, behind its anchor."""
+        start: int = event.start_mark.index
+        anchor = _ANCHOR.match(self.text, start) if event.anchor is not None else None
+        if anchor is None:
+            return start
+        gap = _GAP.match(self.text, anchor.end())
+        assert gap is not None
+        return gap.end()
+
+    def _column(self, index: int) -> int:
+        return index - self.starts[bisect_right(self.starts, index) - 1]

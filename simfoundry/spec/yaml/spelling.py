@@ -1,0 +1,156 @@
+"""How scalars are written: numbers in their shortest form, texts with quotes only where they need them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import re
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from simfoundry.spec.models.predicate import canonical
+from simfoundry.spec.yaml.text import UNPRINTABLE, YamlError, parse
+
+DIGITS = 6
+LARGE = 1e15
+"""From here on numbers are written with an exponent."""
+
+Where = Literal["block", "item", "value"]
+"""Where a text stands: on a line of its own, in a list in brackets, or in a mapping in braces."""
+
+_FRAME: dict[Where, tuple[str, Any]] = {
+    "block": ("a: {}", lambda text: {"a": text}),
+    "item": ("[a, {}, b]", lambda text: ("a", text, "b")),
+    "value": ("{{a: {}, b: 1}}", lambda text: {"a": text, "b": 1}),
+}
+"""A text is written without quotes where it is read back from this."""
+
+_WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:[./-][A-Za-z0-9_]+)*\Z")
+_PLAIN = re.compile("[\\w/.(][^\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff]*\\Z")
+_LIKE_NUMBER = re.compile(r"[0-9][-+.0-9a-fA-F_:xoTtZz ]*\Z")
+"""Texts that people, and other readers of YAML, may take for a number, a time or a date."""
+_ESCAPED = re.compile(f"[\x85\u2028\u2029\ufeff]|{UNPRINTABLE.pattern}")
+_CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
+_ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
+
+
+def number(value: float) -> str:
+    """A number with at most six decimals, without an exponent where it is of ordinary size."""
+    if not math.isfinite(value):
+        raise ValueError(f"{value} cannot be written in a spec")
+    return exact(rounded(value))
+
+
+def rounded(value: float) -> float:
+    """A number to six decimals; a tiny one to four digits, which is finer."""
+    if value == 0 or not math.isfinite(value) or abs(value) >= LARGE:
+        return value
+    return float(f"{value:.3e}" if abs(value) < 10 ** (2 - DIGITS) else f"{value:.{DIGITS}f}")
+
+
+def exact(value: float) -> str:
+    """The shortest text that is read back as the same number."""
+    if isinstance(value, int):
+        return str(value)
+    if not math.isfinite(value):
+        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
+    if abs(value) < LARGE and value == int(value):
+        return str(int(value))
+    text = repr(value)
+    if abs(value) >= LARGE and "e" not in text:
+        digits = text.lstrip("-").partition(".")[0]
+        fraction = text.partition(".")[2].rstrip("0")
+        text = f"{'-' * (value < 0)}{digits[0]}.{digits[1:]}{fraction}e{len(digits) - 1}"
+    mantissa, _, exponent = text.partition("e")
+    mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+    return f"{mantissa}e{int(exponent)}" if exponent else mantissa
+
+
+def call(text: str) -> str:
+    """A predicate as it is spelled, by our name, ``OnTop(cup, desk)``; any other text as it is."""
+    match = _CALL.match(text)
+    if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
+        return text
+    name, arguments = canonical(match[1], tuple(a.strip() for a in match[2].split(",")))
+    return f"{name}({', '.join(arguments)})"
+
+
+def scalar(value: Any, where: Where) -> str:
+    """A value that is no mapping and no list."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case int() | float():
+            return exact(value)
+    return string(str(value), where)
+
+
+@functools.lru_cache(maxsize=8192)
+def string(text: str, where: Where) -> str:
+    """A text on one line: plain where a reader gets the same text back, else in double quotes."""
+    if _is_word(text):
+        return text
+    closed = where == "block" or text.count("(") == text.count(")")
+    fitting = closed and _PLAIN.match(text) and not _LIKE_NUMBER.match(text)
+    template, wanted = _FRAME[where]
+    return text if fitting and _reads_back(template.format(text), wanted(text)) else quoted(text)
+
+
+def key_text(key: str) -> str:
+    """A key: plain where it is a word that cannot be taken for anything else."""
+    return key if _is_word(key) else quoted(key)
+
+
+def _is_word(text: str) -> bool:
+    return bool(_WORD.match(text)) and text.lower() not in ("null", "true", "false")
+
+
+def quoted(text: str) -> str:
+    """In double quotes; what YAML does not allow, or takes for the end of a line, is written as an escape."""
+    return _ESCAPED.sub(lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
+
+
+@functools.lru_cache(maxsize=1024)
+def literal(text: str) -> tuple[str, ...] | None:
+    """A text of several lines as they are: the head ``|`` and the lines; None where it has one or cannot be held."""
+    if "\n" not in text.rstrip("\n"):
+        return None
+    lines = tuple(text.removesuffix("\n").split("\n"))
+    if any(line != line.rstrip() or (line and not line.isprintable()) for line in lines):
+        return None
+    return _block("|" if text.endswith("\n") else "|-", lines, text)
+
+
+@functools.lru_cache(maxsize=1024)
+def folded(text: str, width: int) -> tuple[str, ...] | None:
+    """A long text of one line, broken at spaces: the head ``>-`` and the lines; None where that cannot be."""
+    if not text.isprintable():
+        return None
+    lines = tuple(_filled(text.split(" "), width))
+    return _block(">-", lines, text) if len(lines) > 1 and max(map(len, lines)) <= width else None
+
+
+def _block(head: str, lines: tuple[str, ...], text: str) -> tuple[str, ...] | None:
+    written = "\n".join([f"a: {head}", *(f"  {line}".rstrip() for line in lines), "b: 1\n"])
+    return (head, *lines) if _reads_back(written, {"a": text, "b": 1}) else None
+
+
+def _filled(words: list[str], width: int) -> Iterator[str]:
+    line = words[0]
+    for word in words[1:]:
+        if len(line) + 1 + len(word) > width:
+            yield line
+            line = word
+        else:
+            line += f" {word}"
+    yield line
+
+
+def _reads_back(text: str, data: Any) -> bool:
+    try:
+        return bool(parse(text).data == data)
+    except YamlError:
+        return False

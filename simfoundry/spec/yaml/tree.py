@@ -1,0 +1,118 @@
+"""A document as a tree that keeps its comments, so that it can be formatted, merged and edited without losing one."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.yaml.comments import Notes, read_notes
+from simfoundry.spec.yaml.text import Document, Node, Path_
+
+KIND = "simfoundry"
+"""The key that names the kind of a document."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """A value with the comments around it; each comment is a text from its ``#`` to the end of its line.
+
+    ``value`` is a scalar, a mapping of trees or a tuple of trees. ``above`` are the comments before it (before its
+    key), ``beside`` the one at the end of its line, ``end`` those after the last entry of a mapping or list. Of the
+    whole document ``above`` are the comments on top, ``end`` those at the end.
+    """
+
+    value: Any
+    above: tuple[str, ...] = ()
+    beside: str = ""
+    end: tuple[str, ...] = ()
+
+    @property
+    def data(self) -> Any:
+        """The plain data: mappings, tuples and scalars, as in :class:`Document`."""
+        if isinstance(self.value, dict):
+            return {key: child.data for key, child in self.value.items()}
+        if isinstance(self.value, tuple):
+            return tuple(child.data for child in self.value)
+        return self.value
+
+    def comments(self) -> Iterator[tuple[Path_, str]]:
+        """Every comment with the path of what it belongs to, in the order of the text."""
+        yield from (((), text) for text in (*self.above, *[self.beside] * bool(self.beside)))
+        for part, child in _children(self):
+            yield from (((part, *path), text) for path, text in child.comments())
+        yield from (((), text) for text in self.end)
+
+
+def plain_tree(data: Any) -> Tree:
+    """A tree without comments."""
+    if isinstance(data, dict):
+        return Tree({key: plain_tree(item) for key, item in data.items()})
+    if isinstance(data, tuple | list):
+        return Tree(tuple(plain_tree(item) for item in data))
+    return Tree(data)
+
+
+def with_data(tree: Tree, data: Any) -> Tree:
+    """Other plain data with the comments of ``tree``, in the order of ``data``.
+
+    What remains keeps its comments, what is gone takes them along, and what is new has none. An entry of a mapping
+    remains where its key does, whatever becomes of its value; an item of a list remains where there is an equal one,
+    or a changed one between the same neighbours.
+    """
+    if isinstance(data, dict):
+        if not isinstance(tree.value, dict):
+            return Tree(plain_tree(data).value, tree.above, tree.beside)
+        old: dict[str, Tree] = tree.value
+        return replace(tree, value={k: with_data(old[k], v) if k in old else plain_tree(v) for k, v in data.items()})
+    if isinstance(data, tuple | list):
+        if not isinstance(tree.value, tuple):
+            return Tree(plain_tree(data).value, tree.above, tree.beside)
+        return replace(tree, value=_items(tree.value, tuple(data)))
+    return Tree(data, tree.above, tree.beside)
+
+
+def _items(old: tuple[Tree, ...], new: tuple[Any, ...]) -> tuple[Tree, ...]:
+    """The items of a list with new data, each with the comments of the item that it was."""
+    before, after = [repr(item.data) for item in old], [repr(item) for item in new]
+    source: dict[int, int] = {}  # of each new item
+    for _, first, last, start, end in difflib.SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
+        if last - first == end - start:
+            source.update(zip(range(start, end), range(first, last), strict=True))
+    moved = {before[k]: k for k in range(len(old)) if k not in source.values()}
+    for k, text in enumerate(after):
+        if k not in source and text in moved:
+            source[k] = moved.pop(text)
+    return tuple(with_data(old[source[k]], item) if k in source else plain_tree(item) for k, item in enumerate(new))
+
+
+def read_tree(document: Document) -> Tree:
+    """The tree of a document as it was read (without what it extends) with all its comments; aliases are written out.
+
+    Raises :class:`SpecError` where a key is written twice: one of the two would be lost.
+    """
+    if document.duplicates:
+        raise SpecError(document.duplicates)
+    text = document.text.removeprefix("\ufeff")
+    return _with_notes(document.root, read_notes(text, document.root, KIND) if "#" in text else None)
+
+
+def _children(tree: Tree) -> Iterator[tuple[str | int, Tree]]:
+    if isinstance(tree.value, dict):
+        yield from tree.value.items()
+    elif isinstance(tree.value, tuple):
+        yield from enumerate(tree.value)
+
+
+def _with_notes(node: Node, notes: Notes | None) -> Tree:
+    inside = notes.inside if notes is not None else {}
+    value = node.value
+    if isinstance(node.children, dict):
+        value = {key: _with_notes(child, inside.get(key)) for key, child in node.children.items()}
+    elif isinstance(node.children, list):
+        value = tuple([_with_notes(child, inside.get(k)) for k, child in enumerate(node.children)])
+    if notes is None:
+        return Tree(value)
+    return Tree(value, tuple(notes.above), notes.beside, tuple(notes.end))

@@ -1,0 +1,280 @@
+"""YAML out: one canonical form, short enough to read and stable enough to diff; comments keep their place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.data import to_data
+from simfoundry.spec.models.order import Slot, slot_of
+from simfoundry.spec.yaml.spelling import call, folded, key_text, literal, number, rounded, scalar, string
+from simfoundry.spec.yaml.tree import Tree, plain_tree
+
+__all__ = ["number", "to_data", "to_yaml", "write_tree"]
+
+WIDTH = 110
+MAX_KEY = 1000
+"""Longer keys need a question mark before them: YAML looks no further for their colon."""
+NEIGHBOURS = 24
+"""Comments on neighbouring lines are aligned where the lines differ in length by no more than this."""
+
+_BLOCKS = ("objects", "links", "frames")
+"""Sections whose members are written over several lines."""
+
+_PREDICATES = ("relations", "goal", "all", "any", "not")
+"""Keys whose texts are predicates, as ``OnTop(cup, desk)``."""
+
+_PAIR = re.compile(r"[A-Za-z]\w*\([^()]*,[^()]*\)\Z")
+"""A predicate of more than one thing."""
+
+Line = tuple[str, str]
+"""A line and the comment beside it, which may be empty."""
+
+
+def to_yaml(spec: Model, comment: str = "") -> str:
+    """The canonical text of a document: fields in the order of the model, defaults left out, six decimals."""
+    above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
+    return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
+
+
+def _rounded(data: Any) -> Any:
+    match data:
+        case float():
+            number(data)  # raises for what is no number
+            return rounded(data)
+        case dict():
+            return {key: _rounded(item) for key, item in data.items()}
+        case tuple():
+            return tuple(_rounded(item) for item in data)
+    return data
+
+
+def write_tree(tree: Tree, model: type[Model] | None) -> str:
+    """The canonical text of a document with its comments.
+
+    Keys of ``model`` come in its order, other keys after them, and names as they are. Numbers are exact: the text
+    reads back as the data of the tree, but for the spelling of predicates.
+    """
+    tree = _spelled(tree, False)
+    blocks: set[int] = set()
+    _collect_blocks(tree, blocks)
+    writer = _Writer(blocks)
+    lines = [*_comments(tree.above, 0)]
+    if isinstance(tree.value, dict) and tree.value:
+        lines += writer.sections(tree, slot_of(model), started=bool(lines))
+    elif isinstance(tree.value, tuple) and tree.value:
+        lines += writer.items(tree, slot_of(model), 0)
+    else:
+        lines += [(writer.flow(tree, slot_of(model), "block"), tree.beside), *_comments(tree.end, 0)]
+    return "\n".join(_joined(lines)) + "\n"
+
+
+def _spelled(tree: Tree, predicate: bool) -> Tree:
+    """The same tree with predicates as they are spelled."""
+    value: Any = tree.value
+    if isinstance(value, str):
+        return replace(tree, value=call(value)) if predicate and call(value) != value else tree
+    if isinstance(value, dict):
+        new: Any = {key: _spelled(child, key in _PREDICATES) for key, child in value.items()}
+        same = all(new[key] is child for key, child in value.items())
+    elif isinstance(value, tuple):
+        new = tuple([_spelled(child, predicate) for child in value])
+        same = all(a is b for a, b in zip(new, value, strict=True))
+    else:
+        return tree
+    return tree if same else replace(tree, value=new)
+
+
+def _collect_blocks(tree: Tree, blocks: set[int]) -> bool:
+    """Collect what cannot be written on one line: it holds a comment, a text of several lines, or a predicate.
+
+    Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
+    whether what holds the tree is of that kind because of it.
+    """
+    value = tree.value
+    inside = bool(value) and bool(tree.end)
+    if isinstance(value, dict):
+        for child in value.values():
+            inside |= _collect_blocks(child, blocks)
+    elif isinstance(value, tuple):
+        for child in value:
+            inside |= _collect_blocks(child, blocks)
+    elif isinstance(value, str):
+        inside = "\n" in value and literal(value) is not None
+        if _PAIR.match(value):
+            return True
+    if inside:
+        blocks.add(id(tree))
+    return inside or bool(tree.above) or bool(tree.beside) or bool(tree.end)
+
+
+class _Writer:
+    """Lines of mappings and lists; ``blocks`` are the trees that cannot be written on one line, by identity."""
+
+    def __init__(self, blocks: set[int]) -> None:
+        self.blocks = blocks
+
+    def sections(self, tree: Tree, slot: Slot, started: bool) -> Iterator[Line]:
+        """The entries of a document, a blank line before each that is written as a block."""
+        for key in slot.ordered(tree.value):
+            child = tree.value[key]
+            written = [*self.entry(key, child, slot.member(key), 0, key)]
+            if started and written[0][0] == f"{key_text(key)}:":
+                yield "", ""
+            yield from _comments(_above(child), 0)
+            yield from written
+            started = True
+        yield from _comments(tree.end, 0)
+
+    def entries(self, tree: Tree, slot: Slot, indent: int, section: str) -> Iterator[Line]:
+        """The entries of a mapping, one below the other."""
+        for key in slot.ordered(tree.value):
+            child = tree.value[key]
+            yield from _comments(_above(child), indent)
+            yield from self.entry(key, child, slot.member(key), indent, section)
+        yield from _comments(tree.end, indent)
+
+    def items(self, tree: Tree, slot: Slot, indent: int) -> Iterator[Line]:
+        """The items of a list, one below the other."""
+        for item in tree.value:
+            nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
+            above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))
+            yield from _comments(above, indent)
+            if nested:
+                yield from self.nested_item(item, slot.item, indent)
+            else:
+                yield from self.short(f"{' ' * indent}-", item, slot.item, indent, item.beside)
+        yield from _comments(tree.end, indent)
+
+    def nested_item(self, item: Tree, slot: Slot, indent: int) -> Iterator[Line]:
+        """An item that is a mapping or list over several lines, which start behind the dash."""
+        inside = indent + 2
+        mapping = isinstance(item.value, dict)
+        first, *lines = self.entries(item, slot, inside, "") if mapping else self.items(item, slot, inside)
+        dash = f"{' ' * indent}-"
+        if first[0].startswith("#", inside):
+            yield from ((dash, ""), first)
+        else:
+            yield f"{dash} {first[0][inside:]}", first[1]
+        yield from lines
+
+    def entry(self, key: str, tree: Tree, slot: Slot, indent: int, section: str) -> Iterator[Line]:
+        """One key with its value."""
+        pad, value, beside = " " * indent, tree.value, tree.beside
+        head = f"{pad}{key_text(key)}:"
+        if len(key) > MAX_KEY:
+            yield f"{pad}? {key_text(key)}", beside
+            head, beside = f"{pad}:", ""
+        if isinstance(value, dict) and value:
+            section_or_member = indent == 0 or (indent == 2 and section in _BLOCKS)
+            if section_or_member or self.is_block(tree, slot, len(head) + 1):
+                yield head, beside
+                yield from self.entries(tree, slot, indent + 2, section)
+                return
+        elif isinstance(value, tuple) and value and self.is_list_of_lines(tree, slot, indent + 2):
+            yield head, beside
+            yield from self.items(tree, slot, indent + 2)
+            return
+        yield from self.short(head, tree, slot, indent, beside)
+
+    def short(self, head: str, tree: Tree, slot: Slot, indent: int, beside: str) -> Iterator[Line]:
+        """What is no block: on one line, or a long list or text over several."""
+        if isinstance(tree.value, str):
+            yield from self.text(head, tree.value, indent, beside)
+            return
+        flow = self.flow(tree, slot, "block")
+        if isinstance(tree.value, tuple) and len(head) + 1 + len(flow) > WIDTH:
+            items = [self.flow(item, slot.item, "item") for item in tree.value]
+            *lines, last = _wrapped(f"{head} [", items, indent + 2)
+            yield from ((line, "") for line in lines)
+            yield last, beside
+        else:
+            yield f"{head} {flow}", beside
+
+    def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
+        """A text: on one line, or over several where it has several or does not fit."""
+        lines = literal(text)
+        line = f"{head} {string(text, 'block')}"
+        if lines is None and len(line) > WIDTH:
+            lines = folded(text, WIDTH - indent - 2)
+        if lines is None:
+            yield line, beside
+            return
+        yield f"{head} {lines[0]}", beside
+        yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
+
+    def is_block(self, tree: Tree, slot: Slot, column: int) -> bool:
+        """Whether a mapping or list that starts at a column is written over several lines."""
+        if not tree.value:
+            return False
+        if isinstance(tree.value, tuple):
+            return self.is_list_of_lines(tree, slot, column)
+        return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
+
+    def is_list_of_lines(self, tree: Tree, slot: Slot, indent: int) -> bool:
+        """Whether each item of a list has a line of its own: predicates, and what does not fit on one."""
+        if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
+            return True
+        nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
+        return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
+
+    def flow(self, tree: Tree, slot: Slot, where: Any) -> str:
+        """A value on one line."""
+        value = tree.value
+        if isinstance(value, dict):
+            inside = (
+                f"{key_text(key)}: {self.flow(value[key], slot.member(key), 'value')}" for key in slot.ordered(value)
+            )
+            return f"{{{', '.join(inside)}}}"
+        if isinstance(value, tuple):
+            return f"[{', '.join([self.flow(item, slot.item, 'item') for item in value])}]"
+        return scalar(value, where)
+
+
+def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
+    """A long list in brackets, as many items a line as fit."""
+    line = head
+    for k, item in enumerate(items):
+        text = item + ("]" if k == len(items) - 1 else ",")
+        if line != head and len(line) + 1 + len(text) > WIDTH:
+            yield line
+            line = " " * indent + text
+        else:
+            line += text if line == head else f" {text}"
+    yield line
+
+
+def _above(tree: Tree) -> tuple[str, ...]:
+    """The comments on the lines above; an empty mapping or list has no lines to hold its own."""
+    return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
+
+
+def _comments(comments: Iterable[str], indent: int) -> Iterator[Line]:
+    yield from ((f"{' ' * indent}{_spaced(text)}", "") for text in comments)
+
+
+def _spaced(comment: str) -> str:
+    """A comment with a space after its ``#``."""
+    return comment if comment[1:2] in ("", " ", "\t", "!", "#") else f"# {comment[1:]}"
+
+
+def _joined(lines: list[Line]) -> Iterator[str]:
+    """The lines with their comments, which are aligned in a run of neighbours of like length."""
+    run: list[Line] = []
+    for line in lines:
+        if line[1]:
+            run.append(line)
+            continue
+        yield from _aligned(run)
+        run = []
+        yield line[0]
+    yield from _aligned(run)
+
+
+def _aligned(run: list[Line]) -> Iterator[str]:
+    widths = [len(code) for code, _ in run]
+    column = max(widths) if run and max(widths) - min(widths) <= NEIGHBOURS else 0
+    yield from (f"{code:<{column}}  {_spaced(comment)}" for code, comment in run)

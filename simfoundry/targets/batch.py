@@ -1,0 +1,202 @@
+"""Many scenes compiled side by side, each in a process that may crash or hang: the others go on."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from simfoundry.backends.artifact import Artifact
+from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker, say
+from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.scene import SceneSpec
+
+SILENT_S = 900.0
+"""More than a decomposition may take, during which a worker says nothing [s]."""
+
+LEAST_MEMORY = 6 * 2**30
+"""Bytes of address space that a worker has at least; of a large machine it has its share."""
+
+FUNCTION = "simfoundry.targets.batch:compile_job"
+"""What the workers call."""
+
+COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scene document, the targets to compile it for, and the folder of the build."""
+
+    scene: Path
+    targets: tuple[str, ...]
+    out: Path
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job: ``state``, the entry file by target, how much was lost; where it failed, why.
+
+    ``losses`` counts, by target, what was approximated or dropped. ``error`` is a sentence; ``findings`` are of the
+    documents.
+    """
+
+    scene: str
+    out: str
+    state: str
+    targets: dict[str, str] = field(default_factory=dict)
+    losses: dict[str, int] = field(default_factory=dict)
+    error: str = ""
+    findings: tuple[Diagnostic, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping."""
+        data = asdict(self) | {"findings": [finding.to_json() for finding in self.findings]}
+        return {key: value for key, value in data.items() if value or key in ("targets", "losses")}
+
+
+def compile_all(
+    jobs: Sequence[Job],
+    workers: int,
+    report: Callable[[str, int], object] = lambda doing, done: None,
+    limits: Limits | None = None,
+    function: str = FUNCTION,
+) -> list[Outcome]:
+    """The outcomes of jobs, in order, from ``workers`` processes that call ``function`` for each.
+
+    ``report`` hears, from any thread, what is being done and how many jobs are done. A process that crashes, hangs or
+    needs too much memory fails its job, with what it was doing, and another takes its place.
+    """
+    outcomes: dict[int, Outcome] = {}
+    todo = iter(range(len(jobs)))
+    lock = threading.Lock()
+
+    def next_one() -> int | None:
+        with lock:
+            return next(todo, None)
+
+    def heard(job: Job) -> Callable[[str], object]:
+        return lambda said: report(f"{job.scene.name}: {said}", len(outcomes))
+
+    def serve(worker: Worker) -> None:
+        while (k := next_one()) is not None:
+            job = jobs[k]
+            outcomes[k] = _contained(worker, function, job, heard(job))
+            report(job.scene.name, len(outcomes))
+
+    pool = [Worker(limits or _limits(workers)) for _ in range(min(workers, len(jobs)))]
+    threads = [threading.Thread(target=serve, args=(worker,), daemon=True) for worker in pool]
+    try:
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        with lock:
+            todo = iter(())
+        for worker in pool:
+            worker.close()
+    return [outcomes[k] for k in range(len(jobs))]
+
+
+def _limits(workers: int) -> Limits:
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        return Limits(SILENT_S, max(LEAST_MEMORY, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // workers))
+    return Limits(SILENT_S, LEAST_MEMORY)
+
+
+def _contained(worker: Worker, function: str, job: Job, hear: Callable[[str], object]) -> Outcome:
+    try:
+        outcome: Outcome = worker.call(function, job, hear=hear)
+    except FailedError as error:
+        during = f", at {error.doing}" if error.doing else ""
+        return Outcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
+    return outcome
+
+
+def compile_job(job: Job) -> Outcome:
+    """Compile one scene in this process, unless its build is up to date; what is wrong with it is in the outcome."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.errors import SimfoundryError
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.diagnostics import SpecError
+    from simfoundry.spec.load import load_scene
+    from simfoundry.targets import inputs
+    from simfoundry.targets.build import TargetsError, build, is_current
+    from simfoundry.targets.find import find_target
+
+    failed = Outcome(str(job.scene), str(job.out), FAILED)
+    try:
+        say("its documents")
+        loaded = load_scene(job.scene)
+        record = inputs.record(loaded, [find_target(name) for name in dict.fromkeys(job.targets)])
+        if not job.force and is_current(job.out, record):
+            return _read_back(job)
+        scene = lower(loaded, Cache.default(), lambda name, done, total: say(_object(loaded, name)))
+        say(f"its targets ({', '.join(job.targets)})")
+        artifacts = build(scene, job.targets, job.out, job.force, record)
+    except TargetsError as error:
+        return replace(_outcome(job, FAILED, error.artifacts), error=str(error))
+    except SpecError as error:
+        return Outcome(failed.scene, failed.out, FAILED, findings=tuple(error.diagnostics))
+    except SimfoundryError as error:
+        return Outcome(failed.scene, failed.out, FAILED, error=str(error))
+    except OSError as error:
+        return Outcome(
+            failed.scene, failed.out, FAILED, error=f"{error.filename or 'a file'}: {error.strerror or error}"
+        )
+    return _outcome(job, COMPILED, artifacts)
+
+
+def _outcome(job: Job, state: str, artifacts: Sequence[Artifact]) -> Outcome:
+    """The outcome of a job that wrote ``artifacts``."""
+    entries = {a.target: str(job.out / a.target / a.entry) for a in artifacts}
+    return Outcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
+
+
+def _object(loaded: Loaded, name: str) -> str:
+    """An object by its name, with the file of its asset, and after a colon what of it is being done."""
+    name, colon, doing = name.partition(":")
+    asset = loaded.spec.objects[name].asset if isinstance(loaded.spec, SceneSpec) else None
+    return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing
+
+
+def _read_back(job: Job) -> Outcome:
+    """The outcome of a build that is up to date."""
+    import json
+
+    from simfoundry.targets.build import LOSSES, MANIFEST
+
+    losses = json.loads((job.out / LOSSES).read_bytes())
+    entries = {target: json.loads((job.out / target / MANIFEST).read_bytes())["entry"] for target in losses}
+    return Outcome(
+        str(job.scene),
+        str(job.out),
+        CURRENT,
+        {target: str(job.out / target / entry) for target, entry in entries.items()},
+        {target: len(found["losses"]) for target, found in losses.items()},
+    )
+
+
+def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[Job]:
+    """A job for each scene document among ``paths`` and below its folders, whose shape the builds keep.
+
+    What lies in ``out``, and files and folders with a dot in front, are passed over.
+    """
+    for path in paths:
+        if not path.is_dir():
+            yield Job(path, targets, out / _stem(path), force)
+            continue
+        for found in sorted(path.rglob("*.scene.yaml")):
+            inside = found.relative_to(path)
+            hidden = any(part.startswith(".") for part in inside.parts)
+            if not hidden and not found.resolve().is_relative_to(out.resolve()):
+                yield Job(found, targets, out / inside.parent / _stem(found), force)
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".yaml").removesuffix(".scene")

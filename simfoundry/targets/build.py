@@ -1,0 +1,149 @@
+"""A scene to a build folder: one folder a target, and one report of what was lost."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import traceback
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from simfoundry.backends import BACKENDS
+from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.names import InvalidSceneError
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.files import replace_folder, scratch, strangers, write_files
+from simfoundry.runtime.outputs import ensure_folder_replaceable
+from simfoundry.scene.model import Scene
+from simfoundry.targets.compile import compile_target
+from simfoundry.targets.find import Target, find_target
+from simfoundry.targets.report import report
+
+TARGETS = tuple(sorted(BACKENDS))
+"""The targets of a build where nobody says which: the plain backends."""
+
+LOSSES = "loss.json"
+"""What became of each field in each target, in the build folder; see :func:`simfoundry.targets.report.report`."""
+
+RECORD = "build.json"
+"""What a build was made from, in the build folder; see :mod:`simfoundry.targets.inputs`."""
+
+MANIFEST = "manifest.json"
+"""The hashes of the files of a target, in its folder."""
+
+
+class TargetsError(SimfoundryError):
+    """Targets that could not be compiled; all others are written.
+
+    ``artifacts`` are those that were written, ``failures`` say, by target, why each of the others could not be.
+    """
+
+    def __init__(self, artifacts: list[Artifact], failures: Mapping[str, str]) -> None:
+        super().__init__("; ".join(f"{target} is not written: {reason}" for target, reason in failures.items()))
+        self.artifacts, self.failures = artifacts, failures
+
+
+def build(
+    scene: Scene, targets: Iterable[str], out: Path, force: bool = False, record: Mapping[str, object] | None = None
+) -> list[Artifact]:
+    """Compile ``scene`` for every target into ``out/<target>`` and write ``out/loss.json``.
+
+    A target is a name (a backend or a simulator) or the path of a profile. Everything is compiled, and written beside
+    its place, before the first folder is replaced; each is replaced in one step. ``record`` goes to ``out/build.json``,
+    last of all, with the hashes of the manifests. Raises :class:`OutputError` where a folder holds files that no build
+    wrote, or that were edited since, unless ``force``; and, when the others are written, without a record,
+    :class:`TargetsError` where a target fails. The folder of one that fails stays as it was.
+    """
+    found = [find_target(name) for name in dict.fromkeys(targets)]
+    artifacts, failures = _compile_each(scene, {t.name: t for t in found}.values())
+    if failures and not artifacts:
+        raise TargetsError(artifacts, failures)
+    for artifact in artifacts if not force else ():
+        _ensure_ours(out / artifact.target)
+    manifests = {artifact.target: artifact.manifest for artifact in artifacts}
+    reports = {LOSSES: _json(report(scene, artifacts))}
+    if record is not None and not failures:
+        written = {f"{target}/{MANIFEST}": data for target, data in manifests.items()} | reports
+        hashes = {path: hashlib.sha256(data).hexdigest() for path, data in written.items()}
+        reports[RECORD] = _json({"inputs": record, "outputs": hashes})
+    with scratch(out, "build") as staging:
+        for artifact in artifacts:
+            write_files(staging / artifact.target, {**artifact.files, MANIFEST: manifests[artifact.target]})
+        write_files(staging, reports)
+        for artifact in artifacts:
+            replace_folder(staging / artifact.target, out / artifact.target)
+        for name in reports:
+            os.replace(staging / name, out / name)
+    if failures:
+        (out / RECORD).unlink(missing_ok=True)  # the folders are of two builds from now on
+        raise TargetsError(artifacts, failures)
+    return artifacts
+
+
+def _compile_each(scene: Scene, targets: Iterable[Target]) -> tuple[list[Artifact], dict[str, str]]:
+    """The artifacts of those targets that compile, and by name why the others do not."""
+    artifacts: list[Artifact] = []
+    failures: dict[str, str] = {}
+    for target in targets:
+        try:
+            artifacts.append(compile_target(scene, target))
+        except (SimfoundryError, InvalidSceneError) as error:
+            failures[target.name] = str(error)
+        except ModuleNotFoundError as error:
+            failures[target.name] = f"{error.name} is not installed; `simfoundry doctor` says how to get it"
+        except Exception as error:  # a backend that breaks must not take the other targets with it
+            failures[target.name] = _unforeseen(error)
+    return artifacts, failures
+
+
+def _unforeseen(error: Exception) -> str:
+    """A fault of our own in a sentence, with the line of the code that people can report."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    said = " ".join(f"{type(error).__name__}: {error}".split())
+    where = f"{Path(frame.filename).name}:{frame.lineno}"
+    return f"its backend failed unexpectedly ({said}, at {where}); please report this with the scene"
+
+
+def is_current(out: Path, record: Mapping[str, object]) -> bool:
+    """Whether ``out`` holds, byte by byte and nothing else, what was built with this ``record``."""
+    try:
+        built = json.loads((out / RECORD).read_bytes())
+        hashes: dict[str, str] = built["outputs"]
+        if built["inputs"] != record or not _hold(out, hashes):
+            return False
+        for path in hashes:
+            folder = (out / path).parent
+            if folder != out:
+                files: dict[str, str] = json.loads((folder / MANIFEST).read_bytes())["files"]
+                if not _hold(folder, files) or strangers(folder, [*files, MANIFEST]):
+                    return False
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+    return True
+
+
+def _hold(folder: Path, hashes: Mapping[str, str]) -> bool:
+    return all(hashlib.sha256((folder / path).read_bytes()).hexdigest() == value for path, value in hashes.items())
+
+
+def _json(data: object) -> bytes:
+    return (json.dumps(data, indent=2, ensure_ascii=False) + "\n").encode()
+
+
+def _ensure_ours(folder: Path) -> None:
+    """Raise :class:`OutputError` where ``folder`` holds what its own manifest does not name, or edits."""
+    if not folder.is_dir():
+        return
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        written = {str(path): str(digest) for path, digest in manifest["files"].items()}
+        entry = folder / str(manifest["entry"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        written, entry = {}, folder
+    keeps = f"`simfoundry import {entry} --onto SCENE` keeps edits of the stage" if _is_stage(entry) else ""
+    ensure_folder_replaceable(folder, written, MANIFEST, keeps)
+
+
+def _is_stage(entry: Path) -> bool:
+    return entry.suffix in (".usd", ".usda", ".usdc")

@@ -1,0 +1,145 @@
+"""All that a build depends on, as hashes: the same inputs and the same software give the same bytes.
+
+Names are counted from the project, so that the record is the same on every machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import simfoundry
+from simfoundry.scene.robot_files import companions
+from simfoundry.scene.robot_packages import NoModelError
+from simfoundry.scene.robots import OWN_MODELS, lower_robot
+from simfoundry.spec.files import is_document
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
+from simfoundry.spec.yaml.write import to_data
+from simfoundry.targets.find import Target
+
+LIBRARIES = (
+    "coacd",
+    "fast-simplification",
+    "mapbox-earcut",
+    "mujoco",
+    "numpy",
+    "pillow",
+    "scipy",
+    "shapely",
+    "trimesh",
+    "usd-core",
+)
+"""Those whose results are in the files."""
+
+_PACKAGE = Path(simfoundry.__file__).parent
+
+
+def record(loaded: Loaded, targets: Iterable[Target]) -> dict[str, Any]:
+    """Names and SHA-256 of everything that the build of a sound scene is made from.
+
+    ``documents``: by their content, so that comments do not count. ``files``: the meshes, with their materials and
+    textures. ``robots``: their models, or why there is none. ``targets``: their profiles.
+    """
+    spec = loaded.spec
+    assert isinstance(spec, SceneSpec)
+    used = [loaded, *_used(loaded)]
+    return {
+        "software": software(),
+        "scene": _named(loaded.path, loaded.root),
+        "documents": {_named(d.path, loaded.root): _hash(to_data(d.spec)) for d in used if d.spec is not None},
+        "files": {_named(path, loaded.root): _of_file(path) for d in used for path in _files(d)},
+        "robots": {name: _of_robot(name, robot, loaded.path) for name, robot in spec.robots.items()},
+        "targets": {target.name: _of_target(target) for target in targets},
+    }
+
+
+@cache
+def software() -> dict[str, str]:
+    """The versions of this package and of the libraries whose results are in the files.
+
+    Where the package lies in a checkout, where anything may be edited, its version goes on with a hash of its files.
+    """
+    found = {"simfoundry": simfoundry.__version__}
+    if (_PACKAGE.parent / "pyproject.toml").is_file():
+        files = sorted(p for p in _PACKAGE.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        total = hashlib.sha256(b"".join(hashlib.sha256(p.read_bytes()).digest() for p in files))
+        found["simfoundry"] += f"+{total.hexdigest()[:16]}"
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "absent"
+    return found
+
+
+def _used(loaded: Loaded) -> Iterator[Loaded]:
+    for used in loaded.uses.values():
+        yield used
+        yield from _used(used)
+
+
+def _files(loaded: Loaded) -> Iterator[Path]:
+    """The meshes and splats that a document names, with the files that those name."""
+    for reference in _references(loaded.spec):
+        path = loaded.file(reference)
+        yield path
+        yield from companions(path)
+
+
+def _references(spec: object) -> Iterator[str]:
+    if isinstance(spec, AssetSpec):
+        yield from (part.mesh for link in spec.links.values() for part in link.parts.values() if part.mesh is not None)
+    if not isinstance(spec, SceneSpec):
+        return
+    for item in spec.objects.values():
+        for one in (item, *(variant_of(item, name) for name in variant_names(item))):
+            yield from (f for f in (one.asset, one.visual) if f is not None and not is_document(f))
+    if spec.background is not None:
+        yield spec.background.mesh or spec.background.splat or ""
+
+
+def _named(path: Path, root: Path) -> str:
+    """The path in the project; of a file of an installed package, that in the folder of packages."""
+    resolved = path.resolve()
+    if resolved.is_relative_to(root):
+        return resolved.relative_to(root).as_posix()
+    inside = [parent for parent in resolved.parents if parent.name in ("site-packages", "dist-packages")]
+    return f"pkg:{resolved.relative_to(inside[0]).as_posix()}" if inside else resolved.name
+
+
+def _of_file(path: Path) -> str:
+    """The hash of a file; a missing one is found where it is used."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return "absent"
+
+
+def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
+    """A hash of the models of a robot, and of what one's own folder of robots says; or why there is no model."""
+    own = [_of_file(p) for p in sorted(Path(os.environ[OWN_MODELS]).glob("*.yaml"))] if OWN_MODELS in os.environ else []
+    try:
+        models = lower_robot(name, spec, document).models
+    except NoModelError as error:
+        return f"no model: {error}"
+    return _hash([own, [[str(native.format), native.file.name, native.digest] for native in models.values()]])
+
+
+def _of_target(target: Target) -> str:
+    profile = None if target.profile is None else target.profile.model_dump(mode="json")
+    loader = None if target.loader is None else hashlib.sha256(target.loader).hexdigest()
+    return _hash([target.name, target.backend, dict(target.options), loader, profile])
+
+
+def _hash(data: object) -> str:
+    return hashlib.sha256(json.dumps(data, ensure_ascii=False, sort_keys=True, default=list).encode()).hexdigest()
