@@ -109,9 +109,11 @@ def built_in_predicates() -> dict[str, Predicate]:
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
     """The predicate and its arguments in our spelling; unknown names stay as they are."""
-    if name in PREDICATES:
+    if name in PREDICATES.built_in:
         return name, arguments
-    found = _by_alias(tuple(PREDICATES.names())).get(name)
+    found = _by_alias(tuple(PREDICATES.built_in)).get(name)
+    if found is None and name not in PREDICATES:
+        found = _by_alias(tuple(PREDICATES.names())).get(name)
     if found is None:
         return name, arguments
     return found.name, arguments[::-1] if name in found.robot_first and len(arguments) == 2 else arguments
@@ -119,7 +121,7 @@ def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ..
 
 @lru_cache(maxsize=4)
 def _by_alias(names: tuple[str, ...]) -> Mapping[str, Predicate]:
-    """The predicates by the names that others use; a plug-in that cannot be loaded has none."""
+    """The predicates by the names that others use, the first that claims one; a broken plug-in has none."""
     found: dict[str, Predicate] = {}
     for name in names:
         try:
