@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Sphere
 
 
 class Kind(StrEnum):

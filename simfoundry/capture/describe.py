@@ -9,11 +9,11 @@ from simfoundry.capture.annotate import SUPPORT, Substance, kind_of
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.support import Thickness
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.poses import pose_spec
-from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Box
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box
+from simfoundry.geometry.tessellate import tessellate
 
 Progress = Callable[[str, float], None]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.loaded import Loaded

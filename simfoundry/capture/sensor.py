@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
+from simfoundry.geometry.frames import Array
 from simfoundry.render.raycast import Raycast
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.frames import Array
 
 
 @dataclass(frozen=True)

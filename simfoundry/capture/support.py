@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.prism import prism_mesh
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.scene.frames import Array, frozen_array
-from simfoundry.scene.model import Mesh
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 
 if TYPE_CHECKING:
     from shapely.geometry import Polygon

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, Scene, SceneObject
-from simfoundry.scene.summary import bounds, world_bounds
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.object_shapes import bounds, world_bounds
 
 SAME_OBJECT = 0.06
 """Objects whose centres are farther apart than this [m] are different ones."""

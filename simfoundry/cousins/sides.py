@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates.sides import viewer_axis
-from simfoundry.scene.frames import Array, Pose
 
 SIDES = {
     "LeftOf": "left of",

@@ -17,9 +17,9 @@ from simfoundry.cousins.log import Reader
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
 from simfoundry.spec.models import base
 from simfoundry.spec.yaml.text import parse

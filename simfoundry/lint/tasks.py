@@ -9,12 +9,13 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from simfoundry.lint.frames import frame_of
-from simfoundry.lint.report import Path_, length, number, warning
+from simfoundry.lint.report import Path_, warning
 from simfoundry.lint.sketch import Changes, Sketch, sketch
 from simfoundry.lint.things import Thing
 from simfoundry.lint.verdicts import judge, verdict
 from simfoundry.lint.views import unseen_of
 from simfoundry.lint.widths import grasp_width
+from simfoundry.scene.lengths import length, number
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.expressions import Call, parse_call, parts, texts

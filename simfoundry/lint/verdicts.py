@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece
 from simfoundry.lint.frames import Vec
-from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.things import Thing, bounds, extent, is_even, landing, middle
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 FAR_OFF = 0.03
@@ -79,7 +79,7 @@ def verdict(call: Call, drawn: Sketch) -> Verdict:
     if len(things) > 1 and call.kinds[1] == "thing" and (things[1] is None or not things[1].usable):
         return OPEN
     if (value := call.declaration.before_motion) is not None:
-        return Verdict(value, f"no robot has touched `{call.args[0]}` yet")
+        return Verdict(value, f"no robot touches `{call.args[0]}`" + ("" if value else " yet"))
     rule = _RULES.get(call.predicate)  # of a predicate that a package brings, only the judge knows the rule
     return OPEN if rule is None else rule(call, drawn)
 

@@ -18,7 +18,7 @@ def at(terms: Terms, a: Thing, *point: float) -> None:
     """Require that the frame of ``a`` is near ``point`` [m], two or three coordinates in the world."""
     import numpy as np
 
-    from simfoundry.lint.report import length
+    from simfoundry.scene.lengths import length
 
     off = np.linalg.norm(terms.view.frame(a).p[:, : len(point)] - np.array(point), axis=1)
     terms.require(off, AT - off, lambda v, ok: f"`{a.name}` is {length(v)} from there")

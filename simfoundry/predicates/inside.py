@@ -16,9 +16,9 @@ def inside(terms: Terms, a: Thing, b: Thing) -> None:
     """Require that half of ``a`` is in a cavity of ``b`` that can hold it, and that nothing moves or holds it."""
     import numpy as np
 
-    from simfoundry.lint.report import length
-    from simfoundry.predicates.distance import FAR
     from simfoundry.predicates.judging.cavity_depth import enclosed_depth
+    from simfoundry.predicates.judging.distances import FAR
+    from simfoundry.scene.lengths import length
 
     depth = enclosed_depth(terms.view, a, b)
     share = f"{ENCLOSED:.0%} of `{a.name}`"

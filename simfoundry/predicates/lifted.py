@@ -19,8 +19,8 @@ def lifted(terms: Terms, a: Thing) -> None:
     """Require that ``a`` is higher than at the start and touches no object but those that it supports."""
     from functools import partial
 
-    from simfoundry.lint.report import length
     from simfoundry.predicates.judging.support import gap_to_others
+    from simfoundry.scene.lengths import length
 
     rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
+    from simfoundry.geometry.frames import Array
     from simfoundry.predicates.judging.bodies import Thing
     from simfoundry.predicates.judging.terms import Terms
     from simfoundry.predicates.judging.view import View
-    from simfoundry.scene.frames import Array
 
 NEAR_SHARE = 1 / 6
 """Greatest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
@@ -20,8 +20,8 @@ def next_to(terms: Terms, a: Thing, b: Thing) -> None:
     """Require that the heights overlap, that the gap is small for their size, and that neither is over the other."""
     import numpy as np
 
-    from simfoundry.lint.report import length
     from simfoundry.predicates.judging.view import ground_gap, over
+    from simfoundry.scene.lengths import length
 
     def spare_gap(view: View) -> Array:
         boxes = view.boxes(a), view.boxes(b)

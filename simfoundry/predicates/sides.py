@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
+    from simfoundry.geometry.frames import Array, Pose
     from simfoundry.predicates.judging.bodies import Thing
     from simfoundry.predicates.judging.terms import Terms
-    from simfoundry.scene.frames import Array, Pose
 
 AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
 """Axis of the viewer's frame (0 away, 1 left) and the sign along it."""
@@ -34,7 +34,7 @@ def _beside(name: str, words: str, terms: Terms, a: Thing, b: Thing) -> None:
     """Require that the middle of each is beyond the other's edge along the axis of ``name``."""
     import numpy as np
 
-    from simfoundry.lint.report import length
+    from simfoundry.scene.lengths import length
 
     column, sign = AXES[name]
     axis = sign * viewer_axis(terms.context.bodies.scene.viewer, column)

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
+    from simfoundry.geometry.frames import Array
     from simfoundry.predicates.judging.bodies import Thing
     from simfoundry.predicates.judging.terms import Terms
     from simfoundry.predicates.judging.view import View
-    from simfoundry.scene.frames import Array
 
 
 def _vertical(side: str, opposite: str, terms: Terms, a: Thing, b: Thing) -> None:
     """Require that ``b`` is on one ``side`` of the middle of ``a``, ``over`` or ``under``, and not on the other."""
     import numpy as np
 
-    from simfoundry.lint.report import length
+    from simfoundry.predicates.judging.plumb import Meeting, meet
     from simfoundry.predicates.judging.view import over
-    from simfoundry.predicates.plumb import Meeting, meet
+    from simfoundry.scene.lengths import length
 
     beside = over(terms.view.boxes(a).middle, terms.view.boxes(b))
     terms.require(beside, beside, lambda v, ok: "" if ok else f"`{a.name}` is {length(-v)} beside `{b.name}`")

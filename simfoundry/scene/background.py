@@ -10,10 +10,11 @@ import numpy as np
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.bodies import GREY
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import Background, Mesh, Visual
+from simfoundry.scene.model import Background, Visual
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models import scene as spec

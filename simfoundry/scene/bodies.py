@@ -17,19 +17,10 @@ from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, la
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
 from simfoundry.assets.primitives import Primitive
 from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
-from simfoundry.scene.frames import IDENTITY, Array, Pose
-from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Link,
-    Mesh,
-    Sphere,
-    Visual,
-)
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.spec.models.asset import Inertial, Part
 from simfoundry.spec.models.base import (
     Body,

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.assets.errors import MeshError
+from simfoundry.geometry.frames import IDENTITY, Pose, look_at
+from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY, Pose, look_at
-from simfoundry.scene.frames import frozen_array as frozen
 from simfoundry.scene.model import (
     Background,
     Camera,

@@ -10,7 +10,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.robot import WorldRobot

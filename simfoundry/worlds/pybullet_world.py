@@ -20,7 +20,7 @@ import numpy as np
 
 from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
-from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.raycast import cast_mesh, first_faces
 from simfoundry.capture.shapes.unwrap import face_normals
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
-from simfoundry.scene.model import Geometry
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
 K = np.array([[FOCAL, 0, 158.7], [0, FOCAL * 1.002, 121.4], [0, 0, 1]])

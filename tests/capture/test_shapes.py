@@ -21,9 +21,9 @@ from simfoundry.capture.shapes.raycast import (
     cast_sphere,
 )
 from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
-from simfoundry.scene.tessellate import revolved, tessellate
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import revolved, tessellate
 from tests.capture.depth_camera import EYE, NOISE, Solid, blinded, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))

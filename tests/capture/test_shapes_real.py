@@ -19,9 +19,9 @@ from simfoundry.capture.frame import Frame, Support
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
 from simfoundry.capture.shapes.raycast import cast_mesh
 from simfoundry.capture.shapes.texture import textured_mesh
-from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Box, Cylinder, Mesh
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh
+from simfoundry.geometry.tessellate import tessellate
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 

@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
+from simfoundry.runtime.workers import FailedError, Limits, Worker
 from tests.corpora.importing.files import OBTAIN, Job, jobs_below, sampled
 from tests.corpora.importing.mutants import mutant
 from tests.corpora.importing.outcome import Outcome

@@ -17,7 +17,7 @@ from simfoundry.capture.frame import Frame, Segmentation, Support
 from simfoundry.capture.load import register
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.ground import find_support
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 Labels = NDArray[np.int32]

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from simfoundry.cousins.objects.checks import Twin, faults
-from simfoundry.cousins.objects.grips import grip_width
 from simfoundry.cousins.objects.item import lowered
 from simfoundry.cousins.objects.likeness import COLOR, SHAPE, likeness
 from simfoundry.cousins.objects.needs import Needs, needs_of
@@ -130,27 +128,6 @@ def test_a_drawer_that_jams_is_refused() -> None:
     )
     code, text = first(short, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
     assert (code, text) == ("joint", "`drawer` moves 0.050, and 0.160 in the twin")
-
-
-@pytest.mark.parametrize(
-    ("name", "width", "tolerance"),
-    [("cube", 0.05, 1e-6), ("cup", 0.0032, 0.0008), ("baseball", 0.0685, 0.0045), ("brown_box", 0.005, 1e-6)],
-)
-def test_the_narrowest_grip(name: str, width: float, tolerance: float) -> None:
-    assert grip_width(thing(item(name).spec, name)) == pytest.approx(width, abs=tolerance)
-
-
-def test_a_slit_too_narrow_for_a_finger_is_no_grip() -> None:
-    def boards(gap: float) -> SceneObject:
-        parts = {
-            side: Part(shape=BoxShape(box=(0.2, 0.04, 0.1)), pose=Pose(xyz=(0.0, sign * (gap + 0.04) / 2, 0.05)))
-            for side, sign in (("left", 1.0), ("right", -1.0))
-        }
-        link = LinkSpec(mass=0.3, parts=parts)
-        return lowered(AssetSpec(simfoundry="asset/1", name="boards", links={"body": link}), Path(), "boards")
-
-    assert grip_width(boards(0.03)) == pytest.approx(0.04, abs=1e-6)
-    assert grip_width(boards(0.01)) == pytest.approx(0.09, abs=1e-6)
 
 
 def test_likeness_tells_apart_and_only_that() -> None:

@@ -14,10 +14,11 @@ from numpy.testing import assert_allclose
 
 from simfoundry.assets import decompose
 from simfoundry.assets.cache import Cache
-from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
+from simfoundry.geometry.frames import Pose, look_at, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower, lower_file
-from simfoundry.scene.model import Box, JointType, Link, Mesh, Scene, Sphere
+from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.load import load_scene
 from tests.assets.meshes import block, obj

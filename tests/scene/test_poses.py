@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
 from simfoundry.scene.poses import pose_spec, with_poses
 from simfoundry.spec.models.base import BoxShape

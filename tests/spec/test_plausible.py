@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY
 from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST, implausible, volume
 from simfoundry.spec.models.base import (
     Body,

@@ -34,18 +34,17 @@ from simfoundry.backends.urdf import (
     whole,
 )
 from simfoundry.backends.urdf.physics import silent_between
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.scene.model import (
     Camera,
     Collider,
     Drive,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
     Mimic,
     Scene,
     SceneObject,

@@ -17,7 +17,7 @@ from simfoundry.capture.segment.noise import depth_sigma, valid_depth
 from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
 from simfoundry.capture.segment.stacking import below, carriers, parts_of, sinking
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 LOWEST = 0.006  # [m] above the support, below which nothing is told from it
 TALLEST = 0.6  # [m]

@@ -13,7 +13,7 @@ from simfoundry.capture.segment.noise import depth_sigma, valid_depth
 from simfoundry.capture.segment.outline import Plan, plan_of, polygon_of
 from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
 from simfoundry.capture.segment.relief import normals_of, tangents
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor
 DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance

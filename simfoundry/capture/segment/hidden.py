@@ -6,7 +6,7 @@ import numpy as np
 
 from simfoundry.capture.segment.merge import EDGE, renamed, root
 from simfoundry.capture.segment.regions import Labels, borders
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 IN_PLANE = 0.006  # [m]
 SAME_TOP = 0.012  # [m]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.segment.merge import renamed
 from simfoundry.capture.segment.regions import Border, Labels, borders
 from simfoundry.capture.segment.stacking import Part, below, carriers, footprint_hull, parts_of, shared_footprint
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
 BRIGHT = 50  # of 255, likewise

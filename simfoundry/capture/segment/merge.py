@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.segment.regions import Border, Labels, borders
 from simfoundry.capture.segment.stacking import below, carriers, parts_of
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.segment.kinship import vivid_of
 from simfoundry.capture.segment.merge import compact
 from simfoundry.capture.segment.regions import Labels, flood
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 HOLLOW = 0.7  # share of its convex hull that a region of two things fills at most
 SHARE = 0.25  # of the region that each thing covers at least

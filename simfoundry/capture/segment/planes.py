@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 MOST_PLANES = 8
 HYPOTHESES = 1500

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.capture.segment.relief import CUT, across, bend_and_jump, edge_strength, normals_of, start_of, tangents
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
 FLAT = 0.5  # edge strength, in units of `Relief.edge`, below which a pixel may seed a region

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 CUT = 0.012  # [m] a neighbour farther off in depth than this (and the noise) belongs to another surface
 Tangents = NDArray[np.float64]

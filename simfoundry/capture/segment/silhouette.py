@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.regions import Labels
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 MEASURED = 0.1  # share of a hole's pixels with depth from which on its depth decides what it shows
 INSIDE = 0.7  # of a hole's points over the object's footprint

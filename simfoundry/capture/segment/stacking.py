@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 CONTACT = 0.015  # [m] between a thing and what carries it
 OVERLAP = 0.05  # of the smaller footprint that a thing shares with what carries it, as far as both are seen

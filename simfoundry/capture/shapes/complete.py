@@ -20,8 +20,8 @@ from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
 from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_mesh
 from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Mesh
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame, Support
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 MAX_RAYS = 2600
 _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too

@@ -16,9 +16,9 @@ from simfoundry.capture.shapes.fit_box import fit_box
 from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
 from simfoundry.capture.shapes.raycast import Agreement
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.scene.tessellate import revolved
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.tessellate import revolved
 
 MIN_POINTS = 12
 PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_round import search, start_axis
 from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 LEVELS = 14
 WALL = 0.004

@@ -10,8 +10,8 @@ import numpy as np
 
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe, cast_sphere
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Cylinder, Sphere
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Cylinder, Sphere
 
 SMALLEST = 0.004
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.geometry.visibility import first_hits, scattered_rays, turned, unit
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.ray_casts import first_hits, scattered_rays, turned, unit
 
 FREE_WEIGHT = 0.7
 _BLIND_MISS = 0.4  # an object pixel without depth that the solid misses

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.assets.lathe import ring_faces
-from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Mesh
-from simfoundry.scene.tessellate import closed_mesh
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import closed_mesh
 
 
 def loft_mesh(rings: Array) -> Mesh:

@@ -20,7 +20,7 @@ from simfoundry.cousins.objects.parts import (
 )
 from simfoundry.cousins.objects.profiles import Profile, flared, swelled, thickened
 from simfoundry.cousins.objects.stretch import allowed, stretched, stretched_part
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, Part
 from simfoundry.spec.models.base import LatheShape, SphereShape
 

@@ -13,9 +13,9 @@ from simfoundry.cousins.objects.geometry import Rng, lathe_of, outward
 from simfoundry.cousins.objects.meshes import FOLDER
 from simfoundry.cousins.objects.parts import Key, aimed, at, axis_of, parts_of, rod, with_parts
 from simfoundry.cousins.objects.profiles import Profile
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
 from simfoundry.spec.models.asset import AssetSpec, Part
 from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 

@@ -11,9 +11,9 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, read_parts
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
 from simfoundry.spec.models.asset import AssetSpec, Part
 
 FOLDER = "meshes"

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.poses import pose
 from simfoundry.spec.models.asset import AssetSpec, Part
 from simfoundry.spec.models.base import (

@@ -16,9 +16,9 @@ from simfoundry.cousins.objects.parts import Key, parts_of, rod, with_parts
 from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.cousins.objects.silhouettes import FLAT, LOW
 from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
 from simfoundry.spec.models.asset import AssetSpec, Part
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.cousins.objects.parts import aimed, at, each, moved, parts_of, rod, shaped, with_rod
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.poses import pose
 from simfoundry.spec.models.asset import AssetSpec, JointSpec, Part
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape

@@ -19,7 +19,7 @@ from simfoundry.cousins.objects.parts import (
     with_parts,
 )
 from simfoundry.cousins.objects.profiles import Profile, raised_foot
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, Part
 from simfoundry.spec.models.base import (
     BoxShape,

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import Image, ImageSize, Observation, PolicyError, RobotReading
 from simfoundry.evaluate.policies.images import resize_with_pad
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.spec.models.policy import Gripper, PolicySpec
 
 

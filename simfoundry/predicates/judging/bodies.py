@@ -2,107 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import NamedTuple
-
-import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.frames import IDENTITY, Array
-from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
 from simfoundry.scene.robot import Robot
-
-TURNED = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0]])
-TURNED[3:] /= np.sqrt(2)
-TURNED.setflags(write=False)
-"""The axes along which a thing is boxed: its own, and those turned by 45 degrees about z; shape (5, 3)."""
 
 
 class PredicateError(SimfoundryError, ValueError):
     """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
-
-
-@dataclass(frozen=True, eq=False)
-class Form:
-    """The convex parts of a link in the link's frame; of a link without colliders, what is seen of it.
-
-    ``points`` [m], shape (m, 3), with a ``radius`` each, shape (m,), have the same hull as the parts. ``low`` and
-    ``high`` [m] are the ends along :data:`TURNED`, shape (5,). ``solid`` says whether it touches anything.
-    """
-
-    link: Link
-    parts: Hulls
-
-    @property
-    def solid(self) -> bool:
-        """Whether it has colliders."""
-        return bool(self.link.colliders)
-
-    @cached_property
-    def _support(self) -> tuple[Array, Array]:
-        points, radius = self.parts.corners, self.parts.radius[self.parts.part]
-        sharp = radius == 0
-        kept = _corners(points[sharp])
-        return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
-
-    @property
-    def points(self) -> Array:
-        """Corners of its hull, and centres of its balls [m], (m, 3)."""
-        return self._support[0]
-
-    @property
-    def radius(self) -> Array:
-        """Of the ball at each point [m], (m,)."""
-        return self._support[1]
-
-    @cached_property
-    def _span(self) -> tuple[Array, Array]:
-        along = self.points @ TURNED.T
-        return (along - self.radius[:, None]).min(axis=0), (along + self.radius[:, None]).max(axis=0)
-
-    @property
-    def low(self) -> Array:
-        """The lower ends along :data:`TURNED` [m], (5,)."""
-        return self._span[0]
-
-    @property
-    def high(self) -> Array:
-        """The higher ends along :data:`TURNED` [m], (5,)."""
-        return self._span[1]
-
-    @cached_property
-    def ball(self) -> tuple[Array, float]:
-        """A ball around it: centre [m], shape (3,), and radius [m]."""
-        middle = (self.low[:3] + self.high[:3]) / 2
-        return middle, float((np.linalg.norm(self.points - middle, axis=1) + self.radius).max())
-
-    @cached_property
-    def pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Of each part: the corners of its box [m], (k, 3) twice, and a ball around it, (k, 3) and (k,)."""
-        rows = []
-        for k in range(len(self.parts.radius)):
-            corners, r = self.parts.corners[self.parts.part == k], float(self.parts.radius[k])
-            low, high = corners.min(axis=0) - r, corners.max(axis=0) + r
-            middle = (low + high) / 2
-            rows.append((low, high, middle, float(np.linalg.norm(corners - middle, axis=1).max()) + r))
-        low, high, middle, size = zip(*rows, strict=True)
-        return np.array(low), np.array(high), np.array(middle), np.array(size)
-
-
-def _corners(points: Array) -> Array:
-    """The corners of the hull of points, in their order; all of them where they have no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 5:
-        return points
-    try:
-        return np.asarray(points[np.sort(ConvexHull(points).vertices)])
-    except QhullError:
-        return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +74,14 @@ class Bodies:
         """All bodies as objects."""
         return tuple(self[name].item for name in (*self.objects, *self.robots))
 
+    def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
+        """What touches of each link of all bodies, by the name of the body and the index of the link."""
+        return {
+            (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
+            for item in self.items
+            for k, link in enumerate(item.links)
+        }
+
     def thing(self, argument: str) -> Thing:
         """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
         owner, _, part = argument.partition(".")
@@ -212,7 +134,5 @@ def _robot_object(robot: Robot) -> RobotObject | None:
 
 
 def _form(link: Link) -> Form | None:
-    bare = replace(link, visuals=()) if link.colliders else link
-    if not bare.colliders and not bare.visuals:
-        return None
-    return Form(bare, hulls(SceneObject(link.name, "", True, IDENTITY, (bare,))))
+    shown = link.colliders or link.visuals
+    return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.predicates.judging.bodies import Form, PredicateError, Thing
-from simfoundry.predicates.judging.states import Index, rotate
+from simfoundry.geometry.cavity import UPWARD, Cavity, cavity, cavity_upward
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index, rotate
+from simfoundry.geometry.volume_samples import volume_samples
+from simfoundry.predicates.judging.bodies import PredicateError, Thing
 from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
-from simfoundry.predicates.samples import volume_samples
-from simfoundry.predicates.voxels import UPWARD, Cavity, cavity, cavity_upward
-from simfoundry.scene.frames import Array
 
 SAMPLES = 64
 """Points of a thing whose depth is measured."""
@@ -92,7 +93,8 @@ def _counts(view: View, a: Thing) -> list[int]:
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
-    masses = np.array([form.link.mass for _, form in forms])
+    links = view.bodies[a.owner].item.links
+    masses = np.array([links[k].mass for k, _ in forms])
     return [max(1, round(SAMPLES * float(m))) for m in masses / masses.sum()]
 
 

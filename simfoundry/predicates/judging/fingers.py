@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
-from simfoundry.predicates.distance import FAR, Distances
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Poses
 from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
-from simfoundry.predicates.judging.states import Poses, StateBatch
+from simfoundry.predicates.judging.distances import FAR, Distances
+from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
 from simfoundry.predicates.judging.view import View
-from simfoundry.scene.frames import Array
 from simfoundry.scene.robot import Gripper
 
 STILL = 0.001

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.judging.bodies import Bodies, PredicateError
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.terms import Context, Terms
 from simfoundry.predicates.judging.view import View
-from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call, parse_call, parts

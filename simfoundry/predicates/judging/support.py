@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.lint.report import length
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.plumb import centre_of_mass
 from simfoundry.predicates.judging.terms import Context
 from simfoundry.predicates.judging.thresholds import SUPPORT_DEG, TOUCH
 from simfoundry.predicates.judging.view import View, over
-from simfoundry.predicates.plumb import centre_of_mass
-from simfoundry.scene.frames import Array
+from simfoundry.scene.lengths import length
 
 STEEPEST = math.cos(math.radians(SUPPORT_DEG))
 """The cosine of :data:`~simfoundry.predicates.judging.thresholds.SUPPORT_DEG`."""

@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.lint.report import length
-from simfoundry.predicates.distance import Distances
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.fingers import Fingers, fingers, grip_margin
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.thresholds import SETTLED
 from simfoundry.predicates.judging.view import View
-from simfoundry.scene.frames import Array
+from simfoundry.scene.lengths import length
 
 Explain = Callable[[float, bool], str]
 """The text for a term's value, given whether the term holds; empty if there is nothing to say."""

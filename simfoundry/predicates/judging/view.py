@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.predicates.judging.bodies import TURNED, Bodies, Form, Thing
-from simfoundry.predicates.judging.states import Index, Poses, StateBatch, rotate, turns
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.form import TURNED, Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index, Poses, rotate, turns
+from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.scene.model import Joint, JointType
 
 UP = np.array([0.0, 0.0, 1.0])

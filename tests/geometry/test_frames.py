@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from simfoundry.scene.frames import (
+from simfoundry.geometry.frames import (
     IDENTITY,
     Array,
     Pose,

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.predicates.judging.bodies import Bodies
-from simfoundry.predicates.judging.states import Index, Poses
-from simfoundry.scene.frames import Array, frozen_array
-from simfoundry.scene.model import Scene
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.poses import Index, Poses
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 LIFT = 0.001
 """How far a thing is raised to see which way it is pushed [m]: more than engines let things overlap, less than what
@@ -33,26 +31,27 @@ class Candidates(NamedTuple):
     bound: Array
 
 
-class Exact:
-    """All colliders of a scene's bodies as MuJoCo's geoms. MuJoCo neither steps nor places anything here."""
+Shapes = Sequence[tuple[Geometry, Pose]]
+"""Shapes with their poses in a link."""
 
-    def __init__(self, bodies: Bodies) -> None:
+
+class Exact:
+    """The shapes of links, each by a name and an index, as MuJoCo's geoms; MuJoCo neither steps nor places them."""
+
+    def __init__(self, links: Mapping[tuple[str, int], Shapes]) -> None:
         import mujoco
 
-        items = tuple(replace(o, links=tuple(replace(k, visuals=()) for k in o.links)) for o in bodies.items)
-        files = compile_mjcf(Scene("distances", frozen_array([0.0, 0.0, 0.0]), items)).files
-        assets = {path: data for path, data in files.items() if path.startswith("assets/")}
+        spec = mujoco.MjSpec()
+        ids = iter(range(sum(map(len, links.values()))))
+        self._geoms = {key: np.array([next(ids) for _ in shapes], dtype=np.int64) for key, shapes in links.items()}
+        meshes: dict[int, str] = {}
+        for shapes in links.values():
+            for geometry, X_LG in shapes:
+                _add_geom(spec, geometry, X_LG, meshes)
         self._distance = mujoco.mj_geomDistance
-        self._model = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
+        self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._geoms: dict[tuple[str, int], Index] = {}
-        for item in bodies.items:
-            for k, link in enumerate(item.links):
-                name = item.qualified(link.name)
-                ids = [self._model.geom(f"{name}.{collider.name}").id for collider in link.colliders]
-                self._geoms[item.name, k] = np.array(ids, dtype=np.int64)
-        every = [Poses.of(self._model.geom_pos, self._model.geom_quat)]
-        self._X_LG = every[0]
+        self._X_LG = Poses.of(self._model.geom_pos, self._model.geom_quat)
 
     def distance(
         self,
@@ -144,3 +143,32 @@ class Exact:
         p = X_WL.p[:, None] + self._X_LG.p[geoms] @ X_WL.R.transpose(0, 2, 1)
         turn = X_WL.R[:, None] @ self._X_LG.R[geoms]
         return p, turn.reshape(len(p), -1, 9)
+
+
+def _add_geom(spec: Any, geometry: Geometry, X_LG: Pose, meshes: dict[int, str]) -> None:
+    """Add a geom to the world of a model; ``meshes`` are the names of the meshes that it has, by identity."""
+    import mujoco
+
+    kinds = mujoco.mjtGeom
+    size, mesh = [0.0, 0.0, 0.0], ""
+    match geometry:
+        case Box():
+            kind, size = kinds.mjGEOM_BOX, (geometry.size / 2).tolist()
+        case Sphere():
+            kind, size = kinds.mjGEOM_SPHERE, [geometry.radius, 0.0, 0.0]
+        case Cylinder():
+            kind, size = kinds.mjGEOM_CYLINDER, [geometry.radius, geometry.height / 2, 0.0]
+        case Capsule():
+            kind, size = kinds.mjGEOM_CAPSULE, [geometry.radius, geometry.height / 2, 0.0]
+        case Mesh():
+            kind = kinds.mjGEOM_MESH
+            if id(geometry) not in meshes:
+                meshes[id(geometry)] = f"m{len(meshes)}"
+                spec.add_mesh(
+                    name=meshes[id(geometry)],
+                    uservert=geometry.vertices.ravel(),
+                    userface=geometry.faces.ravel(),
+                    inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+                )
+            mesh = meshes[id(geometry)]
+    spec.worldbody.add_geom(type=kind, size=size, meshname=mesh, pos=X_LG.p, quat=X_LG.q)

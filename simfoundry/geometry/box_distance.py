@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.judging.bodies import Form
-from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Box
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Box
 
 ROUNDING = 1e-6
 """What single precision may be off [m]."""
@@ -46,8 +46,7 @@ class BoxField:
 @lru_cache(maxsize=256)
 def box_field(form: Form) -> BoxField | None:
     """The field of a link that is one box; None for any other."""
-    colliders = form.link.colliders
-    if len(colliders) != 1 or not isinstance(box := colliders[0].geometry, Box):
+    if not form.solid or len(form.shapes) != 1 or not isinstance(box := form.shapes[0][0], Box):
         return None
-    pose = colliders[0].X_LG
+    pose = form.shapes[0][1]
     return BoxField(*(np.asarray(v, dtype=np.float32) for v in (pose.p, pose.rotation, np.asarray(box.size) / 2)))

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.judging.bodies import Form, Thing
-from simfoundry.predicates.judging.states import Poses, rotate
-from simfoundry.predicates.judging.view import View
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
-from simfoundry.scene.hulls import Index, hulls
-from simfoundry.scene.model import Box, Collider, SceneObject
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.poses import Index, Poses, rotate
+from simfoundry.geometry.shapes import Box
 
 SEAM = 1e-6
 """A line that passes a part at no more than this [m] meets it: parts of one thing touch with gaps of rounding only."""
@@ -28,59 +24,20 @@ AT_ONCE = 400_000
 """So many edges are looked at together, about 100 MB: a round table top has hundreds."""
 
 
-class Meeting(NamedTuple):
-    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
+def chords_of(own: Form, X_WL: Poses, points: Array) -> tuple[Index, Array, Array, Array]:
+    """The states in which plumb lines through points, (n, 3), may meet parts of a body at ``X_WL``.
 
-    Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
-    the end of the one on that line; negative where nothing is met.
+    Of each pair of line and part that may meet: the state, how far within the outline of the part the line is, and
+    where the line enters and leaves it, over the point [m].
     """
-
-    over: Array
-    under: Array
-
-
-def meet(view: View, a: Thing, b: Thing) -> Meeting:
-    """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
-    points = view.boxes(a).middle
-    over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
-    found = list(_chords_of(view, points, b))
-    for state, within, _, _ in found:
-        np.maximum.at(over, state, within)
-    met = np.flatnonzero(over > 0)
-    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
-    if len(met):
-        low, high = _own_ends(view.at(met), points[met], a)
-        row = np.full(view.n, -1)
-        row[met] = np.arange(len(met))
-        over[met] = under[met] = -np.inf
-        for state, within, bottom, top in found:
-            some = np.flatnonzero(row[state] >= 0)
-            at = row[state[some]]
-            np.maximum.at(over, state[some], np.minimum(within[some], top[some] - high[at]))
-            np.maximum.at(under, state[some], np.minimum(within[some], low[at] - bottom[some]))
-    return Meeting(over, under)
-
-
-def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
-    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
-    low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
-    for state, within, bottom, top in _chords_of(view, points, a):
-        met = within > 0
-        np.minimum.at(low, state[met], bottom[met])
-        np.maximum.at(high, state[met], top[met])
-    return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
-
-
-def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
-    """By link: the states in which plumb lines may meet parts of it, and what :func:`_chords` says of them."""
-    for k, own in view.forms(thing):
-        form, X_WL = _convex(own), view.link(thing.owner, k)
-        local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
-        up = X_WL.R[:, 2]
-        low, high, _, _ = form.pieces
-        state, part = np.nonzero(_beside_box(local, up, (low + high) / 2, (high - low) / 2) <= SEAM)
-        if len(state):
-            yield state, *_chords(form, part, local[state], up[state])
+    form = _convex(own)
+    local = rotate(X_WL.R.transpose(0, 2, 1), points - X_WL.p)
+    up = X_WL.R[:, 2]
+    low, high, _, _ = form.pieces
+    state, part = np.nonzero(_beside_box(local, up, (low + high) / 2, (high - low) / 2) <= SEAM)
+    if not len(state):
+        return state, np.zeros(0), np.zeros(0), np.zeros(0)
+    return state, *_chords(form, part, local[state], up[state])
 
 
 @lru_cache(maxsize=256)
@@ -89,14 +46,7 @@ def _convex(form: Form) -> Form:
     if form.solid:
         return form
     low, high = form.low[:3], form.high[:3]
-    box = Collider("box", Box(frozen_array(np.maximum(high - low, SEAM))), 0.0, 0.0, Pose.of((low + high) / 2))
-    link = replace(form.link, visuals=(), colliders=(box,))
-    return Form(link, hulls(SceneObject(link.name, "", True, IDENTITY, (link,))))
-
-
-def _beside(view: View, points: Array, b: Thing) -> Array:
-    """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
-    return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
+    return Form.of([(Box(frozen_array(np.maximum(high - low, SEAM))), Pose.of((low + high) / 2))])
 
 
 def _beside_box(points: Array, up: Array, middle: Array, half: Array) -> Array:
@@ -259,16 +209,3 @@ def _ball_chord(away: Array, up: Array, radius: Array) -> tuple[Array, Array]:
     with np.errstate(invalid="ignore"):
         half = np.sqrt(radius**2 - np.einsum("mi,mi->m", away, away) + middle**2)
     return -middle - half, -middle + half
-
-
-def centre_of_mass(view: View, a: Thing) -> Array:
-    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
-    links = view.bodies[a.owner].item.links
-    masses = [links[k].mass for k in a.links]
-    if sum(masses) <= 0:
-        return view.boxes(a).middle
-    total = np.zeros((view.n, 3))
-    for k, mass in zip(a.links, masses, strict=True):
-        X_WL: Poses = view.link(a.owner, k)
-        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
-    return total

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.predicates.judging.bodies import Form
-from simfoundry.predicates.voxels import outside_part
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.cavity import outside_part
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
 
 TRIED = 512
 """Points that are tried in the box of each part."""

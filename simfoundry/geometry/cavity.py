@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.predicates.judging.bodies import Form
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
 
 CELLS = 64
 """Cells along the longest side of a link."""

@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls, Index
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls, Index
 
 SHRINK = 1e-6
 """Share by which the upper object is narrowed, so that what fits exactly between two walls does not stand on them."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 Index = NDArray[np.int64]
 

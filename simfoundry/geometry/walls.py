@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
 
 DIRECTIONS = 16
 """In how many directions walls are looked for."""

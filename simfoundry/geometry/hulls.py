@@ -8,15 +8,15 @@ more than 10 m; everything else is exact.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, SceneObject, Sphere
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 Index = NDArray[np.int64]
 
@@ -91,24 +91,21 @@ class Hulls:
         return Hulls(corners, self.edges, triangles, normals, self.beside, self.part, self.radius, self.link)
 
 
-def hulls(item: SceneObject) -> Hulls:
-    """The colliders of all links of an object where it stands; of a link without colliders what is seen of it."""
-    poses = link_poses(item)
+def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
+    """The convex parts of shapes, each with its pose and the index of the link that it belongs to."""
     points, sides, rods, part = [], [], [], []
     radii: list[float] = []
     links: list[int] = []
     count = 0
-    for number, link in enumerate(item.links):
-        X_WL = item.X_WO @ poses[link.name]
-        for piece in link.colliders or link.visuals:
-            corners, triangles, rod, radius = _core(piece.geometry)
-            points.append((X_WL @ piece.X_LG).apply(corners))
-            sides.append(triangles + count)
-            rods.append(rod + count)
-            part.append(np.full(len(corners), len(radii)))
-            radii.append(radius)
-            links.append(number)
-            count += len(corners)
+    for geometry, pose, link in shapes:
+        corners, triangles, rod, radius = _core(geometry)
+        points.append(pose.apply(corners))
+        sides.append(triangles + count)
+        rods.append(rod + count)
+        part.append(np.full(len(corners), len(radii)))
+        radii.append(radius)
+        links.append(link)
+        count += len(corners)
     corners = np.concatenate(points) if points else np.zeros((0, 3))
     triangles = np.concatenate([np.zeros((0, 3), np.int64), *sides])
     normals = _normals(corners, triangles)

@@ -7,9 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.convex import hull
+from simfoundry.assets.errors import MeshError
 from simfoundry.assets.lathe import lathe_mesh
-from simfoundry.scene.frames import Array, frozen_array
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 Faces = NDArray[np.int32]
 
@@ -65,3 +67,12 @@ def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
     index = np.ascontiguousarray(faces, dtype=np.int32)
     index.setflags(write=False)
     return Mesh(vertices=frozen_array(vertices), faces=index)
+
+
+def hull_mesh(points: Array) -> Mesh | None:
+    """The hull of points [m], shape (n, 3), with at most 64 vertices; None where they lie in one plane."""
+    try:
+        vertices, faces = hull(points)
+    except MeshError:
+        return None
+    return closed_mesh(vertices, faces)

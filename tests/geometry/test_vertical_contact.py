@@ -11,9 +11,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from simfoundry.assets.convex import hull
-from simfoundry.scene.frames import Pose, frozen_array
-from simfoundry.scene.hulls import PROUD
-from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.hulls import PROUD
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Primitive, Sphere
 from simfoundry.scene.place import CLEARANCE, PlaceError, solve
 from simfoundry.spec.models.place import Place
 from tests.placing import (
