@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Segmentation
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.load import register
 from simfoundry.capture.segment.decompose import decompose
 from simfoundry.capture.segment.find_support import find_support
