@@ -23,13 +23,13 @@ from simfoundry.spec.models.base import (
     LatheShape,
     Material,
     Origin,
+    PoseSpec,
     Prism,
     PrismShape,
     Round,
     Shape,
     SphereShape,
 )
-from simfoundry.spec.models.base import Pose as PoseSpec
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 SUPPORT_NAME = "table"

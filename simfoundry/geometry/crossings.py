@@ -16,6 +16,9 @@ from simfoundry.geometry.tessellate import tessellate
 SEGMENTS = 32
 """Sides of round shapes."""
 
+SLIVER = 1e-9
+"""A face with a smaller share of the area of the largest is none: its normal would be rounding."""
+
 TOGETHER = 1e-3
 """Parts that leave at most this gap on a line [m] are one."""
 
@@ -24,13 +27,18 @@ TOGETHER = 1e-3
 class Solid:
     """Convex parts in the world: part k is where ``normals @ x <= offsets`` in the rows from ``first[k]`` on.
 
-    ``corners`` [m], shape (n, 3), are those of all parts.
+    ``corners`` [m], shape (n, 3), are those of all parts; ``owner``, shape (n,), the part that each belongs to.
     """
 
     normals: Array
     offsets: Array
     first: NDArray[np.intp]
     corners: Array
+    owner: NDArray[np.intp]
+
+    def rows(self, part: int) -> slice:
+        """The half-spaces of a part."""
+        return slice(int(self.first[part]), int([*self.first[1:], len(self.offsets)][part]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,17 +70,22 @@ def solid_of(shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bo
         offsets.append(d + normals[-1] @ X_WG.p)
         corners.append(placed)
     first = np.cumsum([0, *(len(n) for n in normals[:-1])])
-    return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners))
+    owner = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
+    return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners), owner)
 
 
 @lru_cache(maxsize=4096)
 def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
-    """Outward normals, offsets and corners of the hull of a geometry in its own frame."""
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(tessellate(geometry, SEGMENTS).vertices)
-    planes = np.unique(np.round(hull.equations, 9), axis=0)
-    return planes[:, :3].copy(), -planes[:, 3], hull.points[hull.vertices]
+    """Outward normals, offsets and corners of a convex geometry in its own frame, from the faces of its surface."""
+    surface = tessellate(geometry, SEGMENTS)
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    faces = area > SLIVER * area.max()
+    normals = normals[faces] / area[faces, None]
+    offsets = np.einsum("ij,ij->i", normals, a[faces])
+    planes = np.unique(np.round(np.column_stack([normals, offsets]), 9) + 0.0, axis=0)
+    return planes[:, :3].copy(), planes[:, 3].copy(), surface.vertices
 
 
 def bounds(shape: Solid, axes: Array) -> tuple[Array, Array]:
@@ -87,6 +100,27 @@ def crossings(shape: Solid, starts: Array, direction: Array) -> list[list[Span]]
     room = shape.offsets - starts @ shape.normals.T
     entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
     return [_merged(shape, room[k], slope, entry[k], leave[k]) for k in range(len(starts))]
+
+
+def part_spans(shape: Solid, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
+    """Positions [m] at which lines enter and leave one part, shapes (lines,): first beyond last beside it.
+
+    ``starts`` [m], shape (lines, 3), share a unit ``direction``.
+    """
+    rows = shape.rows(part)
+    alone = Solid(shape.normals[rows], shape.offsets[rows], np.zeros(1, np.intp), shape.corners[:0], shape.owner[:0])
+    room = alone.offsets - starts @ alone.normals.T
+    enter, leave = _clipped(alone, room, np.broadcast_to(alone.normals @ direction, room.shape))
+    return enter[:, 0], leave[:, 0]
+
+
+def face_normal(shape: Solid, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
+    """The outward normal of the face of a part through which a line goes in (sign -1) or out (1) at ``at`` [m]."""
+    rows = shape.rows(part)
+    slope = shape.normals[rows] @ direction
+    room = shape.offsets[rows] - shape.normals[rows] @ start
+    off = np.where(sign * slope > 1e-9, np.abs(room - slope * at), np.inf)
+    return np.asarray(shape.normals[rows][off.argmin()])
 
 
 def met(shape: Solid, start: Array, directions: Array) -> NDArray[np.bool_]:
@@ -124,8 +158,7 @@ def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array)
 
 def _facing(shape: Solid, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
     """How much the face of a part looks along a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
-    end = shape.first[part + 1] if part + 1 < len(shape.first) else len(room)
-    rows = slice(int(shape.first[part]), int(end))
+    rows = shape.rows(part)
     through = sign * slope[rows]
     off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)
     return float(through[off.argmin()])

@@ -27,14 +27,17 @@ def hulls(item: SceneObject) -> Hulls:
 
 def solid(
     item: SceneObject,
-    state: SceneState,
+    state: SceneState | None = None,
     links: Iterable[str] | None = None,
     keep: Callable[[Array], bool] = lambda corners: True,
 ) -> Solid:
-    """The colliders of an object, or of some of its links, where it is now; those whose corners [m] are to ``keep``."""
+    """The colliders of an object, or of some of its links, in a state; those whose corners [m] are to ``keep``.
+
+    Without a state the object stands where its scene has it.
+    """
     chosen = None if links is None else set(links)
-    X_OL = link_poses(item, state.of_object(item))
-    X_WO = state.poses[item.name]
+    X_OL = link_poses(item) if state is None else link_poses(item, state.of_object(item))
+    X_WO = item.X_WO if state is None else state.poses[item.name]
     return solid_of(
         (
             (piece.geometry, X_WO @ X_OL[link.name] @ piece.X_LG)
