@@ -127,7 +127,7 @@ def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str,
     for thing, data in objects.items():
         chosen = _variant(data["asset"]) if "asset" in data and thing not in added else ""
         choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
-        X_WO = pose(base.Pose(**data["pose"])) if "pose" in data else home[thing]
+        X_WO = pose(base.PoseSpec(**data["pose"])) if "pose" in data else home[thing]
         lines += [f'                over "{thing}"{choice}', "                {", *_placed(X_WO), "                }"]
     return "\n".join([*lines, "            }", "        }", ""])
 

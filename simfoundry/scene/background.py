@@ -20,7 +20,7 @@ from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models import scene as spec
 
 
-def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:
+def lower_background(loaded: Loaded, written: spec.BackgroundSpec, X_WB: Pose) -> Background:
     """The background of a scene; raises :class:`SpecError` where its file cannot be used."""
     key = "mesh" if written.mesh is not None else "splat"
     path = loaded.file(written.mesh or written.splat or "")

@@ -21,9 +21,9 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.model import Collider, Link, Visual
-from simfoundry.spec.models.asset import Inertial, Part
+from simfoundry.spec.models.asset import Inertial, PartSpec
 from simfoundry.spec.models.base import (
-    Body,
+    BodySpec,
     BoxShape,
     CapsuleShape,
     CylinderShape,
@@ -52,7 +52,7 @@ class BodyBuilder:
     """
 
     name: str
-    body: Body
+    body: BodySpec
     materials: dict[str, Material]
     cache: Cache | None
     weighed: bool = False
@@ -62,7 +62,7 @@ class BodyBuilder:
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
 
-    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
         """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
         geometry, solid, touching, error = _primitive(shape)
         if show and _use(part) != "collision":
@@ -76,7 +76,9 @@ class BodyBuilder:
                 self._collide(label, piece, X_LG, part)
         self._weigh(name, solid, X_LG, part)
 
-    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+    def add_mesh(
+        self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
+    ) -> None:
         """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
         pieces = read_mesh(path, scale)
         if show and _use(part) != "collision":
@@ -104,7 +106,7 @@ class BodyBuilder:
         """Add a mesh file that is only looked at."""
         self._show(name, read_mesh(path, scale), IDENTITY, None)
 
-    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
+    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: PartSpec | None) -> None:
         for k, piece in enumerate(pieces):
             uv = None if piece.uv is None else frozen(piece.uv)
             mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
@@ -163,22 +165,22 @@ class BodyBuilder:
             raise no_volume(name)
         return solid, faces
 
-    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:
+    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: PartSpec | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
         self.solids.append((name, self._material(part).density, moved))
 
-    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
+    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: PartSpec | None) -> None:
         material = self._material(part)
         friction = material.friction if self.body.friction is None else self.body.friction
         restitution = material.restitution if self.body.restitution is None else self.body.restitution
         spinning, rolling = material.torsional_friction, material.rolling_friction
         self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling))
 
-    def _material(self, part: Part | None) -> Material:
+    def _material(self, part: PartSpec | None) -> Material:
         name = part.material if part is not None and part.material is not None else self.body.material
         return Material() if name is None else self.materials[name]
 
-    def _rgba(self, part: Part | None, default: tuple[float, float, float, float] | None) -> Array:
+    def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
         """The colour by the nearest word on it: the part's, the body's, the mesh's own, the material's, grey."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
@@ -186,12 +188,12 @@ class BodyBuilder:
         return frozen(GREY)
 
 
-def _use(part: Part | None) -> str:
+def _use(part: PartSpec | None) -> str:
     """What a part is for; whatever is no part is for both."""
     return "both" if part is None else part.use
 
 
-def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
+def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
     """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 

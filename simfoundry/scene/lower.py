@@ -40,8 +40,7 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models import base
-from simfoundry.spec.models.asset import AssetSpec, Inertial, JointSpec
-from simfoundry.spec.models.asset import Drive as DriveSpec
+from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec
 from simfoundry.spec.models.data import to_data
 from simfoundry.spec.models.expressions import parse_call
 from simfoundry.spec.models.positions import Written, position
@@ -133,7 +132,7 @@ def _misfits(loaded: Loaded, spec: SceneSpec, objects: Mapping[str, SceneObject]
         yield loaded.finding("SF210", ("objects", name, "place"), error.message, error.hint)
 
 
-def _background(loaded: Loaded, spec: spec_scene.Background) -> Background:
+def _background(loaded: Loaded, spec: spec_scene.BackgroundSpec) -> Background:
     from simfoundry.scene.background import lower_background
 
     return lower_background(loaded, spec, pose(spec.pose))
@@ -276,7 +275,7 @@ class _Lowering:
             self.progress(said, self.done, self.count)
 
     def builder(
-        self, owner: str, name: str, body: base.Body, materials: dict[str, base.Material], weighed: bool
+        self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
     ) -> BodyBuilder:
         """A builder of a link of the object ``owner``, which reports what takes long."""
 
@@ -394,7 +393,7 @@ def _joint(name: str, spec: JointSpec, position: float, written: Written | None)
         friction=spec.friction,
         armature=spec.armature,
         position=position,
-        motion=pose(written) if isinstance(written, base.Pose) else IDENTITY,
+        motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
         mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
         drive=None if spec.drive is None else _drive(spec.drive, position),
         closed=spec.closed,

@@ -21,7 +21,7 @@ from simfoundry.runtime import parallel
 from simfoundry.runtime.parallel import SERIAL_TRIAL, map_parallel
 from simfoundry.spec.check.pages import page
 from simfoundry.spec.check.report import as_github, as_text
-from simfoundry.spec.check.report.model import FORMATS, Checked, Report, gather, renderer
+from simfoundry.spec.check.report.model import FORMATS, Checked, CheckReport, gather, renderer
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity
 from simfoundry.spec.yaml.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
@@ -126,7 +126,7 @@ ANY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1,
 @given(message=ANY, hint=ANY, file=ANY.filter(lambda t: "/" not in t and t not in (".", "..")), line=st.integers(0, 9))
 def test_no_text_breaks_out_of_an_annotation(message: str, hint: str, file: str, line: int) -> None:
     finding = Diagnostic("SF101", Severity.ERROR, message, file, line, line, "", hint)
-    text = as_github.render(Report((file,), 1, (finding,)))
+    text = as_github.render(CheckReport((file,), 1, (finding,)))
     match = re.fullmatch(r"::error ([^:]*)::([^\r\n]*)", text)
     assert match is not None
     properties = dict(part.split("=", 1) for part in match[1].split(","))
@@ -316,7 +316,7 @@ def test_a_format_that_does_not_exist_is_named() -> None:
 def test_every_format_renders_by_itself() -> None:
     report = gather(["a.yaml"], [Checked((Diagnostic("SF101", Severity.ERROR, "no", "a.yaml"),))])
     assert {form: "SF101" in renderer(form)(report) for form in FORMATS} == dict.fromkeys(FORMATS, True)
-    assert as_text.render(Report(("a.yaml",), 1, ())) == "no findings in 1 document"
+    assert as_text.render(CheckReport(("a.yaml",), 1, ())) == "no findings in 1 document"
 
 
 def test_hidden_folders_are_left_out_and_where_one_stands_does_not_matter(

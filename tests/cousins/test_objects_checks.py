@@ -17,8 +17,8 @@ from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, Pose, Round, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
+from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, PoseSpec, Round, SphereShape
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
@@ -104,10 +104,10 @@ def test_a_thing_that_topples_does_not_stand() -> None:
             "body": LinkSpec(
                 material="wood",
                 parts={
-                    "stick": Part(
-                        shape=CylinderShape(cylinder=Round(radius=0.004, height=0.1)), pose=Pose(xyz=(0, 0, 0.05))
+                    "stick": PartSpec(
+                        shape=CylinderShape(cylinder=Round(radius=0.004, height=0.1)), pose=PoseSpec(xyz=(0, 0, 0.05))
                     ),
-                    "head": Part(shape=BoxShape(box=(0.05, 0.05, 0.02)), pose=Pose(xyz=(0.02, 0.0, 0.11))),
+                    "head": PartSpec(shape=BoxShape(box=(0.05, 0.05, 0.02)), pose=PoseSpec(xyz=(0.02, 0.0, 0.11))),
                 },
             )
         },
@@ -119,7 +119,7 @@ def test_a_thing_that_topples_does_not_stand() -> None:
 def test_a_drawer_that_jams_is_refused() -> None:
     spec = item("cabinet").spec
     parts = parts_of(spec)
-    block = Part(shape=BoxShape(box=(0.03, 0.03, 0.03)), pose=Pose(xyz=(0.0, 0.0, 0.03)), material="wood")
+    block = PartSpec(shape=BoxShape(box=(0.03, 0.03, 0.03)), pose=PoseSpec(xyz=(0.0, 0.0, 0.03)), material="wood")
     jammed = with_parts(spec, {**parts, ("body", "block"): block})  # within the lower drawer
     code, text = first(jammed, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
     assert code == "joint" and "overlap by" in text
