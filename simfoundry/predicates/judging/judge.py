@@ -1,20 +1,21 @@
-"""Whether a condition holds in a state, or in many at once, by how much, and why."""
+"""Judge conditions in one state or in many at once: value, margin and explanation."""
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
-from simfoundry.predicates.batch import StateBatch
-from simfoundry.predicates.rules import RULES, Context
-from simfoundry.predicates.shapes import Bodies, PredicateError
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Bodies, PredicateError
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.terms import Context, Terms
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.expressions import parse_call, parts
+from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 CHUNK = 4096
 """States that are judged at once: their arrays stay in the processor's cache."""
@@ -54,12 +55,24 @@ class Judge:
             values[index], margins[index], _ = self._judged(condition, View(self._context.bodies, some))
         return values, margins
 
+    def _arguments(self, call: Call) -> list[Any]:
+        """The arguments as the rule takes them: things, joints and numbers by their kinds."""
+        bodies = self._context.bodies
+        read = {"joint": bodies.joints, "number": float}
+        found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
+        things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
+        for a, b in combinations(things, 2):
+            if a.owner == b.owner and set(a.links) & set(b.links):
+                raise PredicateError(f"`{call}` is about one thing twice")
+        return found
+
     def _judged(self, condition: Any, view: View) -> _Judged:
         tag, below = parts(condition)
         if tag == "text":
             call = parse_call(condition)
-            terms = RULES[call.predicate](self._context, view, call)
-            return _Judged(terms.margin > 0, terms.margin, terms.why)
+            terms = Terms(self._context, view)
+            call.declaration.rule(terms, *self._arguments(call))
+            return _Judged(terms.margin > 0, terms.margin, terms.explanation)
         if not below:
             raise PredicateError(
                 f"`{tag}` of nothing is no condition: it would always be {'true' if tag == 'all' else 'false'}"

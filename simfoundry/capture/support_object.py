@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 
@@ -78,7 +78,7 @@ class Thickness:
     measured: bool
 
 
-def thickness(frame: Frame, support: Support) -> Thickness:
+def thickness(frame: Frame, support: SupportSurface) -> Thickness:
     """Thickness of the support, from points of its edge where the picture shows enough of them."""
     import shapely
 
@@ -98,7 +98,7 @@ def thickness(frame: Frame, support: Support) -> Thickness:
     return Thickness(value, True) if value >= 0.012 else Thickness(DEFAULT_THICKNESS, False)
 
 
-def support_mesh(frame: Frame, support: Support, labels: NDArray[np.int32], height: float) -> Mesh:
+def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
     """The slab, top at z = 0, with the picture warped onto it.
 
     Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's colour.
@@ -112,7 +112,7 @@ def support_mesh(frame: Frame, support: Support, labels: NDArray[np.int32], heig
     return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, labels, low, high))
 
 
-def _texture(frame: Frame, support: Support, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
+def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
     """PNG of the top seen from above: +x to the right, +y up."""
     import cv2
 

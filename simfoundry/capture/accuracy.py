@@ -20,7 +20,7 @@ F1_DISTANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ObjectAccuracy:
     """A true object and what was recovered for it, ``recovered`` empty where nothing was.
 
     ``position`` [m] is the distance between the centres of their bounding boxes; ``size_true`` and ``size`` [m] are the
@@ -43,7 +43,7 @@ class Comparison:
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in asdict(self).items()}
 
 
-def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[Comparison]:
+def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Camera) -> list[ObjectAccuracy]:
     """Match the free objects of two scenes that one camera saw, each in a world frame of its own."""
     from scipy.optimize import linear_sum_assignment
 
@@ -51,7 +51,7 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     real = [o for o in truth.objects if not o.fixed]
     seen = [o for o in found.objects if not o.fixed]
     if not real or not seen:
-        return [Comparison(o.name, "") for o in real]
+        return [ObjectAccuracy(o.name, "") for o in real]
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
@@ -61,15 +61,15 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     for k, item in enumerate(real):
         j = matches.get(k)
         if j is None or distance[k, j] > SAME_OBJECT:
-            out.append(Comparison(item.name, ""))
+            out.append(ObjectAccuracy(item.name, ""))
         else:
             out.append(_compare(item, X_found_truth @ item.X_WO, seen[j], float(distance[k, j])))
     return out
 
 
-def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float) -> Comparison:
+def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float) -> ObjectAccuracy:
     chamfer, f1 = surface_distance(surface(item, X_WO), surface(found, found.X_WO))
-    return Comparison(
+    return ObjectAccuracy(
         name=item.name,
         recovered=found.name,
         position=distance,

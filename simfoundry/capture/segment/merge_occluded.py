@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.capture.segment.merge import EDGE, renamed, root
+from simfoundry.capture.segment.merge_regions import EDGE, renamed, root
 from simfoundry.capture.segment.regions import Labels, borders
 from simfoundry.geometry.frames import Array
 
@@ -45,7 +45,7 @@ def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -
 
 
 def one_box(a: Array, b: Array) -> bool:
-    """Whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
+    """Return whether two point sets [m], shape (n, 3), z up, show one upright face, or the top of one long box."""
     small, large = sorted((a, b), key=len)
     if len(small) < 20:
         return False
@@ -67,7 +67,7 @@ def one_box(a: Array, b: Array) -> bool:
 
 
 def one_rim(front: Array, back: Array) -> bool:
-    """Whether the highest points of two point sets [m] close a circle, ``front`` nearer and ``back`` inside it."""
+    """Return whether the highest points of two sets [m] close a circle, ``front`` nearer and ``back`` inside it."""
     top_front, top_back = np.quantile(front[:, 2], 0.98), np.quantile(back[:, 2], 0.98)
     if abs(top_front - top_back) > 1.5 * RIM:
         return False

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.regions import Border, Labels, borders
-from simfoundry.capture.segment.stacking import below, carriers, parts_of
+from simfoundry.capture.segment.support_graph import below, carriers, parts_of
 from simfoundry.geometry.frames import Array
 
 EDGE = 0.8  # edge of a border from which it separates two objects
@@ -115,7 +115,7 @@ def _other(border: Border, label: int) -> int:
 
 
 def root(parent: dict[int, int], k: int) -> int:
-    """What ``k`` has become after all joins."""
+    """Follow the joins of ``k`` to the region that remains."""
     while k in parent:
         k = parent[k]
     return k

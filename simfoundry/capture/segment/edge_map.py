@@ -72,7 +72,7 @@ def normals_of(fits: Tangents, K: Array) -> Array:
 
 
 def edge_strength(fits: Tangents, reach: int) -> tuple[Array, Array]:
-    """How far [m] two surfaces stick out of each other's tangent planes at every pixel: (``inward``, ``step``).
+    """Distances [m] of two surfaces from each other's tangent planes at every pixel: (``inward``, ``step``).
 
     Both compare the pixels ``reach`` to either side, along four directions, and take the strongest. ``inward``: each
     lies in front of the other's tangent plane, as at the foot of a box on a table. ``step``: one lies in front and one
@@ -106,7 +106,7 @@ def across(shape: tuple[int, ...], reach: int) -> list[tuple[Window, Window, Win
 
 
 def bend_and_jump(a: Tangents, b: Tangents, offset: Array) -> tuple[Array, Array]:
-    """How the surface goes on [m] from pixels ``a`` to pixels ``b``, ``offset`` (u, v) further.
+    """Bend and jump of the surface [m] from pixels ``a`` to pixels ``b``, ``offset`` (u, v) further.
 
     ``bend``: positive for an inward crease (each lies in front of the other's tangent plane), negative for an outward
     one. ``jump``: positive where ``b`` lies in front and ``a`` behind, negative the other way round. One of them is 0.
@@ -123,7 +123,7 @@ def bend_and_jump(a: Tangents, b: Tangents, offset: Array) -> tuple[Array, Array
 
 
 def _overlap(h: int, w: int, du: int, dv: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Where a picture and itself moved by (du, dv) overlap: slices of the pixel and of its neighbour."""
+    """Overlap of a picture with itself moved by (du, dv): slices of the pixel and of its neighbour."""
     rows = slice(max(0, -dv), h - max(0, dv)), slice(max(0, dv), h - max(0, -dv))
     columns = slice(max(0, -du), w - max(0, du)), slice(max(0, du), w - max(0, -du))
     return (rows[0], columns[0]), (rows[1], columns[1])

@@ -19,9 +19,9 @@ from simfoundry.geometry.distance import (
 from simfoundry.geometry.exact_distance import Exact
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index
-from simfoundry.predicates.shapes import Bodies, Thing
-from simfoundry.predicates.thresholds import TOUCH
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.thresholds import TOUCH
+from simfoundry.predicates.judging.view import View
 
 FAR = 0.05
 """Distances beyond this [m] are bounds: no farther than the truth."""

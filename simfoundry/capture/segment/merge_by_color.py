@@ -7,9 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.merge import renamed
+from simfoundry.capture.segment.merge_regions import renamed
 from simfoundry.capture.segment.regions import Border, Labels, borders
-from simfoundry.capture.segment.stacking import Part, below, carriers, footprint_hull, parts_of, shared_footprint
+from simfoundry.capture.segment.support_graph import (
+    RegionPart,
+    below,
+    carriers,
+    footprint_hull,
+    parts_of,
+    shared_footprint,
+)
 from simfoundry.geometry.frames import Array
 
 VIVID = 80  # of 255, the saturation from which on a pixel has a hue
@@ -33,7 +40,7 @@ class Hue:
     vivid: float
 
     def equals(self, other: Hue) -> bool:
-        """Whether both are of one colour throughout."""
+        """Return whether both are of one colour throughout."""
         return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
 
     def apart(self, other: Hue) -> float:
@@ -42,7 +49,7 @@ class Hue:
         return min(turn, 180 - turn)
 
     def matches(self, other: Hue) -> bool:
-        """Whether both are coloured, and alike."""
+        """Return whether both are coloured, and alike."""
         return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
 
 
@@ -73,7 +80,7 @@ def _smooth_hsv(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """What speaks for and against being one thing: parts, hues, carriers, hidden lower edges, and borders."""
+    """Evidence for and against being one object: parts, hues, supports, hidden lower edges, and borders."""
 
     hues: dict[int, Hue]
     on: dict[int, int]
@@ -81,8 +88,8 @@ class _Family:
     graph: dict[tuple[int, int], Border]
     adjacent: frozenset[tuple[int, int]]
 
-    def are_one(self, part: Part, other: Part) -> bool:
-        """Whether ``part`` belongs to ``other``: it is a cap that lost readings cut off, or else of its hue."""
+    def are_one(self, part: RegionPart, other: RegionPart) -> bool:
+        """Return whether ``part`` belongs to ``other``: it is a cap that lost readings cut off, or else of its hue."""
         meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
         if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
             return True
@@ -118,7 +125,7 @@ def join_kin(
         labels = renamed(labels, {max(pair): min(pair)})
 
 
-def _first_kin(parts: list[Part], family: _Family) -> tuple[int, int] | None:
+def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
     """The smallest part that belongs to another, and that other."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
@@ -135,8 +142,8 @@ def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
     return frozenset((int(a), int(b)) for a, b in pairs if a > 0)
 
 
-def _is_lid(part: Part, other: Part) -> bool:
-    """Whether ``part`` lies within the top of ``other``, flush with it."""
+def _is_lid(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether ``part`` lies within the top of ``other``, flush with it."""
     return (
         abs(part.top - other.top) < FLUSH
         and part.bottom > other.bottom + FLUSH
@@ -145,21 +152,21 @@ def _is_lid(part: Part, other: Part) -> bool:
     )
 
 
-def _is_handle(part: Part, other: Part) -> bool:
-    """Whether ``part`` hangs beside ``other``, which is far larger."""
+def _is_handle(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether ``part`` hangs beside ``other``, which is far larger."""
     return part.area < SLENDER * other.area and other.bottom < part.bottom and part.top < other.top + FLUSH
 
 
-def _is_head(part: Part, other: Part) -> bool:
-    """Whether what is right under ``part`` is but a neck."""
+def _is_head(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether only a neck lies right under ``part``."""
     import cv2
 
     neck = footprint_hull(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
     return float(cv2.contourArea(neck)) < SLENDER * float(cv2.contourArea(footprint_hull(part.points_W)))
 
 
-def _is_end(part: Part, other: Part, graph: dict[tuple[int, int], Border]) -> bool:
-    """Whether ``part`` goes on from ``other``, far larger and as high, where the two meet."""
+def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Border]) -> bool:
+    """Test whether ``part`` goes on from ``other``, far larger and as high, where the two meet."""
     low, high = sorted((part.label, other.label))
     border = graph.get((low, high))
     return (
@@ -170,7 +177,7 @@ def _is_end(part: Part, other: Part, graph: dict[tuple[int, int], Border]) -> bo
     )
 
 
-def distance(one: Part, other: Part) -> float:
+def distance(one: RegionPart, other: RegionPart) -> float:
     """The distance [m] between two parts, but for stray points between them."""
     from scipy.spatial import cKDTree
 

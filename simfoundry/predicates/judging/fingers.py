@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,11 @@ import numpy as np
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
-from simfoundry.predicates.batch import StateBatch
-from simfoundry.predicates.distances import Distances
-from simfoundry.predicates.shapes import Bodies, Body, Thing
-from simfoundry.predicates.thresholds import PRESS, TOUCH
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
+from simfoundry.predicates.judging.distances import FAR, Distances
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
+from simfoundry.predicates.judging.view import View
 from simfoundry.scene.robot import Gripper
 
 STILL = 0.001
@@ -79,6 +80,18 @@ def _carrier(body: Body, gripper: Gripper) -> int:
     first = body.robot.joints[next(iter(gripper.joints))]
     joint = next(j for j in body.item.joints if j.name == first)
     return body.index(joint.parent)
+
+
+def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Thing) -> Array:
+    """The margin by which one of the hands holds a thing [m], (n,), at least -:data:`FAR`."""
+    best = np.full(view.n, -FAR)
+    for hand in hands:
+        margin = TOUCH - touching(view, distances, hand, thing)
+        near = np.flatnonzero(margin > 0)
+        if len(near):
+            margin[near] = np.minimum(margin[near], pressing(view.at(near), distances, hand, thing) - PRESS / 2)
+        best = np.maximum(best, margin)
+    return best
 
 
 def touching(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:

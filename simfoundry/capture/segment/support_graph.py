@@ -16,7 +16,7 @@ Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class RegionPart:
     """One labelled region: heights above the support [m], area facing the camera [m²], and points in the world [m]."""
 
     label: int
@@ -27,11 +27,11 @@ class Part:
 
     @property
     def is_grounded(self) -> bool:
-        """Whether it reaches down to the support, within what noise and smoothing leave open."""
+        """Whether the part reaches down to the support, within what noise and smoothing leave open."""
         return self.bottom < CONTACT + 0.005
 
 
-def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Part]:
+def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[RegionPart]:
     """The regions 1..n, in that order."""
     pixel_area = depth**2 / (K[0, 0] * K[1, 1])
     out = []
@@ -39,12 +39,12 @@ def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Pa
         mask = (labels == label) & np.isfinite(depth)  # given masks cover pixels without depth too
         points = points_W[mask]
         bottom, top = np.quantile(points[:, 2], [0.02, 0.98]) if len(points) else (0.0, 0.0)
-        out.append(Part(label, float(bottom), float(top), float(pixel_area[mask].sum()), points))
+        out.append(RegionPart(label, float(bottom), float(top), float(pixel_area[mask].sum()), points))
     return out
 
 
-def carriers(parts: list[Part]) -> dict[int, int]:
-    """What each part stands on: the part that it begins on top of, else 0 for the support.
+def carriers(parts: list[RegionPart]) -> dict[int, int]:
+    """Map each part to its support: the part that it begins on top of, else 0 for the table.
 
     What neither reaches down to the support nor has something under it has a foot that is hidden, and stands on the
     support: to be near another part is no evidence of standing on it.
@@ -52,7 +52,7 @@ def carriers(parts: list[Part]) -> dict[int, int]:
     return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
 
 
-def _stood_on(part: Part, parts: list[Part]) -> int:
+def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
     """The part whose top is where ``part`` begins, and whose footprint it shares most of."""
     best, most = 0, OVERLAP
     for other in parts:
@@ -63,7 +63,7 @@ def _stood_on(part: Part, parts: list[Part]) -> int:
     return best
 
 
-def _contained_by(part: Part, parts: list[Part]) -> int:
+def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
     """The highest part that lies right under ``part`` and may also rise beside it, as the wall of a tray does."""
     low = part.points_W[part.points_W[:, 2] < part.bottom + 0.02][:, :2]
     best, height = 0, 0.0
@@ -81,7 +81,7 @@ def _contained_by(part: Part, parts: list[Part]) -> int:
     return best
 
 
-def shared_footprint(one: Part, other: Part) -> float:
+def shared_footprint(one: RegionPart, other: RegionPart) -> float:
     """The area that both convex footprints cover, as a share of the smaller one."""
     import cv2
 

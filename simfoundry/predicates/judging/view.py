@@ -9,8 +9,8 @@ import numpy as np
 from simfoundry.geometry.form import TURNED, Form
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, Poses, rotate, turns
-from simfoundry.predicates.batch import StateBatch
-from simfoundry.predicates.shapes import Bodies, Thing
+from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.scene.model import Joint, JointType
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -167,3 +167,22 @@ def over(points: Array, boxes: Boxes) -> Array:
             reach = np.abs(np.einsum("nej,nj->ne", edges, normal)).sum(axis=1)
             margin = np.where(lying, np.minimum(margin, reach - np.abs((away * normal).sum(axis=1))), margin)
     return margin
+
+
+def ground_gap(view: View, a: Thing, b: Thing) -> Array:
+    """How far two things are apart along the ground [m], (n,), negative where they overlap.
+
+    The widest gap across the edges of their boxes and along the line between their middles.
+    """
+    boxes = view.boxes(a), view.boxes(b)
+    ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]
+    ways += [np.stack([-box.R[0, :, 1, k], box.R[0, :, 0, k]], axis=1) for box in boxes for k in range(3)]
+    gap = np.full(view.n, -np.inf)
+    for way in ways:
+        size = np.linalg.norm(way, axis=1)
+        lying = size > 1e-6
+        axis = np.zeros((view.n, 3))
+        axis[:, :2] = way / np.where(lying, size, 1.0)[:, None]
+        (low_a, high_a), (low_b, high_b) = view.span(a, axis), view.span(b, axis)
+        gap = np.maximum(gap, np.where(lying, np.maximum(low_a - high_b, low_b - high_a), -np.inf))
+    return gap

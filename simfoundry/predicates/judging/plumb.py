@@ -10,8 +10,8 @@ import numpy as np
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
 from simfoundry.geometry.poses import Index, Poses
-from simfoundry.predicates.shapes import Thing
-from simfoundry.predicates.view import View
+from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.view import View
 
 
 class Meeting(NamedTuple):

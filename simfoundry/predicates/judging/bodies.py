@@ -46,6 +46,13 @@ class Thing(NamedTuple):
     whole: bool
 
 
+class Joints(NamedTuple):
+    """Joints with limits of one object, as an argument names them."""
+
+    owner: str
+    joints: tuple[Joint, ...]
+
+
 class Bodies:
     """The bodies of a scene by name, objects and robots, prepared once."""
 
@@ -97,7 +104,7 @@ class Bodies:
             raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
         return Thing(argument, owner, chosen, not part)
 
-    def joints(self, argument: str) -> tuple[Joint, ...]:
+    def joints(self, argument: str) -> Joints:
         """The joints with an end that an argument names: one, or all of an object."""
         owner, _, part = argument.partition(".")
         item = self._body(owner).item
@@ -108,7 +115,7 @@ class Bodies:
         ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
         if not ended or (part and len(ended) < len(moving)):
             raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
-        return tuple(ended)
+        return Joints(owner, tuple(ended))
 
     def _body(self, name: str) -> Body:
         names = (*self.objects, *self.robots)

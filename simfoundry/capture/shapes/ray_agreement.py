@@ -23,14 +23,14 @@ _IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class SolidHits:
     """``depth`` along the rays (inf: miss) and ``slant``, both shape (m,)."""
 
     depth: Array
     slant: Array
 
 
-def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> Hits:
+def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> SolidHits:
     """Rays against a box of full extents ``size`` [m] centred on ``X_WO``."""
     origin, directions = _to_local(eye, rays, X_WO)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
@@ -40,10 +40,10 @@ def cast_box(eye: Array, rays: Array, size: Array, X_WO: Pose) -> Hits:
     enter = np.take_along_axis(entry, axis[:, None], 1)[:, 0]
     hit = (enter <= leave.min(axis=1)) & (enter > 0)
     slant = np.abs(np.take_along_axis(directions, axis[:, None], 1)[:, 0])
-    return Hits(np.where(hit, enter, np.inf), slant)
+    return SolidHits(np.where(hit, enter, np.inf), slant)
 
 
-def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> Hits:
+def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> SolidHits:
     """Rays against a sphere."""
     to_eye = eye - centre
     a = np.einsum("ij,ij->i", rays, rays)
@@ -53,10 +53,10 @@ def cast_sphere(eye: Array, rays: Array, radius: float, centre: Array) -> Hits:
     depth = np.where(hit, (-b - np.sqrt(np.maximum(root, 0))) / a, np.inf)
     hit &= depth > 0
     normal = (to_eye + np.where(hit, depth, 0)[:, None] * rays) / radius
-    return Hits(np.where(hit, depth, np.inf), np.abs(np.einsum("ij,ij->i", normal, rays)))
+    return SolidHits(np.where(hit, depth, np.inf), np.abs(np.einsum("ij,ij->i", normal, rays)))
 
 
-def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> Hits:
+def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> SolidHits:
     """Rays against a surface of revolution about the local z axis.
 
     ``profile`` is a polyline of (radius, height) [m], shape (k, 2); each of its edges sweeps a cone, a cylinder or a
@@ -92,10 +92,10 @@ def cast_lathe(eye: Array, rays: Array, profile: Array, X_WO: Pose) -> Hits:
     radius = np.hypot(o[0] + t * d[:, 0], o[1] + t * d[:, 1])
     in_ring = flat & (t > 1e-6) & (radius >= np.minimum(r0, r1)) & (radius <= np.maximum(r0, r1))
     best, slant = _nearer(best, slant, np.where(in_ring, t, np.inf), np.broadcast_to(np.abs(d[:, 2]), t.shape))
-    return Hits(best, slant)
+    return SolidHits(best, slant)
 
 
-def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> Hits:
+def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> SolidHits:
     """Rays against triangles in the world (vertices [m], shape (n, 3); faces shape (k, 3)); any ray, any solid."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
@@ -108,7 +108,7 @@ def cast_mesh(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]
     depth, slant = np.full(len(rays), np.inf), np.zeros(len(rays))
     depth[hit] = np.einsum("ij,ij->i", n, a[face[hit]] - eye) / slope
     slant[hit] = np.abs(slope)
-    return Hits(depth, slant)
+    return SolidHits(depth, slant)
 
 
 def first_faces(eye: Array, rays: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -138,8 +138,8 @@ def _frame_along(axis: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How a solid explains the rays.
+class RayAgreement:
+    """Agreement of a solid with the rays.
 
     ``explained`` is the share of the object's measured rays within the noise scale of the solid; ``intrusion`` the
     rays where the solid stands in space seen to be free, as a share of the object's rays; ``fit`` the median distance
@@ -153,7 +153,7 @@ class Agreement:
     cost: float
 
 
-def agreement(evidence: Evidence, hits: Hits) -> Agreement:
+def agreement(evidence: Evidence, hits: SolidHits) -> RayAgreement:
     """Compare the hits of a solid with what was observed."""
     scale = evidence.scale
     hit = np.isfinite(hits.depth)
@@ -170,7 +170,7 @@ def agreement(evidence: Evidence, hits: Hits) -> Agreement:
     own_count = max(1, int(own.sum()))
     cost = residual[own].sum() + _BLIND_MISS * (blind & ~hit).sum() + _BLIND_HIT * unlit.sum()
     fitted = distance[own & hit]
-    return Agreement(
+    return RayAgreement(
         explained=float((own & hit & (distance < scale)).sum() / own_count),
         missed=float((own & ~hit).sum() / own_count),
         intrusion=float(free.sum() / count),

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.edge_map import normals_of, tangents
 from simfoundry.capture.segment.noise import depth_sigma, valid_depth
-from simfoundry.capture.segment.outline import Plan, plan_of, polygon_of
+from simfoundry.capture.segment.outline import TopView, polygon_of, top_view
 from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
-from simfoundry.capture.segment.relief import normals_of, tangents
 from simfoundry.geometry.frames import Array, Pose
 
 TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor
@@ -37,11 +37,11 @@ class _View:
 class _Surface:
     X_WC: Pose
     inliers: Mask
-    plan: Plan
+    plan: TopView
     score: float
 
 
-def find_support(frame: Frame) -> Support:
+def find_support(frame: Frame) -> SupportSurface:
     """The support of the objects in ``frame``, and the world frame on it.
 
     The origin is the centroid of the visible surface, z is the plane's normal towards the camera, x is the camera's
@@ -109,7 +109,7 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
     inliers = _on_plane(view, plane)
     tolerance = TOLERANCE * depth_sigma(view.depth)
     hidden = ~np.isfinite(view.depth) | (points_W[..., 2] > tolerance)
-    plan = plan_of(inliers, hidden, X_WC, view.K, points_W, finest)
+    plan = top_view(inliers, hidden, X_WC, view.K, points_W, finest)
     if plan is None:
         return None
     above = plan.contains(points_W[..., :2])
@@ -121,7 +121,7 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
 
 
 def _score(carried: int, depths: Array, plane: Plane) -> float:
-    """How likely a plane with ``carried`` pixels above it and own pixels at ``depths`` [m] is the support.
+    """Score of a plane as the support, from the ``carried`` pixels above it and its own pixels' ``depths`` [m].
 
     What it carries counts, and then its own area, if it carries something: a floor that fills the picture but has
     nothing on it is no support. Near pixels count more: what is filmed on purpose is near.
@@ -140,7 +140,7 @@ def _density(inliers: Mask, depth: Array) -> float:
     return float(np.mean(of_plane / valid))
 
 
-def _measured(view: _View, plane: Plane, plan: Plan, X_WC: Pose) -> Support | None:
+def _measured(view: _View, plane: Plane, plan: TopView, X_WC: Pose) -> SupportSurface | None:
     """Refine a plane on the pixels of its own connected surface ``plan``, and take the outline, at full resolution."""
     on_surface = plan.contains(X_WC.apply(view.points)[..., :2])
     for _ in range(2):
@@ -155,4 +155,4 @@ def _measured(view: _View, plane: Plane, plan: Plan, X_WC: Pose) -> Support | No
     center = np.append(points_W[:, :2].mean(axis=0), 0.0)
     residual = float(np.median(np.abs(points_W[:, 2])))
     X_WC = Pose.of(surface.X_WC.p - center, surface.X_WC.q)
-    return Support(X_WC, polygon_of(surface.plan) - center[:2], residual, surface.inliers)
+    return SupportSurface(X_WC, polygon_of(surface.plan) - center[:2], residual, surface.inliers)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.segment.kinship import vivid_of
-from simfoundry.capture.segment.merge import compact
+from simfoundry.capture.segment.merge_by_color import vivid_of
+from simfoundry.capture.segment.merge_regions import compact
 from simfoundry.capture.segment.regions import Labels, flood
 from simfoundry.geometry.frames import Array
 
@@ -45,7 +45,7 @@ def _stands(half: Mask, whole: Mask, points_W: Array) -> bool:
 
 
 def _neck(one: Mask, other: Mask, reach: int) -> float:
-    """How wide [px] two masks meet, over the square root of the smaller one's area; infinite if they do not."""
+    """Width [px] at which two masks meet, over the square root of the smaller one's area; infinite if they do not."""
     import cv2
 
     gap = max(2, reach // 2)
