@@ -23,7 +23,7 @@ SUPPORT: dict[str, str] = {
     "mjcf": "simfoundry.backends.mjcf.features",
     "pybullet": "simfoundry.backends.pybullet",
     "urdf": "simfoundry.backends.urdf",
-    "usd": "simfoundry.backends.usd.losses",
+    "usd": "simfoundry.backends.usd.features",
 }
 """The module of each backend that says, in ``FEATURES``, what it keeps."""
 

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from simfoundry.backends.robots import MujocoRobot, RobotModelError, body_name, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import (
+    MujocoRobot,
+    RobotModelError,
+    body_name,
+    mujoco_model,
+    read_robot,
+)
 from simfoundry.scene.robot import Robot
 
 _FORM = "docs/robots.md, *Models of your own*, has the form"

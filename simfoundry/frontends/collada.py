@@ -12,7 +12,7 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, texture_png
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.xmltree import read_xml
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 UP = {
     "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),

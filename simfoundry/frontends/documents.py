@@ -326,14 +326,13 @@ def inline_data(body: BodyDraft) -> Data | None:
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
     """Return whether the inertia of a link is that of its one shape at uniform density."""
-    from simfoundry.scene.bodies import shape_solid
 
     assert not isinstance(part.geometry, MeshDraft)
     if not link.mass:
         return True
     if link.com is not None and np.abs(link.com).max() > 1e-9:
         return False
-    solid = shape_solid(part.geometry)
+    solid = shape_body(part.geometry).solid
     inertia = solid.inertia * (link.mass / solid.volume)
     tolerance = PLAIN_INERTIA * np.abs(inertia).max()
     return link.inertia is None or bool(np.allclose(link.inertia, inertia, rtol=PLAIN_INERTIA, atol=tolerance))

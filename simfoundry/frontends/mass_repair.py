@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.frontends.draft import BodyDraft, JointDraft, LinkDraft, LinkPath, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 WATER_DENSITY = 1000.0
 """Density [kg/m^3] of links without a mass, as MuJoCo and UsdPhysics take it."""

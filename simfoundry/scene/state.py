@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 
 
@@ -18,8 +18,8 @@ class SceneState:
     without, ball and free joints, in where it is at position zero. A ball joint's motion has no translation.
 
     ``robots`` are where the joints of each robot are [rad or m], by the names of the joints of the object that
-    :mod:`simfoundry.backends.robot_object` makes of it; empty where they are as the scene describes them. ``speeds``
-    [m/s] are those of the fastest point of each object; of what is not here it is 0.
+    :mod:`simfoundry.backends.robot_models.robot_object` makes of it; empty where they are as the scene describes them.
+    ``speeds`` [m/s] are those of the fastest point of each object; of what is not here it is 0.
     """
 
     poses: Mapping[str, Pose]

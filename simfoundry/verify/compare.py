@@ -15,9 +15,10 @@ import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.features import feature_of
-from simfoundry.backends.inset import inset_hull
 from simfoundry.backends.pybullet import SKIN
-from simfoundry.scene.model import Mesh, Scene
+from simfoundry.backends.pybullet.inset import inset_hull
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
 from simfoundry.verify.engines import Engine
 from simfoundry.verify.expected import expected_facts, static_links

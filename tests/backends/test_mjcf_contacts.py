@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.bounce import solref
 from simfoundry.backends.mjcf.contacts import contacts_of
-from simfoundry.backends.mjcf.guests import Guests
+from simfoundry.backends.mjcf.foreign_geoms import Guests
+from simfoundry.backends.mjcf.restitution import solref
 from simfoundry.backends.mjcf.surfaces import Surface, felt, meant
 from simfoundry.scene.model import Collider, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs

@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.poses import rotate, rotations
 from simfoundry.predicates import Poses, StateBatch
-from simfoundry.predicates.batch import rotate, rotations
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
@@ -134,8 +134,8 @@ def random_batch(case: Case, n: int, rng: np.random.Generator) -> StateBatch:
 
 def _in_hand(lowered: Scene, offset: Array, turn: Array, rng: np.random.Generator) -> StateBatch:
     """The cube about the hand of an arm in random positions, its fingers about as wide as the cube."""
-    from simfoundry.backends.robot_object import as_object
-    from simfoundry.backends.robots import mujoco_model, read_robot
+    from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+    from simfoundry.backends.robot_models.robot_object import as_object
 
     robot, n = lowered.robots[0], len(offset)
     native = mujoco_model(robot)
@@ -170,7 +170,7 @@ def _leaning(n: int, rng: np.random.Generator) -> Array:
 
 def states(batch: StateBatch) -> list[SceneState]:
     """The states of a batch one by one."""
-    from simfoundry.scene.frames import quat_from_matrix
+    from simfoundry.geometry.frames import quat_from_matrix
 
     poses = {
         name: [Pose.of(p, quat_from_matrix(R)) for p, R in zip(*x, strict=True)] for name, x in batch.poses.items()

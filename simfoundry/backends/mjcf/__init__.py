@@ -20,18 +20,18 @@ from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import add_background, add_object
-from simfoundry.backends.mjcf.bounce import restitution_losses
 from simfoundry.backends.mjcf.contacts import add_contacts, contacts_of
+from simfoundry.backends.mjcf.custom import add_texts
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
-from simfoundry.backends.mjcf.guests import guests_of
+from simfoundry.backends.mjcf.foreign_geoms import guests_of
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
+from simfoundry.backends.mjcf.restitution import restitution_losses
 from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robot_losses
 from simfoundry.backends.mjcf.surfaces import resists
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
-from simfoundry.backends.mjcf.texts import add_texts
 from simfoundry.backends.names import check_names
-from simfoundry.backends.stiffness import stiffness_losses
+from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.xmltext import xml_text
 from simfoundry.scene.model import Scene

@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
 
-from simfoundry.backends.mjcf.guests import Guests
+from simfoundry.backends.mjcf.foreign_geoms import Guests
 from simfoundry.backends.mjcf.priorities import WORTH, ways
 from simfoundry.backends.mjcf.surfaces import (
     Felt,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.stiffness import stable_drives
+from simfoundry.backends.stable_drives import stable_drives
 from simfoundry.scene.model import Drive, Joint, Scene
 
 _RIGID = {"solref": "0.004 1", "solimp": "0.99 0.999 0.001"}

@@ -14,7 +14,14 @@ from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
 from simfoundry.backends.mjcf.bodies import pose_attributes
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera
-from simfoundry.backends.robots import MujocoRobot, RobotModelError, body_name, mujoco_model, read_robot, xml
+from simfoundry.backends.robot_models.mujoco_robot import (
+    MujocoRobot,
+    RobotModelError,
+    body_name,
+    mujoco_model,
+    read_robot,
+    xml,
+)
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, Robot
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.mjcf.bounce import solref
+from simfoundry.backends.mjcf.restitution import solref
 from simfoundry.scene.model import (
     Collider,
     JointType,

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import Fidelity, Loss, rounded
-from simfoundry.backends.robots import RobotModelError, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, mujoco_model, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import MountedCamera, Scene, SceneObject
 from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import model_files
@@ -57,8 +57,8 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
 
 
 def _convert(scopes: Scopes, robot: Robot, source: NativeModel, wanted: list[str], found: RobotsInUsd) -> None:
-    from simfoundry.backends.robot_object import as_object
-    from simfoundry.backends.robot_urdf import conversion_losses
+    from simfoundry.backends.robot_models.robot_object import as_object
+    from simfoundry.backends.robot_models.robot_urdf import conversion_losses
 
     made = as_object(robot, read_robot(robot, source, f"{robot.name}."))
     define_object(scopes, made.item)

@@ -12,15 +12,16 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
+from simfoundry.backends.usd.features import losses
 from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
-from simfoundry.backends.usd.losses import losses
 from simfoundry.backends.usd.materials import texture_of, texture_path
 from simfoundry.backends.usd.prims import Prim, attribute, define, vec3
 from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_robots
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
-from simfoundry.scene.model import Background, Mesh, Scene, SceneObject
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Background, Scene, SceneObject
 
 _LOADER = Path(__file__).parents[1] / "templates" / "usd_load.py"
 

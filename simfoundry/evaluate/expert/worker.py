@@ -6,14 +6,14 @@ from collections.abc import Generator, Sequence
 
 import numpy as np
 
-from simfoundry.backends.robots import RobotModelError
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.cell import Cell
 from simfoundry.evaluate.expert.jaws import jaws
 from simfoundry.evaluate.expert.pace import AROUND, HAND, JOINT, paced
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
 from simfoundry.evaluate.policies.base import Observation
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Scene
 
 Script = Generator[None, None, None]

@@ -1,6 +1,6 @@
 """MJCF that SimFoundry compiled: its names and texts say which scene it was, so that the same scene comes back.
 
-See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.texts` for the texts.
+See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the texts.
 """
 
 from __future__ import annotations
@@ -11,10 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.mjcf.texts import MARK
-from simfoundry.frontends.draft import BodyDraft, JointDraft, LightDraft, LinkDraft, MeshDraft, ModelDraft, PartDraft
+from simfoundry.backends.mjcf.custom import MARK
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    JointDraft,
+    LightDraft,
+    LinkDraft,
+    MeshDraft,
+    ModelDraft,
+    PartDraft,
+)
 from simfoundry.frontends.mass_repair import SURFACE
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 TWIN = ":touch"
 """How the names of bodies go on after that of a link where they say how it touches some things, and nothing more."""

@@ -12,8 +12,9 @@ from simfoundry.frontends.compiled_robot import robot_draft
 from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.json_file import read_json
+from simfoundry.frontends.urdf import read_urdf
 from simfoundry.frontends.urdf.reader import read_urdf
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
 _ALWAYS_THERE = ("effort limit", "velocity limit", "texture laid")

@@ -32,7 +32,7 @@ from simfoundry.frontends.file_search import FileSearch
 from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.meshes import Scale, group_drafts, mesh_draft, mesh_width
 from simfoundry.frontends.xmltree import Element, read_xml
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 UNLIMITED_SLIDE_M = 1000.0

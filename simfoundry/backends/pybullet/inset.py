@@ -1,0 +1,51 @@
+"""Convex meshes drawn in by the skin that an engine adds around them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
+
+
+def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
+    """The convex hull of a mesh with every face moved inwards by ``distance`` [m]; None where it is too thin for that.
+
+    Under a skin of the same thickness, faces are back in their places and edges are rounded.
+    """
+    from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+    try:
+        planes = ConvexHull(np.asarray(mesh.vertices)).equations  # normal, offset: normal @ x + offset <= 0 inside
+        inside = _inner_point(planes, mesh.vertices.mean(axis=0), 1.1 * distance)
+        if inside is None:
+            return None
+        planes = planes + np.array([0.0, 0.0, 0.0, distance])
+        corners = HalfspaceIntersection(planes, inside).intersections
+        corners = np.unique(np.round(corners, 10), axis=0)  # a triangulated face gives each corner many times
+        hull = ConvexHull(corners)
+    except QhullError:  # flat, or too small for floating point
+        return None
+    return Mesh(frozen_array(corners), _outward(hull.simplices, hull.equations, corners))
+
+
+def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
+    """A point at least ``depth`` [m] below every plane: the guess, if it is one, else the deepest there is."""
+    from scipy.optimize import linprog
+
+    if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
+        return guess
+    rows = np.column_stack([planes[:, :3], np.ones(len(planes))])
+    found = linprog([0.0, 0.0, 0.0, -1.0], A_ub=rows, b_ub=-planes[:, 3], bounds=[(None, None)] * 3 + [(0.0, None)])
+    if not found.success or found.x[3] < depth:
+        return None
+    return np.asarray(found.x[:3], dtype=np.float64)
+
+
+def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
+    """Triangles turned counter-clockwise as seen from outside, int32, shape (m, 3)."""
+    a, b, c = (points[simplices[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
+    faces = simplices.astype(np.int32)
+    faces[inwards] = faces[inwards][:, [0, 2, 1]]
+    return faces

@@ -1,0 +1,165 @@
+"""Robots as URDF: their own, copied with its meshes, or converted from their MJCF."""
+
+from __future__ import annotations
+
+import os
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
+from simfoundry.backends.robot_models.robot_object import as_object
+from simfoundry.geometry.frames import Pose
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
+
+Write = Callable[[SceneObject], Mapping[str, bytes]]
+"""Writes an object as ``<name>.urdf`` and the assets that it names."""
+
+ROBOT = "its own model of this format, as it is; else converted, with hulls as colliders and closed loops cut"
+"""What formats other than MuJoCo's make of a robot."""
+
+_MOVING = ("revolute", "continuous", "prismatic")
+_STRONG = 100.0
+"""Force [N m or N] of a joint whose URDF has no limit of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotUrdf:
+    """A robot's URDF at ``path`` among its ``files``, with its root link at ``X_WB``.
+
+    ``positions`` [rad or m], ``efforts`` [N m or N], ``follow`` are by the URDF's joints, as are the ``servos`` whose
+    gains are known: stiffness [N m/rad or N/m] and damping, the joint's own included. ``joints`` maps the scene's names
+    onto them, ``frames`` the scene's frames onto its links. ``item`` is what it was converted from, if it was.
+    """
+
+    path: str
+    files: Mapping[str, bytes]
+    X_WB: Pose
+    positions: Mapping[str, float]
+    efforts: Mapping[str, float]
+    joints: Mapping[str, str]
+    gripper: Mapping[str, tuple[float, float]]
+    follow: Mapping[str, Follow]
+    servos: Mapping[str, tuple[float, float]]
+    frames: Mapping[str, LinkFrame]
+    item: SceneObject | None
+    losses: tuple[Loss, ...]
+
+
+def robot_urdf(robot: Robot, write: Write) -> RobotUrdf | None:
+    """The robot as URDF; None where it has neither a URDF nor an MJCF. Raises :class:`RobotModelError`."""
+    native = robot.best(ModelFormat.URDF)
+    if native is not None:
+        return _native(robot, native)
+    native = robot.best(ModelFormat.MJCF)
+    return _converted(robot, native, write) if native is not None else None
+
+
+def _native(robot: Robot, native: NativeModel) -> RobotUrdf:
+    files, path = copied(native)
+    try:
+        root = ET.fromstring(files[path])
+    except ET.ParseError as error:
+        raise RobotModelError(f"robot `{robot.name}`: {native.file} is not a URDF: {error}") from None
+    moving = [j for j in root.findall("joint") if j.get("type") in _MOVING]
+    names = [str(joint.get("name")) for joint in moving]
+    start = robot.start(native)
+    for name in start:
+        if name not in names:
+            there = ", ".join(names)
+            raise RobotModelError(f"robot `{robot.name}`: {native.file.name} has no joint `{name}`; there are: {there}")
+    follow = dict(_mimics(moving)) | (dict(native.gripper.follow) if native.gripper is not None else {})
+    efforts = {name: native.effort.get(name, _effort(joint)) for name, joint in zip(names, moving, strict=True)}
+    return RobotUrdf(
+        path=path,
+        files=files,
+        X_WB=robot.X_WB,
+        positions={name: start.get(name, 0.0) for name in names},
+        efforts=efforts,
+        joints=native.joints or {name: name for name in names},
+        gripper=native.gripper.joints if native.gripper is not None else {},
+        follow=follow,
+        servos={},
+        frames=native.links,
+        item=None,
+        losses=(),
+    )
+
+
+def _mimics(joints: list[ET.Element]) -> Iterator[tuple[str, Follow]]:
+    for joint in joints:
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            numbers = (float(mimic.get("multiplier", "1")), float(mimic.get("offset", "0")))
+            yield str(joint.get("name")), Follow(str(mimic.get("joint")), *numbers)
+
+
+def _effort(joint: ET.Element) -> float:
+    limit = joint.find("limit")
+    effort = float(limit.get("effort", "0")) if limit is not None else 0.0
+    return effort if effort > 0 else _STRONG
+
+
+def copied(native: NativeModel) -> tuple[dict[str, bytes], str]:
+    """A URDF and its meshes below ``robots/``, as they lie relative to one another, and the path of the URDF.
+
+    The URDF names its meshes relative to itself; the rest of its text is its own.
+    """
+    needed = model_files(native.file)
+    top = Path(os.path.commonpath([file.parent for file in needed]))
+    folder = f"robots/{native.file.stem}_{native.digest[:8]}"
+    text = native.file.read_text(encoding="utf-8")
+    for name in urdf_meshes(text):
+        near = os.path.relpath(urdf_mesh(native.file, name), native.file.parent).replace(os.sep, "/")
+        text = re.sub(rf"""(\bfilename\s*=\s*)["']{re.escape(name)}["']""", lambda m, n=near: f'{m[1]}"{n}"', text)  # type: ignore[misc]
+    files = {f"{folder}/{file.relative_to(top).as_posix()}": file.read_bytes() for file in needed}
+    path = f"{folder}/{native.file.relative_to(top).as_posix()}"
+    files[path] = text.encode()
+    return files, path
+
+
+def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
+    read = read_robot(robot, native, f"{robot.name}.")
+    made = as_object(robot, read)
+    gripper = native.gripper.joints if native.gripper is not None else {}
+    frames = {n: LinkFrame(made.links[f.link], f.X_LF) for n, f in native.links.items() if f.link in made.links}
+    moving = {joint.name: joint.position for joint in made.item.joints if joint.name in made.joints.values()}
+    arm = native.joints or {name: name for name in made.joints}
+    return RobotUrdf(
+        path=f"{robot.name}.urdf",
+        files=write(made.item),
+        X_WB=made.item.X_WO,
+        positions=moving,
+        efforts={j.name: j.drive.force_limit or _STRONG for j in made.item.joints if j.drive is not None},
+        joints={name: made.joints[joint] for name, joint in arm.items()},
+        gripper={made.joints[name]: pair for name, pair in gripper.items()},
+        follow={
+            j.name: Follow(j.mimic.joint, j.mimic.multiplier, j.mimic.offset)
+            for j in made.item.joints
+            if j.mimic is not None
+        },
+        servos={
+            j.name: (j.drive.stiffness, j.drive.damping + j.damping)
+            for j in made.item.joints
+            if j.drive is not None and j.drive.stiffness > 0
+        },
+        frames=frames,
+        item=made.item,
+        losses=tuple(conversion_losses(robot, native, made.loops)),
+    )
+
+
+def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
+    """What is lost where a robot is converted from its MJCF or URDF."""
+    kind = source.format.value.upper()
+    reason = f"no model of it in this format is known: converted from its {kind}, collision meshes as convex hulls"
+    yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
+    if loops:
+        plural = "s are" if loops > 1 else " is"
+        reason = f"{number(loops)} closed loop{plural} cut: the joints follow one another in fixed ratios instead"
+        yield Loss(f"{robot.name}.loops", Fidelity.APPROXIMATED, reason)
