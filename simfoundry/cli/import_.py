@@ -11,9 +11,9 @@ import click
 from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
-    from simfoundry.frontends.importer import ImportOptions, ImportReport
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import ImportReport
 
-SUFFIXES = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
 HEADINGS = {
     "dropped": ("thing was left out", "things were left out"),
     "changed": ("thing is said in another way", "things are said in another way"),
@@ -92,7 +92,8 @@ def command(
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
     Nothing is written for a file that is refused. Exit code 2 where one was refused.
     """
-    from simfoundry.frontends.importer import ImportOptions, import_file
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import import_file
 
     if onto is not None or (len(files) == 1 and _is_ours(files[0])):
         if len(files) > 1:
@@ -148,6 +149,8 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
 
 
 def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
+    from simfoundry.frontends.registry import SUFFIXES
+
     jobs = list(_jobs(files, out))
     if not jobs:
         raise CannotError(
@@ -193,6 +196,8 @@ def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportR
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
     """Each file with the document that it becomes; folders keep their shape."""
+    from simfoundry.frontends.registry import SUFFIXES
+
     for path in files:
         if path.is_file():
             yield path, out / _default_name(path)
@@ -214,9 +219,10 @@ def _is_model(path: Path) -> bool:
 
 
 def _default_name(path: Path) -> str:
-    from simfoundry.frontends.importer import ASSET, BDDL, SCENE, TASK, TASKS
+    from simfoundry.frontends.importer import ASSET, SCENE, TASK
+    from simfoundry.frontends.registry import TASK_FRONTENDS
 
-    if path.suffix.lower() in (*TASKS, BDDL):
+    if path.suffix.lower() in TASK_FRONTENDS:
         return f"{path.stem}{TASK}"
     return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
 

@@ -101,3 +101,8 @@ def color_data(color: Rgba) -> tuple[float, ...]:
     """Return a colour at the precision of a screen; single precision leaves noise behind that."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
+
+
+def relative_path(file: Path, document: Path) -> str:
+    """Return the path of a file as a document at another path writes it."""
+    return Path(os.path.relpath(file.resolve(), document.resolve().parent)).as_posix()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,20 +47,20 @@ class ImportReport:
     names: tuple[tuple[str, str], ...] = ()
     more: tuple[str, ...] = ()
     error: str = ""
-    assumed_masses: Mapping[str, float] | None = None
+    assumed_masses: Mapping[str, float] = field(default_factory=dict)
     """Masses [kg] of links that move and state none, at the density of water, by `object.link`."""
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain mapping for ``--json``."""
         if self.error:
             return {"source": self.source, "error": self.error}
-        data = {field.name: getattr(self, field.name) for field in fields(self)}
+        data = {f.name: getattr(self, f.name) for f in fields(self)}
         del data["names"], data["error"]
         return data | {
             "notes": [note.to_json() for note in self.notes],
             "renamed": dict(self.names),
             "more": list(self.more),
-            "assumed_masses": dict(self.assumed_masses or {}),
+            "assumed_masses": dict(self.assumed_masses),
         }
 
 

@@ -12,8 +12,9 @@ from collections import Counter
 from pathlib import Path
 
 from simfoundry.frontends.bddl import read_problem
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import ImportOptions, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY

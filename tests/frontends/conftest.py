@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.frontends.importer import ImportOptions, ImportReport, import_file
+from simfoundry.frontends.draft import ImportOptions
+from simfoundry.frontends.importer import ImportReport, import_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,12 +12,13 @@ from typing import Any
 from simfoundry.frontends.bddl.conditions import Condition, ConditionReader
 from simfoundry.frontends.bddl.expressions import BddlGroup
 from simfoundry.frontends.bddl.problem import BddlProblem, BddlRegion, read_problem
-from simfoundry.frontends.document_data import rounded
-from simfoundry.frontends.draft import ModelDraft
+from simfoundry.frontends.document_data import relative_path, rounded
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 
 BINARY = {
@@ -32,16 +32,15 @@ _SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
 
 
 def read_bddl_task(
-    path: Path, scene_file: Path, scene: Scene, out: Path, bound: Mapping[str, str]
+    path: Path, _spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
 ) -> tuple[TaskSpec, ModelDraft]:
-    """The task of a BDDL file in a scene, for a document at ``out``, and what of it is left out or assumed.
+    """Read the task of a BDDL file for a scene; ``bound`` of the options has objects for names that do not tell.
 
-    ``bound`` says which object of the scene a name of the file means, where the names do not tell. Raises
-    :class:`ImportRefusedError`, which names everything that is missing, each with its line.
+    Raises :class:`ImportRefusedError`, which names everything that is missing, each with its line.
     """
     problem = read_problem(path)
     draft = ModelDraft(problem.name, "BDDL")
-    task = _Task(problem, scene, bound, draft)
+    task = _TaskReader(problem, scene, options.bound, draft)
     goal = task.goal()
     start, reset = task.start()
     if task.missing:
@@ -53,16 +52,18 @@ def read_bddl_task(
     instruction = problem.language or _sentence(problem.name)
     if not problem.language:
         draft.assumed("instruction", "none is given; the name of the problem stands for it")
+    assert options.scene is not None
     name = plain_name(path.stem if problem.domain == "robosuite" else re.sub(r"-\d+\Z", "", problem.name), "task")
     data: dict[str, Any] = {
-        "simfoundry": "task/1", "name": name, "scene": _relative(scene_file, out), "instruction": instruction[:500],
+        "simfoundry": "task/1", "name": name, "scene": relative_path(options.scene, out),
+        "instruction": instruction[:500],
         "goal": goal, **({"start": start} if start else {}), **({"reset": {"objects": reset}} if reset else {}),
     }  # fmt: skip
     return TaskSpec.model_validate(rounded(data)), draft
 
 
 @dataclass
-class _Task:
+class _TaskReader:
     """One problem while it is turned into a task."""
 
     problem: BddlProblem
@@ -275,10 +276,6 @@ def owner_of(name: str) -> str:
 def _words(name: str) -> set[str]:
     """The words of a name that tell one part from another."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
-
-
-def _relative(scene_file: Path, out: Path) -> str:
-    return Path(os.path.relpath(scene_file.resolve(), out.resolve().parent)).as_posix()
 
 
 def _sentence(name: str) -> str:

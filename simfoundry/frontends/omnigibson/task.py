@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.document_data import rounded
-from simfoundry.frontends.draft import ModelDraft
+from simfoundry.frontends.document_data import relative_path, rounded
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.scene.model import Scene
@@ -38,8 +37,10 @@ _DROPPED = {
 }  # fmt: skip
 
 
-def read_task(path: Path, scene_file: Path, scene: SceneSpec, lowered: Scene, out: Path) -> tuple[TaskSpec, ModelDraft]:
-    """The task of a YAML file of the release on a scene, for a document at ``out``, and what of it is left out."""
+def read_task(
+    path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
+) -> tuple[TaskSpec, ModelDraft]:
+    """Read the task of a YAML file of the release for a scene; raises :class:`ImportRefusedError`."""
     try:
         document = read_yaml(path)
     except YamlError as error:
@@ -48,10 +49,11 @@ def read_task(path: Path, scene_file: Path, scene: SceneSpec, lowered: Scene, ou
     config = data.get("og_task_config") if isinstance(data, dict) else None
     if not isinstance(config, dict):
         raise ImportRefusedError(path, "it has no `og_task_config`: it is no task of the release")
-    return _Task(path, data, config, scene, lowered).spec(os.path.relpath(scene_file.resolve(), out.resolve().parent))
+    assert options.scene is not None
+    return _TaskReader(path, data, config, spec, scene).spec(relative_path(options.scene, out))
 
 
-class _Task:
+class _TaskReader:
     """One task file while it is read."""
 
     def __init__(

@@ -12,7 +12,6 @@ from simfoundry.frontends.compiled_robot import robot_draft
 from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.json_file import read_json
-from simfoundry.frontends.urdf import read_urdf
 from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
@@ -40,11 +39,11 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
     for name, entry in read_json(path).items():
         try:
-            X_WO = Pose.of(entry["p"], entry["q_wxyz"])
             if "robot" in entry:
-                draft.robots.append(robot_draft(path, name, entry["robot"], X_WO))
+                X_WB = Pose.of(entry["p"], entry["q_wxyz"])
+                draft.robots.append(robot_draft(path, name, entry["robot"], X_WB))
                 continue
-            body = _body(draft, path, name, entry, X_WO, options)
+            body = _body(draft, path, name, entry, options)
         except (KeyError, TypeError, ValueError) as error:
             raise ImportRefusedError(path, f"`{name}` is not as compiled files have it: {error!r}") from None
         if "free" in entry:
@@ -56,9 +55,7 @@ def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
     return draft
 
 
-def _body(
-    draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], X_WO: Pose, options: ImportOptions
-) -> BodyDraft:
+def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], options: ImportOptions) -> BodyDraft:
     """One URDF with the fields of its entry."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
@@ -66,7 +63,8 @@ def _body(
     read = read_urdf(file, ImportOptions(options.packages))
     draft.notes += [note for note in read.notes if not note.what.startswith(_ALWAYS_THERE)]
     body = read.bodies[0]
-    body.name, body.exact, body.fixed, body.X_WO = name, True, bool(entry["fixed"]), X_WO
+    body.name, body.exact = name, True
+    body.fixed, body.X_WO = bool(entry["fixed"]), Pose.of(entry["p"], entry["q_wxyz"])
     body.category, body.labels = entry.get("category"), tuple(entry.get("labels", ()))
     for joint in body.joints:
         joint.position = float(entry["joints"].get(joint.name, 0.0))

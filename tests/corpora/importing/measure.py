@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.frontends.importer import ImportOptions, ImportReport, import_file
+from simfoundry.frontends.draft import ImportOptions
+from simfoundry.frontends.importer import ImportReport, import_file
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

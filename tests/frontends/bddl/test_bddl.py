@@ -15,8 +15,9 @@ import pytest
 from simfoundry.frontends.bddl import read_problem
 from simfoundry.frontends.bddl.conditions import ConditionReader
 from simfoundry.frontends.bddl.expressions import BddlGroup, read_group
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import ImportOptions, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.frontends.task_export import TaskExportError, export_task
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load_kind

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import ImportOptions, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.geometry.shapes import Box
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import ImportOptions, ImportReport, import_file
+from simfoundry.frontends.importer import ImportReport, import_file
 from simfoundry.geometry.frames import Pose, quat_from_rpy, to_xyzw
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load, load_kind

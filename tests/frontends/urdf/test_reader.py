@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import ImportOptions, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh
 from simfoundry.scene.kinematics import link_poses
