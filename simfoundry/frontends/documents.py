@@ -312,7 +312,7 @@ def inline_data(body: BodyDraft) -> Data | None:
     contact = _uniform_contact(link)
     if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or contact is None or not _is_plain(link, part):
         return None
-    out = {"shape": to_data(part.geometry)} | _mass_data(link)
+    out: Data = {"shape": to_data(part.geometry)} | _mass_data(link)
     out.pop("inertial", None)
     if body.fixed and link.assumed:
         out.pop("density", None)

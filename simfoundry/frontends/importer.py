@@ -189,8 +189,10 @@ def _lowered(folder: Path, document: str, root: Path) -> tuple[Scene | None, lis
 def _assumed_masses(draft: ModelDraft, built: BuiltDocuments, scene: Scene | None) -> dict[str, float]:
     """Masses [kg] of links that state none and move, by `object.link`, or by link where there is one object."""
     out: dict[str, float] = {}
-    by_name = {} if scene is None else {item.name: item for item in scene.objects}
-    for body in draft.bodies if scene is not None else ():
+    if scene is None:
+        return out
+    by_name = {item.name: item for item in scene.objects}
+    for body in draft.bodies:
         item = scene.objects[0] if len(by_name) == 1 else by_name[built.names.get(body.name, body.name)]
         masses = {link.name: link.mass for link in item.links}
         for link in body.links.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -165,8 +166,8 @@ def read_camera(source: MjcfSource, k: int) -> CameraDraft | None:
     if int(model.cam_mode[k]) != int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED):
         draft.changed(f"camera `{name}`", "it follows what moves; here it stays where it is in its body")
     # MuJoCo 3.5 replaced the flag by a kind of projection, of which 1 is orthographic.
-    orthographic = getattr(model, "cam_projection", None)
-    if bool((getattr(model, "cam_orthographic", None) if orthographic is None else orthographic == 1)[k]):
+    projections: Any = model.cam_projection if hasattr(model, "cam_projection") else model.cam_orthographic
+    if int(projections[k]) == 1:
         draft.dropped(f"camera `{name}`", "it is orthographic, and cameras are pinholes here")
         return None
     X_BC = Pose.of(model.cam_pos[k], model.cam_quat[k]) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
