@@ -132,9 +132,9 @@ def _write(
     progress: Callable[[str, float], None],
 ) -> None:
     """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
-    from simfoundry.cousins.gallery import write_gallery
     from simfoundry.cousins.manifest import write_manifest
     from simfoundry.cousins.run import finish
+    from simfoundry.reports.gallery import write_gallery
 
     write_manifest(plan, ledger)
     if pictures:

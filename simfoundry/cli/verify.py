@@ -181,9 +181,9 @@ def _write_page(
     found: Mapping[str, Found | None],
     subjects: Sequence[Subject],
 ) -> None:
+    from simfoundry.reports.verification import page
     from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviours import BEHAVIOURS
-    from simfoundry.verify.page import page
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
@@ -234,10 +234,10 @@ def _print(
     rested: Sequence[Rested],
     found: Mapping[str, Found | None],
 ) -> None:
+    from simfoundry.reports.verification import summary
     from simfoundry.verify import tables
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.engines import engine_called
-    from simfoundry.verify.page import summary
 
     if readings:
         click.echo(tables.readings_table(readings, found) + "\n")
