@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from simfoundry.cousins.tasks.answer import Told, Unread, goal_of, read
-from simfoundry.cousins.tasks.propose import prompt, propose_tasks
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.proposals import Told, Unread, goal_of, prompt, propose_tasks, read
 from simfoundry.cousins.tasks.witness import ALLOWED
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec
