@@ -48,7 +48,7 @@ EXPECTED = {
     "tidy_red_marker": (),
     "pour_tea": ("unknown_name", "no object is called `teapot`"),
     "put_bowl_on_desk": ("already_true", "`bowl` touches `desk`"),
-    "plate_into_bowl": ("impossible", "the cavity is 15.4 cm across"),
+    "plate_into_bowl": ("too_wide", "`plate` is 22.8 cm wide at its narrowest"),
     "ball_in_bowl_again": ("duplicate", "`baseball_into_bowl`"),
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),
