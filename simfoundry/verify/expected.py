@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from simfoundry.backends.urdf import capsule_parts
+from simfoundry.backends.urdf.elements import capsule_parts
 from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import (
