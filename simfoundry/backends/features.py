@@ -10,20 +10,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Joint,
-    JointType,
-    LightType,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-)
+from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
 Users = Callable[[Scene], Iterable[str]]
 """The elements of a scene that use a feature, by name; a joint as ``object.joint``."""

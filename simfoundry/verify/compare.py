@@ -16,7 +16,8 @@ import numpy as np
 from simfoundry.backends.features import Fidelity
 from simfoundry.backends.losses import Loss
 from simfoundry.backends.pybullet.inset import SKIN, inset_hull
-from simfoundry.scene.model import Mesh, Scene
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
 from simfoundry.verify.engines import Engine
 from simfoundry.verify.expected import expected_facts, static_links

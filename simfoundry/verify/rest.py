@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.model import JointType, Scene, Sphere
+from simfoundry.geometry.shapes import Sphere
+from simfoundry.scene.model import JointType, Scene
 from simfoundry.verify.engines import Found
 from simfoundry.verify.facts import Moment, pose_of
 from simfoundry.verify.process import TIMEOUT_S, Job, Run, ask

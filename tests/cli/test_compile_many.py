@@ -14,7 +14,7 @@ import pytest
 
 from simfoundry.assets import decompose
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.runtime.subprocess_worker import Limits, say
+from simfoundry.runtime.workers import Limits, report_progress
 from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, Job, Outcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
 from tests.cli.command import run
@@ -173,14 +173,14 @@ def crash(*_: object) -> None:
 def crash_on_a(job: Job) -> Outcome:
     """What a segfault of a library does while the scene `a` is compiled."""
     if job.scene.name.startswith("a."):
-        say("object `one` (one.obj)")
+        report_progress("object `one` (one.obj)")
         ctypes.string_at(0)
     return compile_job(job)
 
 
 def hang_on_a(job: Job) -> Outcome:
     if job.scene.name.startswith("a."):
-        say("object `one` (one.obj)")
+        report_progress("object `one` (one.obj)")
         time.sleep(600)
     return compile_job(job)
 

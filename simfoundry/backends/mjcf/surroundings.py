@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.losses import Loss, approximate
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Camera, Light, LightType, Scene
 
 OPENCV_FROM_OPENGL = Pose.of(q=[0.0, 1.0, 0.0, 0.0])

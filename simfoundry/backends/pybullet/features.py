@@ -13,7 +13,8 @@ from simfoundry.backends.pybullet.surfaces import Resistances, link_friction, li
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.urdf.features import joint_losses
-from simfoundry.scene.model import LightType, Link, Mesh, Scene, SceneObject
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import LightType, Link, Scene, SceneObject
 
 _LIGHTS = {
     LightType.DISTANT: "PyBullet's surfaces respond to a light in their own way: brightness differs, shadows are soft.",

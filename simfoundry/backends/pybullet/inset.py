@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from simfoundry.backends.urdf.elements import Split
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
-from simfoundry.scene.model import Geometry, Mesh
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Geometry, Mesh
 
 SKIN = 1e-3
 """Thickness of the skin that Bullet puts around a convex mesh from a URDF [m]; no setting removes it."""

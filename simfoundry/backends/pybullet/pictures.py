@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from simfoundry.backends.artifact import rounded, rounded_list
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Camera, Light, LightType
 
 NEAR, FAR = 0.01, 100.0

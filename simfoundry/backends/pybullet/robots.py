@@ -11,7 +11,7 @@ from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.pybullet.surfaces import robot_friction
 from simfoundry.backends.robot_models.robot_urdf import RobotUrdf, Write, robot_urdf, without_model
 from simfoundry.backends.urdf.manifests import mimic_data, pose_data
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import JointType, Scene, SceneObject
 
 GRASP_ITERATIONS = 200

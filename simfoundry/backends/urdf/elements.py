@@ -10,23 +10,10 @@ from weakref import WeakKeyDictionary
 from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.urdf.features import UNBOUNDED_M
 from simfoundry.backends.xmltext import DECLARATION, xml_text
-from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
-from simfoundry.scene.model import (
-    Background,
-    Box,
-    Capsule,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
 from simfoundry.scene.trees import Tree, trees
 
 Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]

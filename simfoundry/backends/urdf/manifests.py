@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from simfoundry.backends.artifact import json_text, rounded, rounded_list
 from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
 from simfoundry.backends.urdf.elements import Split
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
 from simfoundry.scene.robot import Follow
 from simfoundry.scene.touching import silent_pairs

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.readers import LOADERS, Session, load_module
 from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
 from simfoundry.verify.readers.usd import OWN_DAMPING, links, own_damping

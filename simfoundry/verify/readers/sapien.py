@@ -12,7 +12,7 @@ import numpy as np
 import sapien
 from sapien import physx
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.facts import (
     FREE,
     WORLD,
