@@ -18,7 +18,7 @@ from simfoundry.cousins.twin import Twin
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
-from simfoundry.predicates.thresholds import ENCLOSED
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
@@ -198,7 +198,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     from simfoundry.cousins.drops import DROPS
     from simfoundry.cousins.fit import SURE, cavity_extents, largest_share
     from simfoundry.geometry.cavity import cavity
-    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.judging.bodies import Bodies
 
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]

@@ -25,7 +25,7 @@ from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.poses import Poses, rotations
-from simfoundry.predicates.batch import StateBatch
+from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4

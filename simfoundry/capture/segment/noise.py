@@ -1,4 +1,4 @@
-"""How far off a depth reading may be, and whether a depth picture is one in metres at all."""
+"""Noise of depth readings, and a check that a depth picture is in metres."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_round import search
-from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_box
+from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_box
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Box
 
@@ -27,7 +27,7 @@ class BoxFit:
 
     box: Box
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
     guessed_depth: bool
 
 

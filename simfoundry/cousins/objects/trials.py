@@ -11,7 +11,7 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.shapes import Box
 from simfoundry.predicates import Judge
-from simfoundry.predicates.shapes import PredicateError
+from simfoundry.predicates.judging.bodies import PredicateError
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.scene.place import PlaceError, solve
