@@ -33,16 +33,16 @@ MAX_DRIFT_M, MAX_TILT_DEG = 0.002, 1.0
 AT_THE_END: Mapping[str, Mapping[str, dict[str, object]]] = {
     "marker_in_cup": {"marker": {"rpy_deg": (0.0, 90.0, 0.0)}},
     "red_marker_in_blue_cup": {"red_marker": {"rpy_deg": (0.0, 90.0, 0.0)}},
-    "serve_fruits": {"banana": {"at": (0.0, 0.035), "yaw_deg": 0.0}, "apple": {"at": (0.0, -0.04)}},
+    "serve_fruits": {"banana": {"local_xy": (0.0, 0.035), "yaw_deg": 0.0}, "apple": {"local_xy": (0.0, -0.04)}},
     "clear_table": {
-        "cube": {"at": (-0.07, -0.1)},
-        "grapes": {"at": (0.06, -0.1)},
-        "cup": {"at": (0.06, 0.1)},
-        "marker": {"at": (0.0, 0.0), "yaw_deg": 90.0},
-        "baseball": {"at": (-0.078, 0.118)},
+        "cube": {"local_xy": (-0.07, -0.1)},
+        "grapes": {"local_xy": (0.06, -0.1)},
+        "cup": {"local_xy": (0.06, 0.1)},
+        "marker": {"local_xy": (0.0, 0.0), "yaw_deg": 90.0},
+        "baseball": {"local_xy": (-0.078, 0.118)},
     },
-    "orange_cup_on_organizer": {"orange_cup": {"at": (0.0, 0.05)}},
-    "tennis_ball_on_organizer": {"tennis_ball": {"at": (0.0, 0.05)}},
+    "orange_cup_on_organizer": {"orange_cup": {"local_xy": (0.0, 0.05)}},
+    "tennis_ball_on_organizer": {"tennis_ball": {"local_xy": (0.0, 0.05)}},
     "store_marker": {"marker": {"yaw_deg": 90.0}},
 }
 """How the things of a goal lie at the end, where they do not lie in the middle as they lay on the desk."""
