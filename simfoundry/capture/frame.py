@@ -35,7 +35,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
+class SupportSurface:
     """The surface the objects stand on.
 
     ``X_WC`` puts the camera into the world whose origin lies on the surface, z up; ``outline`` [m] is the boundary of

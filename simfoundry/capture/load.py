@@ -19,6 +19,7 @@ from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
 
+# Common units of depth pictures by their scale to metres, for a hint where depth is implausible.
 UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
 
 NUMBERS_MAX = 178_956_970
@@ -179,7 +180,7 @@ class _Reader:
             self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
 
     def centre(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """What betrays intrinsics of another picture, or in another order, by where their principal point lies."""
+        """Check the principal point: an implausible one betrays intrinsics of another picture or in another order."""
         x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
         message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
         if abs(x - 0.5) > 0.2 and abs(x - y) < 0.05:  # scaling moves it along the diagonal, cropping does not
@@ -250,7 +251,7 @@ def _decoded(file: Path, mode: str) -> NDArray[Any]:
 
 
 def _first_line(error: Exception) -> str:
-    """What a reader says, without the path, which the finding has."""
+    """First line of a reader's message without the path, which the finding already has."""
     return " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
 
 

@@ -1,4 +1,4 @@
-"""What a depth camera makes of a perfect picture: synthetic captures with the flaws of real ones."""
+"""Simulated depth camera: synthetic captures with the flaws of real ones."""
 
 from __future__ import annotations
 

@@ -15,9 +15,9 @@ import pytest
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.capture.synthesize import synthesize
-from simfoundry.capture.truth import Comparison, compare
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
@@ -44,7 +44,7 @@ class Desk:
     run: CaptureRun
     folder: Path
     scene: Scene
-    truth: list[Comparison]
+    truth: list[ObjectAccuracy]
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_the_true_mass_lies_in_the_range_given(desk: Desk) -> None:
         mass = objects[c.recovered].mass
         assert mass is not None and not isinstance(mass, float)
         low, high = mass.range or (0.0, 0.0)
-        assert low <= mass.value <= high and mass.by == "material_table"
+        assert low <= mass.value <= high and mass.source == "material_table"
         # the truth's densities were written without a look at the table: within a factor of two of its range
         assert low / 2 <= c.mass_true <= 2 * high, c
 

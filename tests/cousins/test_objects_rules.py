@@ -38,7 +38,7 @@ from simfoundry.cousins.objects.variants import weighed
 from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import Scene
 from simfoundry.scene.object_shapes import bounds

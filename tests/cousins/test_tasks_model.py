@@ -33,13 +33,13 @@ class Recorded:
     def __init__(self) -> None:
         self.asked: list[str] = []
 
-    def tell(self, prompt: str, pictures: Any = ()) -> str:
+    def ask_text(self, prompt: str, pictures: Any = ()) -> str:
         assert list(pictures) == [PICTURE]
         self.asked.append(prompt)
         return RECORDED.read_text()
 
     def ask(self, prompt: str, pictures: Any, answer: Any) -> Any:
-        tasks = [one.model_dump() for one in read(self.tell(prompt, pictures)) if isinstance(one, Told)]
+        tasks = [one.model_dump() for one in read(self.ask_text(prompt, pictures)) if isinstance(one, Told)]
         return answer.model_validate({"tasks": tasks})
 
 
@@ -48,7 +48,7 @@ EXPECTED = {
     "tidy_red_marker": (),
     "pour_tea": ("unknown_name", "no object is called `teapot`"),
     "put_bowl_on_desk": ("already_true", "`bowl` touches `desk`"),
-    "plate_into_bowl": ("too_wide", "`plate` is 22.8 cm wide at its narrowest"),
+    "plate_into_bowl": ("too_wide", "`plate` is 22.7 cm wide at its narrowest"),
     "ball_in_bowl_again": ("duplicate", "`baseball_into_bowl`"),
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),

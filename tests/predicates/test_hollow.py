@@ -124,7 +124,7 @@ def test_the_cavity_of_a_turned_mesh_frame_is_found(setting: Found) -> None:
     from dataclasses import replace
 
     from simfoundry.geometry.cavity import cavity
-    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.judging.bodies import Bodies
 
     cup = setting("marker_in_cup").scene.object("cup")
     link = cup.root
@@ -148,7 +148,7 @@ def test_the_cavity_of_a_mug_does_not_reach_into_its_handle() -> None:
     from simfoundry.cousins.recipe.library import lowered
     from simfoundry.geometry.cavity import cavity
     from simfoundry.geometry.frames import frozen_array
-    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.judging.bodies import Bodies
     from simfoundry.scene.model import Scene
 
     mug = lowered(REPOSITORY / "specs" / "assets" / "mug.asset.yaml")

@@ -14,7 +14,8 @@ from simfoundry.predicates import Judge, PredicateError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
-from simfoundry.spec.models.expressions import PREDICATES, parse_call
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import built_in_predicates
 from tests.lint.scenes import BOWL, written
 
 SHAPES = {
@@ -38,9 +39,9 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
         x, y = rng.uniform(-0.12, 0.12, 2).round(3)
         if k and rng.random() < 0.25:
             carrier = rng.choice(["desk", "bowl", "box"]) if name != "box" else "desk"
-            where = f"place: {{on: {carrier}, at: [{x / 4:.3f}, {y / 4:.3f}]}}"
+            where = f"place: {{on: {carrier}, local_xy: [{x / 4:.3f}, {y / 4:.3f}]}}"
         elif k and rng.random() < 0.15:
-            where = f"place: {{inside: bowl, at: [{x / 20:.3f}, {y / 20:.3f}]}}"
+            where = f"place: {{inside: bowl, local_xy: [{x / 20:.3f}, {y / 20:.3f}]}}"
         else:
             z = 0.0 if name == "bowl" and rng.random() < 0.7 else rng.uniform(-0.02, 0.12)
             angles = rng.uniform(-180, 180, 3) if rng.random() < 0.4 else [0, 0, rng.uniform(-180, 180)]
@@ -54,7 +55,7 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
 
 def calls(rng: np.random.Generator, state: SceneState) -> list[str]:
     texts = []
-    for name, predicate in PREDICATES.items():
+    for name, predicate in built_in_predicates().items():
         match predicate.parameters[:2]:
             case ("thing", "thing") | ("body", "body"):
                 texts += [f"{name}({a}, {b})" for a, b in permutations(NAMES, 2)]

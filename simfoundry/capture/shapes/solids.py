@@ -22,7 +22,7 @@ def loft_mesh(rings: Array) -> Mesh:
 
 
 def hull_margin(footprint: Array, point: Array) -> float:
-    """How far inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
+    """Distance inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(footprint).equations

@@ -17,8 +17,8 @@ from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
-from simfoundry.predicates.rules import seen_along
-from simfoundry.predicates.thresholds import ENCLOSED
+from simfoundry.predicates.judging.thresholds import ENCLOSED
+from simfoundry.predicates.sides import viewer_axis
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
@@ -69,7 +69,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
     if reasons:
         return ImpossibleError(tuple(reasons))
     anchor = anchor_of(twin, axis)
-    sets = {name: sets_of(words, axis.together) for name, words in axis.objects.items()}
+    sets = {name: sets_of(words, axis.relations_per_object) for name, words in axis.objects.items()}
     beside = any(word in SIDES for words in axis.objects.values() for word in words)
     support = _support(twin, anchor, axis) if beside else None
     if beside and support is None:
@@ -77,7 +77,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
         return ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
-        reasons += _contradiction(sets[name], name, words, axis.together)
+        reasons += _contradiction(sets[name], name, words, axis.relations_per_object)
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
     if support is not None and not reasons:
@@ -197,7 +197,7 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     """Whether most of a thing is outside of the cavity, however it is turned."""
     from simfoundry.cousins.layout.drop_sampling import DROPS, SURE, cavity_extents, largest_share
     from simfoundry.geometry.cavity import cavity
-    from simfoundry.predicates.shapes import Bodies
+    from simfoundry.predicates.judging.bodies import Bodies
 
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]
@@ -235,7 +235,8 @@ def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[st
     several = min(together, len(set(words)))
     if len(sets[0]) >= several:
         return []
-    text = f"no {several} of {', '.join(dict.fromkeys(words))} can hold for `{name}` at once, as `together` asks"
+    listed = ", ".join(dict.fromkeys(words))
+    text = f"no {several} of {listed} can hold for `{name}` at once, as `relations_per_object` asks"
     return [Reason("contradiction", text, MappingProxyType({"together": float(several)}))]
 
 
@@ -284,7 +285,7 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
     if word not in _WAYS:
         return None
     column, sign = _WAYS[word]
-    return sign * seen_along(viewer, column)
+    return sign * viewer_axis(viewer, column)
 
 
 FULL = 0.85

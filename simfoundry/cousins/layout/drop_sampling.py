@@ -17,7 +17,7 @@ from simfoundry.geometry.cavity import Cavity
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.thresholds import ENCLOSED
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.place import Place

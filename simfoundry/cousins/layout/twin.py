@@ -21,7 +21,7 @@ from simfoundry.evaluate.task import load_task
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.shapes import Cylinder
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Collider, Joint, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls

@@ -18,7 +18,7 @@ from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.geometry.shapes import Box
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.predicates import Judge
-from simfoundry.predicates.shapes import PredicateError
+from simfoundry.predicates.judging.bodies import PredicateError
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds, solid
@@ -27,16 +27,11 @@ from simfoundry.scene.state import SceneState
 from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
 from simfoundry.spec.models.expressions import Call, parse_call, texts
 from simfoundry.spec.models.place import Place
+from simfoundry.spec.models.predicate import Effect
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
-
-CARRIED = ("Grasped", "Lifted", "OnTop", "Inside")
-"""Predicates whose first argument a robot takes between its fingers."""
-
-RESTING = ("OnTop", "Inside")
-MOVED = ("Open", "Closed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +51,10 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
-    rests = [c for c in mine if c.predicate in RESTING and all(a.partition(".")[0] in known for a in c.args)]
-    carried = any(c.predicate in CARRIED and c.args[0].partition(".")[0] == name for c in mine)
+    rests = [
+        c for c in mine if c.declaration.effect is Effect.PLACE and all(a.partition(".")[0] in known for a in c.args)
+    ]
+    carried = any(c.declaration.effect.grasps and c.args[0].partition(".")[0] == name for c in mine)
     joints = tuple(j.name for j in known[name].joints if j.has_axis and j.limits is not None)
     others = {o: known[o] for c in rests for a in c.args if (o := a.partition(".")[0]) != name}
     opening = _opening(spec) if carried else None
@@ -260,10 +257,10 @@ def _places(call: Call, base: SceneObject) -> Iterator[Place]:
     sides = (0.0, 0.25, -0.25) if not inside else (0.0,)
     for y in sides:
         for turn in TURNS if inside else TURNS[:2]:
-            at = None if y == 0 else (0.0, round(y * float(high[1] - low[1]), 4))
+            local_xy = None if y == 0 else (0.0, round(y * float(high[1] - low[1]), 4))
             rpy = turn if any(turn) else None
             place = Place(inside=call.args[1], rpy_deg=rpy) if inside else Place(on=call.args[1], rpy_deg=rpy)
-            yield place if at is None else place.model_copy(update={"at": at})
+            yield place if local_xy is None else place.model_copy(update={"local_xy": local_xy})
 
 
 def _let_go(call: Call, a: SceneObject, b: SceneObject) -> Outcome:
@@ -344,7 +341,7 @@ def _opened(item: SceneObject) -> SceneObject:
 def _on_table(item: SceneObject) -> SceneObject | Outcome:
     free = replace(item, fixed=False, variants=())
     try:
-        X_WO = solve(free, Place(on=TABLE, at=(0.0, 0.0)), {TABLE: _table()}, None)
+        X_WO = solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None)
     except PlaceError as error:
         return Outcome(False, error.message)
     return replace(free, X_WO=X_WO)

@@ -13,7 +13,7 @@ from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.tasks.context import Setting
 from simfoundry.geometry.cavity import Cavity, cavity, outside_part
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call, parse_call, parts, texts

@@ -12,7 +12,7 @@ from simfoundry.cousins.layout.supports import Outline, Support
 from simfoundry.cousins.layout.twin import bare
 from simfoundry.cousins.tasks.context import Setting
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
-from simfoundry.predicates.shapes import Bodies
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, SceneObject
 from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from simfoundry.spec.models.expressions import PREDICATES
+from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
 from simfoundry.spec.models.robot import ROBOTS
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}."
+
 
 CHOICES = {
     ("auto", "hull", "decompose", "none"): (
@@ -42,7 +47,7 @@ CHOICES = {
         "Nothing holds it: it lies in or on the parent, as a lid.",
     ),
     ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"): tuple(
-        f"{PREDICATES[name].meaning[0].upper()}{PREDICATES[name].meaning[1:]}."
+        _sentence(PREDICATES.load(name).meaning)
         for name in ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo")
     ),
     ("procedural", "library", "model"): (
@@ -130,7 +135,7 @@ FIRST: dict[str, Body] = {
     "Masks.background": "[${1:0}]",
     "behind": "${1:name}",
     "box": "[${1:0.1}, ${2:0.1}, ${3:0.1}]",
-    "by": "${1:me}",
+    "source": "${1:me}",
     "camera": "{fx: ${1:600}, fy: ${2:600}, cx: ${3:319.5}, cy: ${4:239.5}}",
     "cameras": {"${1:front}": CAMERA},
     "CameraView.camera": "${1:wrist}",
@@ -155,12 +160,12 @@ FIRST: dict[str, Body] = {
     "cylinder": "{radius: ${1:0.04}, height: ${2:0.1}}",
     "deg": "${1:30}",
     "density": "${1:700}",
-    "DistractorAxis.density": "{least: ${1:100}, most: ${2:3000}}",
+    "DistractorAxis.density": "{min: ${1:100}, max: ${2:3000}}",
     "depth": "{image: ${1:depth.png}, scale: ${2:0.001}}",
     "description": "${1:What it is, for people.}",
     "distractors": "{count: [${1:1}, ${2:4}]}",
     "extends": "${1:twin.scene.yaml}",
-    "fit": "${1:0.002}",
+    "fit_error": "${1:0.002}",
     "frames": {"${1:first}": SHOT},
     "friction": "${1:0.5}",
     "fx": "${1:600}",
@@ -179,7 +184,7 @@ FIRST: dict[str, Body] = {
     "joints": "{${1:drawer}: ${2:0}}",
     "Start.joints": "{${1:cabinet}: {${2:drawer}: ${3:0}}}",
     "lathe": f"{{profile: {CUP}}}",
-    "least": "${1:0.1}",
+    "min": "${1:0.1}",
     "labels": "[${1:mug}]",
     "left_of": "${1:name}",
     "library": "${1:assets}",
@@ -188,14 +193,14 @@ FIRST: dict[str, Body] = {
     "limits_deg": "[${1:0}, ${2:90}]",
     "links": {"${1:body}": LINK},
     "look_at": "[${1:0.45}, ${2:0}, ${3:0}]",
-    "DistractorAxis.mass": "{least: ${1:0.05}, most: ${2:1}}",
+    "DistractorAxis.mass": "{min: ${1:0.05}, max: ${2:1}}",
     "mass": "${1:0.3}",
     "masks": "{image: ${1:masks.png}, names: {${2:mug}: ${3:1}}}",
     "material": "${1:wood}",
     "materials": {"${1:wood}": "{density: ${2:700}, friction: ${3:0.5}}"},
     "mesh": "${1:mesh.glb}",
     "mjcf": "${1:robot.xml}",
-    "most": "${1:1}",
+    "max": "${1:1}",
     "mount": "${1:arm.hand}",
     "name": "${1:name}",
     "names": "{${1:mug}: ${2:1}}",
@@ -247,11 +252,11 @@ FIRST: dict[str, Body] = {
     "value": "${1:0.3}",
     "viewpoint": "${1:arm}",
     "visual": "${1:mug.glb}",
-    "volume": "{least: ${1:0.0001}, most: ${2:0.002}}",
-    "without": "[${1:knife}]",
+    "volume": "{min: ${1:0.0001}, max: ${2:0.002}}",
+    "exclude_categories": "[${1:knife}]",
     "x": "[${1:0.35}, ${2:0.55}]",
     "xy": "[${1:0.45}, ${2:0}]",
-    "at": "[${1:0}, ${2:0}]",
+    "local_xy": "[${1:0}, ${2:0}]",
     "xyz": "[${1:0}, ${2:0}, ${3:0}]",
     "y": "[${1:-0.2}, ${2:0.2}]",
     "yaw_deg": "${1:30}",
@@ -304,11 +309,11 @@ def predicates() -> list[dict[str, str]]:
     """A snippet for each predicate."""
     words = {"thing": "object", "body": "object", "joint": "object.joint", "robot": "robot"}
     out = []
-    for name, predicate in PREDICATES.items():
+    for name, predicate in built_in_predicates().items():
         kinds = predicate.parameters[: len(predicate.parameters) - predicate.optional]
         arguments = [words.get(kind, "xyz"[k - 1]) for k, kind in enumerate(kinds)]
         holes = ", ".join(f"${{{k}:{word}}}" for k, word in enumerate(arguments, 1))
-        meaning = f"{predicate.meaning[0].upper()}{predicate.meaning[1:]}."
+        meaning = _sentence(predicate.meaning)
         out.append({"label": f"{name}({', '.join(arguments)})", "description": meaning, "body": f"{name}({holes})"})
     return out
 

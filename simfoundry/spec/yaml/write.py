@@ -72,6 +72,37 @@ def write_tree(tree: CommentedTree, model: type[Model] | None) -> str:
     return "\n".join(_joined(lines)) + "\n"
 
 
+def entry_lines(tree: CommentedTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
+    """The lines of one entry of a block mapping of a document, key and value, indented by ``indent`` columns.
+
+    The comments above it are left out; those beside and inside it are written.
+    """
+    spelled = _spelled(tree, path[-1] in _PREDICATES)
+    blocks: set[int] = set()
+    _collect_blocks(spelled, blocks)
+    depth = 2 * (len(path) - 1)
+    lines = _joined([*_Writer(blocks).entry(path[-1], spelled, _slot_at(path, model), depth, path[0])])
+    return [f"{' ' * indent}{line[depth:]}" if line.strip() else "" for line in lines]
+
+
+def inline_text(data: Any, path: tuple[str, ...], model: type[Model] | None, in_braces: bool) -> str | None:
+    """A value as it stands behind its key on one line; None where it needs lines of its own."""
+    tree = _spelled(plain_tree(data), path[-1] in _PREDICATES or path[-2:-1] == ("relations",))
+    blocks: set[int] = set()
+    needs_lines = _collect_blocks(tree, blocks)
+    if ("\n" in tree.value) if isinstance(tree.value, str) else (needs_lines and not in_braces):
+        return None
+    slot, writer = _slot_at(path, model), _Writer(blocks)
+    return writer.flow(tree, slot, "value" if in_braces else "block")
+
+
+def _slot_at(path: tuple[str, ...], model: type[Model] | None) -> KeyOrder:
+    slot = key_order(model)
+    for part in path:
+        slot = slot.member(part)
+    return slot
+
+
 def _spelled(tree: CommentedTree, predicate: bool) -> CommentedTree:
     """The same tree with predicates as they are spelled."""
     value: Any = tree.value

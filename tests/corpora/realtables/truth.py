@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.segment.find_support import find_support
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.render.raycast import raycast
