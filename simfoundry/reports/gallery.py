@@ -7,12 +7,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.gallery import draw
-from simfoundry.cousins.ledger import Ledger
-from simfoundry.cousins.log import Reader
-from simfoundry.cousins.manifest import FILE, examples, summary
-from simfoundry.cousins.run import Plan
+from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Reader
+from simfoundry.cousins.run.report import FILE, draw, examples, summary
+from simfoundry.cousins.run.run import Ledger, Plan
 from simfoundry.reports.render import render
 from simfoundry.runtime.files import write_atomically
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.backends import BACKENDS, backend_of
+from simfoundry.backends import BACKENDS
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
@@ -50,7 +50,7 @@ def profile_names() -> list[str]:
 
 def target_names() -> list[str]:
     """Every name that ``-t`` takes: the plain backends, then the simulators."""
-    return [*BACKENDS, *(name for name in profile_names() if name not in BACKENDS)]
+    return [*BACKENDS.names(), *(name for name in profile_names() if name not in BACKENDS)]
 
 
 def find_target(name: str) -> Target:
@@ -99,7 +99,7 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     if spec.name != path.stem:
         message = f"the profile is called `{spec.name}`, and its file `{path.name}`"
         yield document.finding("SF106", ("name",), message, f"`{path.stem}`")
-    yield from known(spec.backend, BACKENDS, ("backend",), "backend")
+    yield from known(spec.backend, BACKENDS.names(), ("backend",), "backend")
     if spec.backend in BACKENDS:
         options = backend_options(spec.backend)
         for name, value in spec.options.items():
@@ -120,7 +120,7 @@ _KINDS = {float: "a number", bool: "`true` or `false`", str: "a text"}
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
     """The options of a backend by name, with the values that they have where nobody says otherwise."""
-    parameters = list(inspect.signature(backend_of(backend)).parameters.values())
+    parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}
 
 

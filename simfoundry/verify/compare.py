@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.artifact import Fidelity, Loss
-from simfoundry.backends.features import feature_of
-from simfoundry.backends.pybullet import SKIN
-from simfoundry.backends.pybullet.inset import inset_hull
+from simfoundry.backends.features import Fidelity
+from simfoundry.backends.losses import Loss
+from simfoundry.backends.pybullet.inset import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
@@ -135,7 +134,7 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
             covered.append(Difference(**{**asdict(difference), "covered": reason}))
         else:
             mismatches.append(difference)
-    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, scene, engine, checker)]
+    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, engine, checker)]
     return Comparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
 
 
@@ -333,6 +332,7 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
     keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
     if part:
         keys |= {f"{name}.{part}", f"{name}.{part}.{quantity}", f"{item}.colliders", f"{name}.colliders"}
+        keys |= {f"{name}.{part}.colliders"}
         if quantity != "bounds" and quantity in _SURFACE:
             keys -= {f"{item}.colliders", f"{name}.colliders"}
     return frozenset(keys)
@@ -381,7 +381,7 @@ def _one_for_all(difference: Difference, expected: Facts) -> bool:
     return bool(values) and min(values) - slack <= float(difference.got) <= max(values) + slack
 
 
-def _should_show(loss: Loss, scene: Scene, engine: Engine, checker: _Checker) -> bool:
+def _should_show(loss: Loss, engine: Engine, checker: _Checker) -> bool:
     """Whether a loss is of something that was compared here, so that it should have been seen."""
     seen = loss.path in checker.checked and loss.path not in checker.untold
-    return "." in loss.path and seen and feature_of(loss, scene) not in engine.by_loader
+    return "." in loss.path and seen and loss.feature not in engine.by_loader

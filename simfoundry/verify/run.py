@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.artifact import Loss
+from simfoundry.backends.losses import Loss
 from simfoundry.scene.model import Scene
 from simfoundry.verify.behaviours import Behaviour, Measurement, Trial
 from simfoundry.verify.compare import Comparison, compare

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.candidate import Candidate
+from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.evaluate.correlate import Agreement
 from simfoundry.reports import comparison, correlation, evaluation, gallery, verification
 from simfoundry.reports.render import render
@@ -34,12 +34,11 @@ class _Tags(HTMLParser):
 
 def _comparison(folder: Path) -> str:
     text = "simfoundry: task/1\nname: t\nscene: s.scene.yaml\ngoal: OnTop(a, b)\ninstruction: {}\n"
-    sides = []
     for name, said in (("old", "go"), ("new", EVIL)):
         (folder / name).mkdir()
         (folder / name / "t.task.yaml").write_text(text.format('"' + said.replace('"', '\\"') + '"'))
-        sides.append(side(folder / name / "t.task.yaml", EVIL))
-    return comparison.page([compare(EVIL, *sides)])
+    old, new = (side(folder / name / "t.task.yaml", EVIL) for name in ("old", "new"))
+    return comparison.page([compare(EVIL, old, new)])
 
 
 def _gallery(_: Path) -> str:
