@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Cylinder, Drive, Scene, Sphere
 from simfoundry.verify import rigs
-from simfoundry.verify.facts import Moment
 from simfoundry.verify.process import Run
+from simfoundry.verify.readback import Moment
 
 Moments = Sequence[Moment]
 

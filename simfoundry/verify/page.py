@@ -8,9 +8,9 @@ from html import escape
 
 from simfoundry.runtime.outputs import MARK
 from simfoundry.verify.behaviours import Behaviour
-from simfoundry.verify.engines import Found
-from simfoundry.verify.rest import Rested
-from simfoundry.verify.run import Measured, Reading, Verdict
+from simfoundry.verify.engines import InstalledEngine
+from simfoundry.verify.rest import RestResult
+from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
 from simfoundry.verify.tables import (
     ABSENT,
     difference_line,
@@ -36,20 +36,20 @@ svg{display:block;width:150px;height:14px;margin-top:2px}
 """
 
 _LEGEND = {
-    Verdict.OK: "ok",
-    Verdict.KNOWN: "not kept, and said so",
-    Verdict.MISMATCH: "differs",
-    Verdict.FAILED: "failed",
+    ProofStatus.OK: "ok",
+    ProofStatus.KNOWN: "not kept, and said so",
+    ProofStatus.MISMATCH: "differs",
+    ProofStatus.FAILED: "failed",
 }
 
 
 def page(
-    readings: Sequence[Reading],
-    results: Sequence[Measured],
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
     behaviours: Sequence[Behaviour],
-    engines: Mapping[str, Found | None],
+    engines: Mapping[str, InstalledEngine | None],
     pictures: Mapping[str, bytes],
-    rested: Sequence[Rested] = (),
+    rested: Sequence[RestResult] = (),
 ) -> str:
     """The whole page; ``pictures`` are PNGs by the name of the subject."""
     parts = [
@@ -71,24 +71,26 @@ def page(
     return "\n".join(part for part in parts if part)
 
 
-def summary(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested] = ()) -> str:
+def summary(
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult] = ()
+) -> str:
     """One sentence: how much was compared, how much is wrong."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
-    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
-    failed = sum(o.verdict is Verdict.FAILED for o in outcomes)
-    off = sum(m.verdict is Verdict.MISMATCH for m in results)
+    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
+    failed = sum(o.verdict is ProofStatus.FAILED for o in outcomes)
+    off = sum(m.verdict is ProofStatus.MISMATCH for m in results)
     text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
     if results:
         text += f"; {len(results)} behaviours measured, {off} are off without a reason"
     if rested:
-        apart = sum(r.verdict is Verdict.MISMATCH for r in rested)
+        apart = sum(r.verdict is ProofStatus.MISMATCH for r in rested)
         text += f"; {len(rested)} scenes left alone, {apart} end elsewhere than in other engines"
     return text + (f"; {failed} failed" if failed else "") + "."
 
 
-def _readings(readings: Sequence[Reading], engines: Mapping[str, Found | None]) -> str:
+def _readings(readings: Sequence[ReadbackResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     by_cell = {(r.subject, r.engine): r for r in readings}
     rows = []
     for subject in dict.fromkeys(r.subject for r in readings):
@@ -97,16 +99,16 @@ def _readings(readings: Sequence[Reading], engines: Mapping[str, Found | None]) 
     return f"<h2>Read back</h2><div class='wide'><table>{_head('', engines)}{''.join(rows)}</table></div>"
 
 
-def _head(first: str, engines: Mapping[str, Found | None]) -> str:
+def _head(first: str, engines: Mapping[str, InstalledEngine | None]) -> str:
     cells = "".join(f"<th>{escape(name)}<small>{_about(found)}</small></th>" for name, found in engines.items())
     return f"<tr><th>{escape(first)}</th>{cells}</tr>"
 
 
-def _about(found: Found | None) -> str:
-    return ABSENT if found is None else f"{escape(found.version)}, {escape(found.engine.note)}"
+def _about(found: InstalledEngine | None) -> str:
+    return ABSENT if found is None else f"{escape(found.version)}, {escape(found.engine.spec.note)}"
 
 
-def _reading_cell(reading: Reading | None) -> str:
+def _reading_cell(reading: ReadbackResult | None) -> str:
     if reading is None:
         return f"<td class='absent'>{ABSENT}</td>"
     compared = f"<small>{reading.comparison.compared} compared</small>" if reading.comparison else ""
@@ -114,7 +116,7 @@ def _reading_cell(reading: Reading | None) -> str:
     return f"<td class='{reading.verdict}' title='{title}'>{escape(reading_cell(reading))}{compared}</td>"
 
 
-def _differences(readings: Sequence[Reading]) -> str:
+def _differences(readings: Sequence[ReadbackResult]) -> str:
     parts = []
     for reading in readings:
         where = escape(f"{reading.subject} in {reading.engine}")
@@ -127,9 +129,9 @@ def _differences(readings: Sequence[Reading]) -> str:
 
 
 def _behaviours(
-    results: Sequence[Measured], behaviours: Sequence[Behaviour], engines: Mapping[str, Found | None]
+    results: Sequence[BehaviourResult], behaviours: Sequence[Behaviour], engines: Mapping[str, InstalledEngine | None]
 ) -> str:
-    stepping = {name: found for name, found in engines.items() if found is None or found.engine.steps}
+    stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     by_cell = {(m.behaviour, m.engine): m for m in results}
     rows = []
     for b in behaviours:
@@ -143,7 +145,7 @@ def _behaviours(
     )
 
 
-def _rested(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> str:
+def _rested(rested: Sequence[RestResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     by_cell = {(r.subject, r.engine): r for r in rested}
     stepping = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
     rows = []
@@ -154,14 +156,14 @@ def _rested(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> st
     return f"<h2>Left alone for 2 s</h2><p>How far the worst thing ends from where other engines leave it.</p>{table}"
 
 
-def _rested_cell(rested: Rested | None) -> str:
+def _rested_cell(rested: RestResult | None) -> str:
     if rested is None:
         return "<td></td>"
     note = escape(rested.error or rested.worst)
     return f"<td class='{rested.verdict}'>{escape(rested_cell(rested))}<small>{note}</small></td>"
 
 
-def _measured_cell(behaviour: Behaviour, measured: Measured | None) -> str:
+def _measured_cell(behaviour: Behaviour, measured: BehaviourResult | None) -> str:
     if measured is None:
         return f"<td class='absent'>{ABSENT}</td>"
     reason = f"<small>{escape(measured.reason or measured.error)}</small>" if measured.reason or measured.error else ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,7 +19,7 @@ Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class ColliderFacts:
+class ColliderReadback:
     """One collision shape.
 
     ``name`` is the collider's in its link, None where the engine forgets it; then shapes are told apart by their order.
@@ -42,7 +42,7 @@ FREE, WORLD = "free", "world"
 
 
 @dataclass(frozen=True)
-class LinkFacts:
+class LinkReadback:
     """A link: ``mass`` [kg], ``com`` [m] in the link frame, ``inertia`` [kg m^2] about it in link axes, row by row.
 
     ``held`` is the link that its joint hangs it on, or :data:`FREE`, or :data:`WORLD`.
@@ -53,11 +53,11 @@ class LinkFacts:
     com: Numbers | None = None
     inertia: Numbers | None = None
     held: str | None = None
-    colliders: tuple[ColliderFacts, ...] | None = None
+    colliders: tuple[ColliderReadback, ...] | None = None
 
 
 @dataclass(frozen=True)
-class JointFacts:
+class JointReadback:
     """A joint that moves; ``axis`` in the child link's frame; ``limits`` is empty where the engine says there are none.
 
     A revolute joint without limits may read back as continuous, and the other way round. ``position`` is an angle or
@@ -80,7 +80,7 @@ class JointFacts:
 
 
 @dataclass(frozen=True)
-class Facts:
+class WorldReadback:
     """All that an engine says about a world; ``pairs`` are the frictions that it holds for pairs of colliders.
 
     A pair is ``link.collider`` and ``link.collider`` in alphabetical order, with a bar between; ``silent`` are pairs of
@@ -88,8 +88,8 @@ class Facts:
     like objects: their links as ``robot.link``, the frame of their base as ``robot``.
     """
 
-    links: Mapping[str, LinkFacts] = field(default_factory=dict)
-    joints: Mapping[str, JointFacts] = field(default_factory=dict)
+    links: Mapping[str, LinkReadback] = field(default_factory=dict)
+    joints: Mapping[str, JointReadback] = field(default_factory=dict)
     gravity: Numbers | None = None
     pairs: Mapping[str, float] | None = None
     silent: tuple[str, ...] | None = None
@@ -100,10 +100,10 @@ class Facts:
         return asdict(self)
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Facts:
+    def from_json(cls, data: Mapping[str, Any]) -> WorldReadback:
         """What :meth:`to_json` wrote."""
         links = {name: _link(entry) for name, entry in data["links"].items()}
-        joints = {name: JointFacts(**_tuples(entry)) for name, entry in data["joints"].items()}
+        joints = {name: JointReadback(**_tuples(entry)) for name, entry in data["joints"].items()}
         gravity, silent, actuators = (
             None if data.get(key) is None else tuple(data[key]) for key in ("gravity", "silent", "actuators")
         )
@@ -130,6 +130,35 @@ class Moment:
     def pose(self, name: str) -> Pose:
         """The pose of an object in the world."""
         return pose_of(self.poses[name])
+
+
+TIMESTEP = 1e-3
+"""Seconds a step, for engines whose build does not say: small enough for each behaviour of ``verify``."""
+
+
+class Session(Protocol):
+    """A build in an engine, in the state that the scene describes."""
+
+    @property
+    def timestep(self) -> float:
+        """Seconds a step; 0 where the engine only reads."""
+        ...
+
+    def read(self) -> WorldReadback:
+        """What the engine holds."""
+        ...
+
+    def step(self) -> None:
+        """Advance by one step."""
+        ...
+
+    def moment(self, time: float) -> Moment:
+        """Where everything is; ``time`` [s] is only written down."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the engine."""
+        ...
 
 
 def numbers(values: object) -> Numbers:
@@ -174,10 +203,10 @@ def mesh_bounds(vertices: Array, X_LG: Pose) -> Numbers:
     return numbers([points.min(axis=0), points.max(axis=0)])
 
 
-def _link(entry: Mapping[str, Any]) -> LinkFacts:
+def _link(entry: Mapping[str, Any]) -> LinkReadback:
     parts = entry.get("colliders")
-    colliders = None if parts is None else tuple(ColliderFacts(**_tuples(part)) for part in parts)
-    return LinkFacts(**{**_tuples(entry), "colliders": colliders})
+    colliders = None if parts is None else tuple(ColliderReadback(**_tuples(part)) for part in parts)
+    return LinkReadback(**{**_tuples(entry), "colliders": colliders})
 
 
 def _tuples(entry: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,26 +16,27 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
+    TIMESTEP,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
     Numbers,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import TIMESTEP, Session, load_module
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The diagram as its loader gives it."""
-    return DrakeSession(*load_module(folder / "load_drake.py").load(TIMESTEP))
+    return DrakeSession(*loader.load(TIMESTEP))
 
 
 class DrakeSession:
@@ -66,10 +68,10 @@ class DrakeSession:
         poses = {name: pose_numbers(self._pose(body)) for name, body in self._bodies.items() if "." not in name}
         return Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Links, joints, gravity."""
         joints = {name: self._joint(joint) for name, joint in self._joints.items()}
-        return Facts(
+        return WorldReadback(
             links={name: self._link(body) for name, body in self._bodies.items()},
             joints=joints,
             gravity=numbers(self.plant.gravity_field().gravity_vector()),
@@ -85,13 +87,13 @@ class DrakeSession:
     def _position(self, joint: Any) -> float:
         return float(joint.GetOnePosition(self._context))
 
-    def _link(self, body: RigidBody) -> LinkFacts:
+    def _link(self, body: RigidBody) -> LinkReadback:
         spatial = body.default_spatial_inertia()
         com = np.asarray(spatial.get_com())
         about_com = spatial.Shift(com).CalcRotationalInertia().CopyToFullMatrix3()
         inspector = self._simulator_inspector()
         colliders = tuple(_collider(inspector, g) for g in self.plant.GetCollisionGeometriesForBody(body))
-        return LinkFacts(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
+        return LinkReadback(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
                          numbers(about_com), self._held(body), colliders)  # fmt: skip
 
     def _held(self, body: RigidBody) -> str:
@@ -109,7 +111,7 @@ class DrakeSession:
         (scene_graph,) = [s for s in self.diagram.GetSystems() if s.get_name() == "scene_graph"]
         return scene_graph.model_inspector()
 
-    def _joint(self, joint: Any) -> JointFacts:
+    def _joint(self, joint: Any) -> JointReadback:
         """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds.
 
         A target is told where it reaches the plant, so that a port that nobody connected shows.
@@ -124,7 +126,7 @@ class DrakeSession:
             gains = actuator.get_controller_gains()
             drive = (float(gains.p), float(gains.d), *self._target(actuator))
         limit = math.inf if actuator is None else float(actuator.effort_limit())
-        return JointFacts(
+        return JointReadback(
             type=kind,
             axis=numbers(X_CJ.rotation @ axis),
             limits=(low, high) if math.isfinite(low) and math.isfinite(high) else (),
@@ -154,12 +156,12 @@ class DrakeSession:
         return (float(port.Eval(self._context)[rank]),)
 
 
-def _collider(inspector: Any, geometry: Any) -> ColliderFacts:
+def _collider(inspector: Any, geometry: Any) -> ColliderReadback:
     name = inspector.GetName(geometry).rpartition("::")[2]
     kind, bounds = _shape(inspector.GetShape(geometry), inspector, geometry)
     properties = inspector.GetProximityProperties(geometry)
     friction = properties.GetProperty("material", "coulomb_friction").dynamic_friction()
-    return ColliderFacts(name, kind, bounds, float(friction))
+    return ColliderReadback(name, kind, bounds, float(friction))
 
 
 def _shape(shape: Any, inspector: Any, geometry: Any) -> tuple[str, Numbers | None]:

@@ -3,35 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import genesis as gs
 import numpy as np
 
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
+    TIMESTEP,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
     Numbers,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import TIMESTEP, Session, load_module
 
 _NO_LIMIT = 1e8
 _TYPES = {gs.JOINT_TYPE.REVOLUTE: "revolute", gs.JOINT_TYPE.PRISMATIC: "prismatic"}
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The scene as its loader gives it."""
-    scene, entities = load_module(folder / "load_genesis.py").load(time_step=TIMESTEP)
+    scene, entities = loader.load(time_step=TIMESTEP)
     return GenesisSession(scene, entities)
 
 
@@ -58,9 +60,9 @@ class GenesisSession:
         poses = {name: pose_numbers(_poses(entity)[0]) for name, entity in self.entities.items()}
         return Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Links, joints, gravity."""
-        links: dict[str, LinkFacts] = {}
+        links: dict[str, LinkReadback] = {}
         for name, entity in self.entities.items():
             called = {link.idx: name if k == 0 else f"{name}.{link.name}" for k, link in enumerate(entity.links)}
             masses = _array(entity.get_links_mass())
@@ -68,13 +70,15 @@ class GenesisSession:
                 com, inertia = _array(entity.get_links_COM([k]))[0], _array(entity.get_links_inertia([k]))[0]
                 held = called.get(link.parent_idx) or (WORLD if link.is_fixed else FREE)
                 turn = Pose.of(q=_array(link.desc.inertial_quat)).rotation
-                links[called[link.idx]] = LinkFacts(
+                links[called[link.idx]] = LinkReadback(
                     pose_numbers(X_WL), float(masses[k]), numbers(com), numbers(turn @ inertia @ turn.T), held,
                     tuple(_collider(geom) for geom in link.geoms),
                 )  # fmt: skip
         joints = {name: _joint(*at) for name, at in self._joints.items()}
         gravity = numbers(_array(self.scene.sim.rigid_solver.get_gravity()).reshape(-1)[:3])
-        return Facts(links, joints, gravity, actuators=tuple(name for name, joint in joints.items() if joint.drive))
+        return WorldReadback(
+            links, joints, gravity, actuators=tuple(name for name, joint in joints.items() if joint.drive)
+        )
 
     def close(self) -> None:
         """Let go of the scene."""
@@ -95,7 +99,7 @@ def _position(entity: Any, joint: Any) -> float:
     return float(_array(entity.get_dofs_position(joint.dofs_idx_local))[0])
 
 
-def _joint(entity: Any, joint: Any) -> JointFacts:
+def _joint(entity: Any, joint: Any) -> JointReadback:
     """A motor is told by its gains where it was sent to a position; Genesis gives every joint some."""
     dofs = joint.dofs_idx_local
     low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
@@ -109,7 +113,7 @@ def _joint(entity: Any, joint: Any) -> JointFacts:
     limit = float(_array(entity.get_dofs_force_range(dofs)[1])[0])
     known = solver.dyn_info.dofs
     motion = known.motion_vel if joint.type == gs.JOINT_TYPE.PRISMATIC else known.motion_ang
-    return JointFacts(
+    return JointReadback(
         type=_TYPES[joint.type],
         axis=numbers(_array(motion.to_numpy())[index].ravel()),
         limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
@@ -122,10 +126,10 @@ def _joint(entity: Any, joint: Any) -> JointFacts:
     )
 
 
-def _collider(geom: Any) -> ColliderFacts:
+def _collider(geom: Any) -> ColliderReadback:
     """Genesis keeps no names of shapes, and turns those that it cannot hold into meshes."""
     kind, bounds = _shape(geom)
-    return ColliderFacts(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
+    return ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
 
 
 def _shape(geom: Any) -> tuple[str, Numbers | None]:

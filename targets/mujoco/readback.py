@@ -6,27 +6,31 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import ModuleType
 
 import mujoco
 import numpy as np
 
+from simfoundry.runtime.plugins import import_file
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pair_name,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import Session, load_module
-from simfoundry.verify.readers.mujoco_contacts import TWIN, Meetings, Slide
+
+_contacts = import_file(Path(__file__).with_name("contacts.py"))
+PROXY, Meetings, Resistance = _contacts.PROXY, _contacts.Meetings, _contacts.Resistance
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -34,9 +38,9 @@ _KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(
           int(_GEOM.mjGEOM_CAPSULE): "capsule", int(_GEOM.mjGEOM_MESH): "mesh"}  # fmt: skip
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The build in ``folder`` as its loader gives it."""
-    return MujocoSession(*load_module(folder / "load.py").load())
+    return MujocoSession(*loader.load())
 
 
 class MujocoSession:
@@ -44,7 +48,7 @@ class MujocoSession:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
-        self._bodies = {name: k for k in range(1, model.nbody) if TWIN not in (name := model.body(k).name)}
+        self._bodies = {name: k for k in range(1, model.nbody) if PROXY not in (name := model.body(k).name)}
         self._meetings = Meetings(model)
         self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
         joints = {model.joint(k).name: k for k in range(model.njnt)}
@@ -65,11 +69,11 @@ class MujocoSession:
         poses = {name: self._pose(k) for name, k in self._roots.items()}
         return Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Bodies, joints, pairs."""
         mujoco.mj_forward(self.model, self.data)
         links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
-        return Facts(
+        return WorldReadback(
             links=links,
             joints={name: self._joint(k) for name, k in self._joints.items()},
             gravity=numbers(self.model.opt.gravity),
@@ -94,12 +98,12 @@ class MujocoSession:
             return FREE
         return self.model.body(parent).name if parent else WORLD
 
-    def _link(self, name: str, body: int) -> LinkFacts:
+    def _link(self, name: str, body: int) -> LinkReadback:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
         felt, said = self._felt(body), self._own(name)
         own = said * len(felt) if len(said) == 1 else said or [self._meetings.surface(geom) for geom in felt]
-        return LinkFacts(
+        return LinkReadback(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
             com=numbers(model.body_ipos[body]),
@@ -108,7 +112,7 @@ class MujocoSession:
             colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
         )
 
-    def _collider(self, link: str, geom: int, surface: Slide) -> ColliderFacts:
+    def _collider(self, link: str, geom: int, surface: Resistance) -> ColliderReadback:
         model = self.model
         kind = _KINDS.get(int(model.geom_type[geom]), "other")
         X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
@@ -122,15 +126,15 @@ class MujocoSession:
             bounds = shape_bounds(kind, size, X_LG)
         name = model.geom(geom).name.removeprefix(f"{link}.")
         sliding, spinning, rolling = surface
-        return ColliderFacts(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
+        return ColliderReadback(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
 
-    def _joint(self, joint: int) -> JointFacts:
+    def _joint(self, joint: int) -> JointReadback:
         model, dof = self.model, self.model.jnt_dofadr[joint]
         limited, ball = bool(model.jnt_limited[joint]), model.jnt_type[joint] == _JOINT.mjJNT_BALL
         at = int(model.jnt_qposadr[joint])
         follows, law = self._law(joint)
         drive, effort = self._drive(joint)
-        return JointFacts(
+        return JointReadback(
             type=_TYPES.get(int(model.jnt_type[joint]), "other"),
             axis=None if ball else numbers(model.jnt_axis[joint]),
             limits=numbers(model.jnt_range[joint]) if limited else (),
@@ -173,23 +177,23 @@ class MujocoSession:
     def _felt(self, body: int) -> list[int]:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
 
-    def _own(self, link: str) -> list[Slide]:
+    def _own(self, link: str) -> list[Resistance]:
         """The surfaces of colliders where the file says them apart from its geoms."""
         model = self.model
         for k in range(model.nnumeric):
             if model.numeric(k).name == f"{link}:surface":
                 start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
                 rows = model.numeric_data[start : start + size].reshape(-1, 4)
-                return [Slide(*row) for row in rows[:, [0, 2, 3]].tolist()]
+                return [Resistance(*row) for row in rows[:, [0, 2, 3]].tolist()]
         return []
 
-    def _contacts(self, links: Mapping[str, LinkFacts]) -> tuple[dict[str, LinkFacts], dict[str, float]]:
+    def _contacts(self, links: Mapping[str, LinkReadback]) -> tuple[dict[str, LinkReadback], dict[str, float]]:
         """The links, and the friction of every two colliders that meet, unless both have it themselves.
 
         A collider of a link resists spinning and rolling as its contacts do, whatever it says.
         """
         own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
-        pairs, odd = {}, dict[str, ColliderFacts]()
+        pairs, odd = {}, dict[str, ColliderReadback]()
         for a, b, met in self._meetings.contacts():
             if a not in own or b not in own:
                 continue
@@ -204,5 +208,5 @@ class MujocoSession:
         return {name: _with(name, link, odd) for name, link in links.items()}, pairs
 
 
-def _with(name: str, link: LinkFacts, odd: Mapping[str, ColliderFacts]) -> LinkFacts:
+def _with(name: str, link: LinkReadback, odd: Mapping[str, ColliderReadback]) -> LinkReadback:
     return replace(link, colliders=tuple(odd.get(f"{name}.{c.name}", c) for c in link.colliders or ())) if odd else link

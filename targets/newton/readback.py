@@ -5,22 +5,27 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
-from simfoundry.verify.readers import LOADERS, Session, load_module
-from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import Session
+
+_session = import_file(Path(__file__).with_name("session.py"))
 
 _OWN = ":surface"
 """How the names of numbers end that give the surfaces of a link's colliders, four for each, friction first."""
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The model of ``scene.xml`` in the state of its keyframe."""
-    quiet()
-    model = load_module(LOADERS / "newton_load.py").load(scene=folder / "scene.xml")
+    _session.quiet()
+    model = loader.load()
     root = ET.parse(folder / "scene.xml").getroot()
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
     own = dict(_own_friction(root))
-    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}, own_friction=own))
+    names = _session.Names(_last, _collider, lambda label: _joint(label, joints), {}, own_friction=own)
+    session: Session = _session.NewtonSession(model, names)
+    return session
 
 
 def _own_friction(root: ET.Element) -> Iterator[tuple[str, dict[str | None, float]]]:

@@ -11,22 +11,22 @@ import numpy as np
 import warp as wp
 
 from simfoundry.scene.frames import Pose, from_xyzw
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
+    TIMESTEP,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
     Numbers,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pair_name,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import TIMESTEP
 
 NO_LIMIT = 1e9
 """Newton writes limits beyond this for joints that have none."""
@@ -89,22 +89,22 @@ class NewtonSession:
         poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
         return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Bodies, static links and joints."""
         model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
         mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
         links = {
-            name: LinkFacts(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
+            name: LinkReadback(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
                             held.get(k), tuple(colliders.get(name, ())))
             for name, k in self._bodies.items()
         }  # fmt: skip
-        links |= {n: LinkFacts(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
+        links |= {n: LinkReadback(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
                   self.names.static.items() if n not in links}  # fmt: skip
         joints = {name: self._joint(name, k) for name, k in self._joints.items()}
         driven = None
         if self.names.own_damping is not None:
             driven = tuple(name for name, joint in joints.items() if joint.drive)
-        return Facts(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
+        return WorldReadback(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
 
     def close(self) -> None:
         """Newton frees its arrays with the objects."""
@@ -142,13 +142,13 @@ class NewtonSession:
         body_q = _array(self._state.body_q)
         return dict(self.names.static) | {name: _pose(body_q[k]) for name, k in self._bodies.items()}
 
-    def _colliders(self) -> dict[str, list[ColliderFacts]]:
+    def _colliders(self) -> dict[str, list[ColliderReadback]]:
         model = self.model
         flags, kinds, owners = model.shape_flags.numpy(), model.shape_type.numpy(), model.shape_body.numpy()
         transforms, scales = model.shape_transform.numpy(), model.shape_scale.numpy()
         mu, restitution = model.shape_material_mu.numpy(), model.shape_material_restitution.numpy()
         spinning, rolling = model.shape_material_mu_torsional.numpy(), model.shape_material_mu_rolling.numpy()
-        found: dict[str, list[ColliderFacts]] = {}
+        found: dict[str, list[ColliderReadback]] = {}
         for k, label in enumerate(model.shape_label):
             named = self.names.collider(label)
             if named is None or not flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES):
@@ -161,7 +161,7 @@ class NewtonSession:
             bounds = self._bounds(k, kind, scales[k], X_LG)
             told = self.names.own_damping is not None
             resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
-            facts = ColliderFacts(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
+            facts = ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
             found.setdefault(link, []).append(facts)
         for link, own in self.names.own_friction.items():
             found[link] = [replace(shape, friction=own[shape.name]) for shape in found.get(link, [])]
@@ -173,7 +173,7 @@ class NewtonSession:
         size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
         return shape_bounds(kind, size, X_LG)
 
-    def _joint(self, name: str, joint: int) -> JointFacts:
+    def _joint(self, name: str, joint: int) -> JointReadback:
         """Damping comes as a passive one from MJCF and as a drive's from USD, which has one for both."""
         model, dof = self.model, int(self._qd_start[joint])
         low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
@@ -185,7 +185,7 @@ class NewtonSession:
         if own is not None:
             stiffness, target = model.joint_target_ke.numpy()[dof], model.joint_target_q.numpy()[start]
             damping, drive = own, (float(stiffness), damping - own, float(target))
-        return JointFacts(
+        return JointReadback(
             type=_TYPES[self._kinds[joint]],
             axis=None if ball else numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
             limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),

@@ -5,26 +5,27 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pybullet
 
 from simfoundry.scene.frames import Pose, from_xyzw
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import Session, load_module
 
 BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
@@ -38,10 +39,10 @@ _KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEO
           pybullet.GEOM_CAPSULE: "capsule", pybullet.GEOM_MESH: "mesh"}  # fmt: skip
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The build in ``folder`` as its loader gives it."""
     client = pybullet.connect(pybullet.DIRECT)
-    bodies = load_module(folder / "load.py").load(client)
+    bodies = loader.load(client)
     world = json.loads((folder / "world.json").read_text(encoding="utf-8"))
     return PybulletSession(client, bodies, numbers(world["gravity"]), list(world.get("robots", ())))
 
@@ -81,11 +82,11 @@ class PybulletSession:
         joints = {name: float(self._call("getJointState", *at)[0]) for name, at in single.items()}
         return Moment(time, poses, joints)
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Links and joints. Of the gravity PyBullet tells nothing; it is that of ``world.json``."""
         links = {name: self._link(*at) for name, at in self._links.items()}
         joints = {name: self._joint(*at) for name, at in self._joints.items()}
-        return Facts(links, joints, self._gravity, actuators=tuple(self._motors()))
+        return WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
 
     def close(self) -> None:
         """Disconnect."""
@@ -122,14 +123,14 @@ class PybulletSession:
             p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
         return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
 
-    def _link(self, body: int, index: int) -> LinkFacts:
+    def _link(self, body: int, index: int) -> LinkReadback:
         """A root that is welded to the world has no mass in Bullet."""
         info = self._call("getDynamicsInfo", body, index)
         mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
         X_LI = self._inertial(body, index)
         shapes = self._call("getCollisionShapeData", body, index)
         surface = (friction**2, restitution**2)
-        return LinkFacts(
+        return LinkReadback(
             pose=pose_numbers(self._pose(body, index)),
             mass=mass or None,
             com=numbers(X_LI.p),
@@ -140,7 +141,7 @@ class PybulletSession:
 
     def _collider(
         self, shape: tuple[Any, ...], X_LI: Pose, surface: tuple[float, float], index: int, count: int
-    ) -> ColliderFacts:
+    ) -> ColliderReadback:
         kind = _KINDS.get(shape[2], "other")
         X_LG = X_LI @ Pose.of(shape[5], from_xyzw(shape[6]))
         x, y, z = shape[3]
@@ -151,12 +152,12 @@ class PybulletSession:
         else:
             size = {"box": (x, y, z), "sphere": (x,)}.get(kind, (y, x))
             bounds = shape_bounds(kind, size, X_LG)
-        return ColliderFacts(None, kind, bounds, *surface)
+        return ColliderReadback(None, kind, bounds, *surface)
 
-    def _joint(self, body: int, index: int) -> JointFacts:
+    def _joint(self, body: int, index: int) -> JointReadback:
         info = self._call("getJointInfo", body, index)
         low, high, ball = float(info[8]), float(info[9]), info[2] == pybullet.JOINT_SPHERICAL
-        return JointFacts(
+        return JointReadback(
             type=_TYPES.get(info[2], "other"),
             axis=None if ball else numbers(self._inertial(body, index).rotation @ np.array(info[13])),
             limits=(low, high) if low <= high and not ball else (),

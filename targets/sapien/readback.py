@@ -6,6 +6,7 @@ import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -13,21 +14,22 @@ import sapien
 from sapien import physx
 
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
+    TIMESTEP,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
     Numbers,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import TIMESTEP, Session, load_module
 
 _TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
 _ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
@@ -39,9 +41,8 @@ _SINGLE = 1e-6
 """Below this two numbers in single precision are the same."""
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The scene as its loader gives it."""
-    loader = load_module(folder / "load_sapien.py")
     scene, world = loader.load()
     files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
     return SapienSession(scene, world, Told(_collider_names(folder), _own_damping(files), loader.HOLD))
@@ -107,11 +108,11 @@ class SapienSession:
         return Moment(time, {name: pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
                       self._positions())  # fmt: skip
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Links, joints, gravity."""
         positions = self._positions()
         joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
-        return Facts(
+        return WorldReadback(
             links={name: self._link(name, link) for name, link in self._links.items()},
             joints=joints,
             gravity=numbers(self.scene.physx_system.config.gravity),
@@ -129,7 +130,7 @@ class SapienSession:
             for joint, position in zip(item.active_joints, item.qpos, strict=True)
         }
 
-    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkFacts:
+    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkReadback:
         """A static body has no mass in PhysX."""
         item = name.partition(".")[0]
         names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
@@ -138,10 +139,12 @@ class SapienSession:
         colliders = tuple(_collider(n, s) for n, s in zip(told, shapes, strict=True))
         pose = pose_numbers(_pose(link.entity_pose))
         if not hasattr(link, "mass"):
-            return LinkFacts(pose=pose, held=self._held(name, link), colliders=colliders)
+            return LinkReadback(pose=pose, held=self._held(name, link), colliders=colliders)
         X_LI = _pose(link.cmass_local_pose)
         inertia = X_LI.rotation @ np.diag(np.asarray(link.inertia, dtype=np.float64)) @ X_LI.rotation.T
-        return LinkFacts(pose, float(link.mass), numbers(X_LI.p), numbers(inertia), self._held(name, link), colliders)
+        return LinkReadback(
+            pose, float(link.mass), numbers(X_LI.p), numbers(inertia), self._held(name, link), colliders
+        )
 
     def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
         """A static body is welded to the world; of an articulation's root SAPIEN does not tell."""
@@ -149,7 +152,7 @@ class SapienSession:
             return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
         return FREE if hasattr(link, "mass") else WORLD
 
-    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointFacts:
+    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointReadback:
         """PhysX has one drive a joint: a motor, the damping, or Coulomb friction, as its gains tell."""
         low, high = (float(v) for v in np.asarray(joint.limits).ravel())
         stiffness, damping = float(joint.stiffness), float(joint.damping)
@@ -157,7 +160,7 @@ class SapienSession:
         own = self.told.damping.get(name, 0.0)
         drive = stiffness > 0 or (not holds and damping > own * (1 + _SINGLE) + _SINGLE)
         limit = float(joint.force_limit)
-        return JointFacts(
+        return JointReadback(
             type=_TYPES.get(joint.type, "other"),
             axis=numbers(_pose(joint.pose_in_child).rotation[:, 0]),
             limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
@@ -170,10 +173,10 @@ class SapienSession:
         )
 
 
-def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderFacts:
+def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderReadback:
     kind, bounds = _shape(shape)
     material = shape.physical_material
-    return ColliderFacts(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
+    return ColliderReadback(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
 
 
 def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, Numbers | None]:

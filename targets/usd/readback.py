@@ -4,35 +4,36 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
 from simfoundry.scene.frames import Pose
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
     Moment,
+    Session,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pair_name,
     pose_numbers,
     shape_bounds,
 )
-from simfoundry.verify.readers import Session, load_module
 
 _SCOPES = ("/World/Objects", "/World/Robots")
 _TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
 _KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
 
 
-def open_build(folder: Path) -> Session:
+def open_build(folder: Path, loader: ModuleType) -> Session:
     """The stage of the build in ``folder``."""
-    return UsdSession(load_module(folder / "load.py").load())
+    return UsdSession(loader.load())
 
 
 class UsdSession:
@@ -53,14 +54,16 @@ class UsdSession:
         poses = {prim.GetName(): pose_numbers(self._pose(prim)) for prim in self._objects()}
         return Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
 
-    def facts(self) -> Facts:
+    def read(self) -> WorldReadback:
         """Links and joints, and the gravity of the physics scene."""
         physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
         direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
         held = self._held()
         joints = {name: self._joint(name, prim) for name, prim in self._joints().items()}
-        own = {name: LinkFacts(pose=pose_numbers(self._pose(prim))) for name, prim in _references(self.stage).items()}
-        return Facts(
+        own = {
+            name: LinkReadback(pose=pose_numbers(self._pose(prim))) for name, prim in _references(self.stage).items()
+        }
+        return WorldReadback(
             links={name: self._link(prim, held[name]) for name, prim in links(self.stage).items()} | own,
             joints=joints,
             gravity=numbers(direction * physics.GetGravityMagnitudeAttr().Get()),
@@ -116,13 +119,13 @@ class UsdSession:
                 found.add(pair_name(name, names[str(target).partition("/Colliders/")[0]]))
         return tuple(sorted(found))
 
-    def _link(self, prim: Usd.Prim, held: str | None) -> LinkFacts:
+    def _link(self, prim: Usd.Prim, held: str | None) -> LinkReadback:
         mass = UsdPhysics.MassAPI(prim)
         axes = Pose.of(q=_wxyz(mass.GetPrincipalAxesAttr().Get())).rotation
         moments = np.array(mass.GetDiagonalInertiaAttr().Get(), dtype=np.float64)
         scope = prim.GetChild("Colliders")
         X_LW = self._pose(prim).inverse()
-        return LinkFacts(
+        return LinkReadback(
             pose=pose_numbers(self._pose(prim)),
             mass=float(mass.GetMassAttr().Get()),
             com=numbers(mass.GetCenterOfMassAttr().Get()),
@@ -131,7 +134,7 @@ class UsdSession:
             colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
         )
 
-    def _collider(self, prim: Usd.Prim, X_LW: Pose) -> ColliderFacts:
+    def _collider(self, prim: Usd.Prim, X_LW: Pose) -> ColliderReadback:
         kind = _KINDS.get(str(prim.GetTypeName()), "other")
         # Gf keeps the scale of a box apart from its rotation.
         transform = Gf.Transform(self._cache.GetLocalToWorldTransform(prim))
@@ -149,7 +152,7 @@ class UsdSession:
                 bounds = shape_bounds(kind, [prim.GetAttribute(n).Get() for n in ("radius", "height")], X_LG)
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         surface = UsdPhysics.MaterialAPI(material)
-        return ColliderFacts(
+        return ColliderReadback(
             name=prim.GetName(),
             kind=kind,
             bounds=bounds,
@@ -159,7 +162,7 @@ class UsdSession:
             rolling=_number(material.GetPrim(), "newton:rollingFriction"),
         )
 
-    def _joint(self, name: str, prim: Usd.Prim) -> JointFacts:
+    def _joint(self, name: str, prim: Usd.Prim) -> JointReadback:
         """A joint of one axis as its prim says; a ball joint in the state in which its bodies stand."""
         if prim.GetTypeName() != "PhysicsSphericalJoint":
             return _joint(name, prim)
@@ -168,7 +171,7 @@ class UsdSession:
         X_WP, X_WC = (self._pose(self.stage.GetPrimAtPath(path)) for path in (parent, child))
         X_PJ, X_CJ = (Pose.of(q=_wxyz(a.Get())) for a in (ball.GetLocalRot0Attr(), ball.GetLocalRot1Attr()))
         turned = (X_WP @ X_PJ).inverse() @ X_WC @ X_CJ
-        return JointFacts(
+        return JointReadback(
             type="ball",
             limits=(),
             damping=_number(prim, "newton:damping") / math.radians(1.0),
@@ -209,10 +212,10 @@ def _own(material: UsdShade.Material, name: str, value: float) -> float:
     return value * value if mode == "multiply" else value
 
 
-def _joint(name: str, prim: Usd.Prim) -> JointFacts:
+def _joint(name: str, prim: Usd.Prim) -> JointReadback:
     kind = _TYPES.get(str(prim.GetTypeName()), "other")
     if kind not in ("prismatic", "revolute"):
-        return JointFacts(type=kind)
+        return JointReadback(type=kind)
     instance, unit = ("linear", 1.0) if kind == "prismatic" else ("angular", math.radians(1.0))
     typed = UsdPhysics.PrismaticJoint(prim) if kind == "prismatic" else UsdPhysics.RevoluteJoint(prim)
     lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
@@ -224,7 +227,7 @@ def _joint(name: str, prim: Usd.Prim) -> JointFacts:
     limit = float(drive.GetMaxForceAttr().Get()) if driven else math.inf
     unit_axis = np.eye(3)["XYZ".index(str(typed.GetAxisAttr().Get()))]
     follows, law = _law(name, prim)
-    return JointFacts(
+    return JointReadback(
         type=kind,
         axis=numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
         limits=(lower, upper) if math.isfinite(lower) and math.isfinite(upper) else (),

@@ -14,7 +14,9 @@ from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene, Sphere
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import MujocoWorld, PybulletWorld, World, read_back
+from simfoundry.worlds.base import World, read_back
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.mechanisms import chain, gripper, mechanisms, pendulum, pot, rough
 from tests.scenes import box, pose, scene_of, solid
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -34,6 +33,7 @@ from simfoundry.backends.urdf import (
     whole,
 )
 from simfoundry.backends.urdf.physics import silent_between
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
@@ -112,7 +112,7 @@ NEAR, FAR = 0.01, 100.0
 SKIN = 1e-3
 """Thickness of the skin around a convex mesh that is loaded from URDF [m]."""
 
-_LOADER = Path(__file__).parents[1] / "templates" / "pybullet_load.py"
+_LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Artifact, Fidelity, Loss, json_text, number, numbers, rounded
@@ -24,6 +23,7 @@ from simfoundry.backends.robot_models.robot_urdf import ROBOT, RobotUrdf, robot_
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf.physics import physics_manifest
 from simfoundry.backends.xmltext import DECLARATION, xml_text
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
 from simfoundry.scene.model import (
@@ -78,10 +78,8 @@ Parts = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
 """Splits a geometry into those that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
 
 
-_TEMPLATES = Path(__file__).parents[1] / "templates"
-_LOADERS = {"load.py": "urdf_load.py"} | {
-    f"load_{simulator}.py": f"{simulator}_load.py" for simulator in ("drake", "genesis", "sapien")
-}
+_LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
+"""The loaders in a build, with the folders of ``targets/`` that they come from."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,7 @@ def compile_urdf(scene: Scene) -> Artifact:
             poses[robot.name]["robot"] = words
     files["poses.json"] = json_text(poses)
     files["physics.json"] = physics_manifest(scene, capsule_parts, robots.items())
-    files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
+    files |= {name: (shipped("targets") / folder / "load.py").read_bytes() for name, folder in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, (*_losses(scene), *lost))
 
 
