@@ -1,6 +1,71 @@
 """SimFoundry: one typed scene spec, many simulators.
 
-Importing this package loads no simulator, no USD and no mesh library.
+Importing this package loads no simulator, no USD and no mesh library; each public name is imported at its first use.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from simfoundry.api.build import Build as Build
+    from simfoundry.api.entries import UnknownNameError as UnknownNameError
+    from simfoundry.api.scene_document import SceneDocument as SceneDocument
+    from simfoundry.api.task_document import TaskDocument as TaskDocument
+    from simfoundry.errors import SimfoundryError as SimfoundryError
+    from simfoundry.spec.diagnostics import SpecError as SpecError
+
 __version__ = "0.1.0"
+
+_MODULES = {
+    "Build": "api.build",
+    "SceneDocument": "api.scene_document",
+    "SimfoundryError": "errors",
+    "SpecError": "spec.diagnostics",
+    "TaskDocument": "api.task_document",
+    "UnknownNameError": "api.entries",
+}
+"""The module of each public class."""
+
+__all__ = [
+    "Build",
+    "SceneDocument",
+    "SimfoundryError",
+    "SpecError",
+    "TaskDocument",
+    "UnknownNameError",
+    "__version__",
+    "load",
+    "load_task",
+]
+
+
+def load(path: str | Path) -> SceneDocument:
+    """Load a scene: a document, or a file of USD, MJCF or URDF that is imported.
+
+    Raises :class:`SpecError` with every finding if the document has errors.
+    """
+    from simfoundry.api.load import load_scene_document
+
+    return load_scene_document(Path(path))
+
+
+def load_task(path: str | Path) -> TaskDocument:
+    """Load a task document; raises :class:`SpecError` with every finding if it has errors."""
+    from simfoundry.api.task_document import TaskDocument
+
+    return TaskDocument.load(path)
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module `simfoundry` has no attribute `{name}`; it has {', '.join(__all__)}")
+    value = getattr(import_module(f"simfoundry.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -6,21 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array
-from simfoundry.scene.model import (
-    Collider,
-    Cylinder,
-    Drive,
-    Joint,
-    JointType,
-    Link,
-    Mimic,
-    Primitive,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Cylinder, Primitive, Sphere
+from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 from tests.scenes import box, pose, primitive_inertia, rgba, scene_of, skewed_inertia, solid
 
 Z = frozen_array([0.0, 0.0, 1.0])

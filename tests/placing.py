@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.model import Capsule, Cylinder, Mesh, SceneObject, Sphere
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Capsule, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import tessellate
+from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import solve
-from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.scenes import box, pose, scene_of, solid

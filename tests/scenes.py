@@ -9,25 +9,19 @@ import zlib
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Primitive, Sphere
 from simfoundry.scene.model import (
-    Box,
     Camera,
-    Capsule,
     Collider,
-    Cylinder,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
-    Primitive,
     Relation,
     Scene,
     SceneObject,
-    Sphere,
     Visual,
 )
 

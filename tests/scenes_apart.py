@@ -9,23 +9,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.model import (
-    Box,
     Camera,
-    Capsule,
     Collider,
-    Cylinder,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
     Scene,
     SceneObject,
-    Sphere,
     Visual,
 )
 from simfoundry.scene.robot import Robot

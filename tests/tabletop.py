@@ -7,25 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
-from simfoundry.scene.model import (
-    Box,
-    Camera,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Light,
-    Link,
-    Mesh,
-    Primitive,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Primitive, Sphere
+from simfoundry.scene.model import Camera, Collider, Joint, JointType, Light, Link, Scene, SceneObject, Visual
 
 INERTIA = frozen_array(np.diag([2e-4, 3e-4, 4e-4]))
 

@@ -6,6 +6,7 @@ import io
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from simfoundry.assets.cache import Cache, key_of
 from simfoundry.assets.deviation import deviation
 from simfoundry.assets.errors import flat
 from simfoundry.assets.mass import mesh as solid_of
+from simfoundry.assets.mesh_summary import NEARLY_CONVEX, file_digest
 from simfoundry.assets.primitives import KINDS, Primitive, fitted_primitives
 
 Array = NDArray[np.float64]
@@ -22,9 +24,6 @@ Part = tuple[Array, Faces]
 
 MAX_HULL_VERTICES = 64
 """PhysX cooks at most 64 vertices into a hull and simplifies anything larger by itself."""
-
-NEARLY_CONVEX = 0.90
-"""A mesh that fills this share of its hull collides as its hull, or as a primitive."""
 
 SHALLOW_FILL, SHALLOW = 0.80, 0.07
 """So does one that fills this share where its hollows are no deeper than this share of its longest side.
@@ -112,12 +111,12 @@ def mesh_colliders(
 
     key = key_of("colliders 1", how, decompose.settings(), vertices.tobytes(), faces.tobytes())
     stored = cache.get(key) if cache is not None else None
-    kept = _unpack(stored) if stored is not None else None
+    kept = unpack_colliders(stored) if stored is not None else None
     if kept is not None:
         return kept
     found = _chosen(vertices, faces, how, name, report)
     if cache is not None and (len(found.parts) > 1 or len(faces) >= SLOW_FACES):
-        cache.put(key, _pack(found))
+        cache.put(key, pack_colliders(found))
     return found
 
 
@@ -161,7 +160,15 @@ def _is_solid(vertices: Array) -> bool:
     return len(vertices) >= 4 and float(np.linalg.svd(centred, compute_uv=False)[2]) > 1e-5
 
 
-def _pack(found: Colliders) -> bytes:
+def file_key(path: Path, scale: float, how: str) -> str:
+    """The key of the colliders of a mesh file read with a scale, for whoever does not read the file."""
+    from simfoundry.assets import decompose
+
+    return key_of("file colliders 1", how, repr(scale), decompose.settings(), file_digest(path))
+
+
+def pack_colliders(found: Colliders) -> bytes:
+    """The bytes of colliders in a cache."""
     stream = io.BytesIO()
     arrays: dict[str, Array | Faces] = {"error": np.array([found.error])}
     for k, (corners, sides) in enumerate(found.parts):
@@ -174,7 +181,7 @@ def _pack(found: Colliders) -> bytes:
     return stream.getvalue()
 
 
-def _unpack(data: bytes) -> Colliders | None:
+def unpack_colliders(data: bytes) -> Colliders | None:
     """Read a cache entry; None if it is damaged, so that it is computed again."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets.errors import MeshError
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
+from simfoundry.runtime.workers import Limits, Worker, WorkerError
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int32]
@@ -52,7 +52,7 @@ def decompose(
         pieces: list[Array] = _worker().call(
             FUNCTION, vertices, faces, wait=lambda seconds: report(f"{said}, {seconds:.0f} s")
         )
-    except FailedError as error:
+    except WorkerError as error:
         hint = "repair or simplify the mesh, or write `collision: hull`"
         raise MeshError("SF301", f"{name} cannot be decomposed: CoACD {error}", hint) from None
     return pieces

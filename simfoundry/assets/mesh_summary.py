@@ -9,6 +9,7 @@ import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import (
@@ -22,10 +23,20 @@ from simfoundry.assets.errors import (
     too_large,
 )
 
-VERSION = "mesh facts 1"
+if TYPE_CHECKING:
+    from simfoundry.assets.mass import Solid
+
+NEARLY_CONVEX = 0.90
+"""A mesh that fills this share of its hull collides as its hull, or as a primitive."""
+
+VERSION = "mesh facts 2"
 """Changes with what is measured."""
 
 Vec = tuple[float, float, float]
+Moments = tuple[float, ...]
+"""Of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+
+ZERO_MOMENTS: Moments = (0.0,) * 9
 
 
 @dataclass(frozen=True)
@@ -34,7 +45,8 @@ class MeshFacts:
 
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
     only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull, of which ``hull`` has at most
-    64 corners, and none where the mesh is flat.
+    64 corners, and none where the mesh is flat. ``moments`` and ``hull_moments`` are the centres of mass and the
+    inertias about them, of density 1.
     """
 
     size: float
@@ -43,6 +55,24 @@ class MeshFacts:
     volume: float
     hull_volume: float
     hull: tuple[Vec, ...]
+    moments: Moments = ZERO_MOMENTS
+    hull_moments: Moments = ZERO_MOMENTS
+
+    @property
+    def is_nearly_convex(self) -> bool:
+        """Whether it certainly collides as its hull."""
+        return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
+
+    def solid(self, scale: float, of_hull: bool) -> Solid:
+        """The solid of density 1 of the mesh, or of its hull, read with a scale."""
+        import numpy as np
+
+        from simfoundry.assets.mass import Solid
+
+        x, y, z, xx, yy, zz, xy, xz, yz = self.hull_moments if of_hull else self.moments
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        volume = self.hull_volume if of_hull else self.volume
+        return Solid(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
         """What lowering will find wrong with the file ``name``, read with ``scale``, as a body of these fields.
@@ -80,7 +110,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
     if size > MAX_BYTES:
         raise too_large(path.name, size)
     try:
-        key = _key(path)
+        key = file_digest(path)
     except OSError as error:
         raise _unreadable(path, error) from None
     stored = cache.get(key)
@@ -91,7 +121,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
     return facts
 
 
-def _key(path: Path) -> str:
+def file_digest(path: Path) -> str:
     """Of the bytes, and of the suffix that says how they are read."""
     import hashlib
 
@@ -108,7 +138,8 @@ def _read(stored: bytes) -> MeshFacts | None:
         data = json.loads(stored)
         hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
         numbers = (float(data["size"]), int(data["triangles"]), int(data["gaps"]))
-        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull)
+        moments = (tuple(map(float, data[name])) for name in ("moments", "hull_moments"))
+        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, *moments)
     except (ValueError, TypeError, KeyError):
         return None
 
@@ -127,12 +158,20 @@ def measure(path: Path) -> MeshFacts:
     joined = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
     vertices, faces = weld(vertices, joined)
     triangles, gaps = len(joined), open_edges(faces)
-    volume = abs(mass.mesh(vertices, faces).volume) if len(faces) else 0.0
+    own = mass.mesh(vertices, faces) if len(faces) else None
     corners: tuple[Vec, ...] = ()
-    full = 0.0
+    full = None
     try:
-        full = mass.mesh(*hull(vertices, limit=len(vertices))).volume
+        full = mass.mesh(*hull(vertices, limit=len(vertices)))
         corners = tuple((float(x), float(y), float(z)) for x, y, z in hull(vertices)[0])
     except MeshError:
         pass  # flat or a point: it has no hull, and the finding is that of its volume
-    return MeshFacts(extent(parts), triangles, gaps, volume, full, corners)
+    volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
+    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, _moments(own), _moments(full))
+
+
+def _moments(solid: Solid | None) -> Moments:
+    if solid is None or not solid.volume:
+        return ZERO_MOMENTS
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (solid.inertia * (1 if solid.volume > 0 else -1)).tolist()
+    return (*solid.com.tolist(), xx, yy, zz, xy, xz, yz)

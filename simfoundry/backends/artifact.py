@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import staged, write_file
-from simfoundry.scene.frames import Array
 
 
 class Fidelity(StrEnum):

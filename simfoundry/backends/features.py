@@ -11,20 +11,9 @@ from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Joint,
-    JointType,
-    LightType,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-)
+from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 
 Users = Callable[[Scene], Iterable[str]]
 """The things of a scene that use a feature, by name; a joint as ``object.joint``."""

@@ -1,4 +1,4 @@
-"""What things are called and what they weigh, without a model: from shape and colour, by tables.
+"""Names and masses of objects without a model: from shape and colour, by tables.
 
 The bulk densities are ranges of filled household packages and vessels, in which the published masses and sizes of the
 YCB objects lie (cracker box 160 kg/m^3, sugar box 700, soup can 940, bleach bottle 1,000). They are estimates: the spec
@@ -12,11 +12,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Sphere
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Sphere
 
 
-class Kind(StrEnum):
-    """What an object's shape says about it."""
+class ShapeKind(StrEnum):
+    """Kind of an object as its shape suggests it."""
 
     BOX = "box"
     CAN = "can"
@@ -26,7 +26,7 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Substance:
+class MaterialPrior:
     """A row of the material table: densities [kg/m^3] over the solid volume, and the Coulomb friction coefficient."""
 
     name: str
@@ -37,31 +37,31 @@ class Substance:
 
 
 TABLE = {
-    Kind.BOX: Substance("carton", 400, 150, 750, 0.4),
-    Kind.CAN: Substance("can", 700, 300, 1050, 0.35),
-    Kind.BALL: Substance("fruit", 800, 100, 1050, 0.5),
-    Kind.BOWL: Substance("crockery", 1800, 900, 2500, 0.35),
-    Kind.OBJECT: Substance("package", 600, 150, 1100, 0.4),
+    ShapeKind.BOX: MaterialPrior("carton", 400, 150, 750, 0.4),
+    ShapeKind.CAN: MaterialPrior("can", 700, 300, 1050, 0.35),
+    ShapeKind.BALL: MaterialPrior("fruit", 800, 100, 1050, 0.5),
+    ShapeKind.BOWL: MaterialPrior("crockery", 1800, 900, 2500, 0.35),
+    ShapeKind.OBJECT: MaterialPrior("package", 600, 150, 1100, 0.4),
 }
-SUPPORT = Substance("table_top", 700, 500, 900, 0.5)
+SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
 
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
 
 
-def kind_of(geometry: Geometry, hollow: bool) -> Kind:
-    """The kind of a fitted shape."""
+def kind_of(geometry: Geometry, hollow: bool) -> ShapeKind:
+    """Classify a fitted shape."""
     match geometry:
         case Box():
-            return Kind.BOX
+            return ShapeKind.BOX
         case Cylinder() | Capsule():
-            return Kind.CAN
+            return ShapeKind.CAN
         case Sphere():
-            return Kind.BALL
-    return Kind.BOWL if hollow else Kind.OBJECT
+            return ShapeKind.BALL
+    return ShapeKind.BOWL if hollow else ShapeKind.OBJECT
 
 
 def color_word(rgb: tuple[float, float, float]) -> str:
-    """A plain English word for an sRGB colour in [0, 1]."""
+    """Return a plain English word for an sRGB colour in [0, 1]."""
     hue, saturation, value = colorsys.rgb_to_hsv(*rgb)
     if value < 0.2:
         return "black"
@@ -76,7 +76,7 @@ def color_word(rgb: tuple[float, float, float]) -> str:
 
 
 def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """The names with ``_2``, ``_3`` … appended where one occurs again."""
+    """Return the names with ``_2``, ``_3`` … appended where one occurs again."""
     used = set(taken)
     out = []
     for base in wanted:

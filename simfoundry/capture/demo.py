@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
-from simfoundry.capture.truth import Comparison, compare
 from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.lower import lower_file
@@ -25,12 +25,12 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Demo:
-    """What the flow gave: the capture's run, entry file by target, motion by engine (or why it did not run), truth."""
+    """Results of the demo: the capture's run, entry file by target, motion by engine (or why it did not run), truth."""
 
     run: CaptureRun
     worlds: dict[str, Path]
     motions: dict[str, list[ObjectMotion] | str]
-    comparison: list[Comparison]
+    comparison: list[ObjectAccuracy]
     picture: Path
 
     def to_json(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _motions(scene: Scene, engine: str) -> list[ObjectMotion] | str:
         return f"did not run: {error}"
 
 
-def _truth(capture: Path, frame: str | None, scene: Scene) -> list[Comparison]:
+def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
     """The comparison with the true scene, where the capture names one and it has the camera of the frame."""
     loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)

@@ -1,19 +1,19 @@
-"""What was fitted, in the words of a spec: objects, support, camera, materials, and the files of their meshes."""
+"""Spec entries of a reconstruction: objects, support, camera, materials, and the files of their meshes."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from simfoundry.assets import mass
-from simfoundry.capture.annotate import SUPPORT, Substance, kind_of
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.annotate import SUPPORT, MaterialPrior, kind_of
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.capture.support import Thickness
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.capture.support_object import Thickness
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
 from simfoundry.scene.poses import pose_spec
-from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.models.base import (
     BoxShape,
     CameraPose,
@@ -23,19 +23,19 @@ from simfoundry.spec.models.base import (
     LatheShape,
     Material,
     Origin,
+    PoseSpec,
     Prism,
     PrismShape,
     Round,
     Shape,
     SphereShape,
 )
-from simfoundry.spec.models.base import Pose as PoseSpec
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
 SUPPORT_NAME = "table"
 
 
-def support_spec(capture: str, support: Support, slab: Thickness) -> ObjectSpec:
+def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
     """The support as a fixed prism whose top is at z = 0."""
     outline = tuple((metres(x), metres(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
@@ -51,7 +51,7 @@ def support_spec(capture: str, support: Support, slab: Thickness) -> ObjectSpec:
 
 
 def object_spec(
-    capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: Substance, color: tuple[float, float, float]
+    capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: MaterialPrior, color: tuple[float, float, float]
 ) -> ObjectSpec:
     """A fitted object: its shape, or its mesh where no shape can hold it, with an estimated mass and its origin."""
     primitive = _shape_spec(shape)
@@ -88,7 +88,7 @@ def _shape_spec(shape: FittedShape) -> Shape | None:
     return None
 
 
-def camera_spec(frame: Frame, support: Support) -> CameraSpec:
+def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
     """The camera that took the picture."""
     height, width = frame.depth.shape
     X_WC: Pose = support.X_WC
@@ -104,7 +104,7 @@ def camera_spec(frame: Frame, support: Support) -> CameraSpec:
     )
 
 
-def material_spec(substance: Substance) -> Material:
+def material_spec(substance: MaterialPrior) -> Material:
     """A row of the material table."""
     return Material(density=substance.density, friction=substance.friction)
 

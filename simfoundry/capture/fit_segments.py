@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Segmentation, Support
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape
-from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Box
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box
+from simfoundry.geometry.tessellate import tessellate
 
 Progress = Callable[[str, float], None]
 
@@ -37,7 +37,7 @@ EDGE = 0.01
 
 
 def fit_segments(
-    frame: Frame, support: Support, segmentation: Segmentation, report: Progress
+    frame: Frame, support: SupportSurface, segmentation: Segmentation, report: Progress
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
     """Fit every segment, those that carry first; with what each stands on, 0 for the support."""
     shapes: dict[int, FittedShape] = {}
@@ -73,8 +73,10 @@ def _bottom_up(segmentation: Segmentation) -> list[int]:
     return sorted(numbers, key=lambda k: (level(k), k))
 
 
-def _carrier(frame: Frame, support: Support, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int) -> int:
-    """The fitted object that ``k`` stands on, 0 for the support.
+def _carrier(
+    frame: Frame, support: SupportSurface, segmentation: Segmentation, shapes: dict[int, FittedShape], k: int
+) -> int:
+    """Return the fitted object that ``k`` stands on, 0 for the support.
 
     What the picture suggests is believed only if the carrier's solid lies below a good part of what is seen of ``k``:
     a foot that is merely hidden by a neighbour does not stand on it.

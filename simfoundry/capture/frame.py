@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
+class SupportSurface:
     """The surface the objects stand on.
 
     ``X_WC`` puts the camera into the world whose origin lies on the surface, z up; ``outline`` [m] is the boundary of

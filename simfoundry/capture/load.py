@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import pose
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
@@ -179,7 +179,7 @@ class _Reader:
             self.fail("SF501", path, f"`fx` {camera.fx:g} and `fy` {camera.fy:g} belong to no real pixel")
 
     def centre(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """What betrays intrinsics of another picture, or in another order, by where their principal point lies."""
+        """Check the principal point: an implausible one betrays intrinsics of another picture or in another order."""
         x, y = (camera.cx + 0.5) / width, (camera.cy + 0.5) / height
         message = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {image}"
         if abs(x - 0.5) > 0.2 and abs(x - y) < 0.05:  # scaling moves it along the diagonal, cropping does not
@@ -250,7 +250,7 @@ def _decoded(file: Path, mode: str) -> NDArray[Any]:
 
 
 def _first_line(error: Exception) -> str:
-    """What a reader says, without the path, which the finding has."""
+    """First line of a reader's message without the path, which the finding already has."""
     return " ".join(str(error).split("\n")[0].split())[:120] or type(error).__name__
 
 

@@ -20,12 +20,12 @@ from simfoundry.capture.describe import (
 )
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.fit_segments import fit_segments, footprint
-from simfoundry.capture.frame import Frame, Segmentation, Support
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.segment.find_support import find_support
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.texture import dominant_color, textured_mesh
-from simfoundry.capture.support import beneath, support_mesh, thickness
+from simfoundry.capture.support_object import beneath, support_mesh, thickness
 from simfoundry.spec.models.base import Origin
 from simfoundry.spec.models.expressions import parse_call
 from simfoundry.spec.models.scene import LightSpec, SceneSpec
@@ -42,7 +42,7 @@ class Reconstruction:
 
     spec: SceneSpec
     files: dict[str, bytes]
-    support: Support
+    support: SupportSurface
     segmentation: Segmentation
     names: dict[str, int]
     shapes: dict[str, FittedShape]

@@ -44,7 +44,7 @@ EXAMPLE = (
 
 @dataclass(frozen=True, eq=False)
 class CaptureRun:
-    """What a capture became: where its scene is, and how well it fits and rests."""
+    """Result of a capture: the scene document, and how well it fits and rests."""
 
     scene_file: Path
     reconstruction: Reconstruction

@@ -1,4 +1,4 @@
-"""What a depth camera makes of a perfect picture: synthetic captures with the flaws of real ones."""
+"""Simulated depth camera: synthetic captures with the flaws of real ones."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.frame import Frame
+from simfoundry.geometry.frames import Array
 from simfoundry.render.raycast import Raycast
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.frames import Array
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
 
     Exit code 1 where there is an error or a warning. `simfoundry explain CODE` says more about a finding.
     """
-    from simfoundry.runtime.parallel import spread
+    from simfoundry.runtime.parallel import map_parallel
     from simfoundry.spec.check.report.model import gather, renderer
 
     form = "json" if as_json else form
@@ -48,7 +48,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     _known.clear()
     _linted.clear()
     with _progress(len(files)) as progress:
-        checked = spread(_check, files, progress)
+        checked = map_parallel(_check, files, progress)
     report = gather(map(str, files), checked)
     if form == "text":
         print_findings(list(report.findings))

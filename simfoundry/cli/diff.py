@@ -11,7 +11,7 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_opt
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.spec.change.compare import Comparison
+    from simfoundry.spec.change.compare import DocumentComparison
 
 
 @click.command()
@@ -72,7 +72,7 @@ def _driver(arguments: tuple[str, ...]) -> int:
     return DONE
 
 
-def _print(found: list[Comparison]) -> None:
+def _print(found: list[DocumentComparison]) -> None:
     for comparison in found:
         if len(found) > 1:
             click.echo(printable(comparison.name))
@@ -82,7 +82,7 @@ def _print(found: list[Comparison]) -> None:
         click.echo("no document differs")
 
 
-def _print_findings(found: list[Comparison]) -> None:
+def _print_findings(found: list[DocumentComparison]) -> None:
     from simfoundry.spec.diagnostics import render
 
     findings = [d for c in found for d in c.findings]
@@ -91,7 +91,7 @@ def _print_findings(found: list[Comparison]) -> None:
         click.echo(render(findings, texts=texts), err=True)
 
 
-def plain(comparison: Comparison) -> dict[str, Any]:
+def plain(comparison: DocumentComparison) -> dict[str, Any]:
     """What changed as plain data."""
     from dataclasses import asdict
 

@@ -12,7 +12,7 @@ from simfoundry.cli.output import CannotError, json_option, print_json, reportin
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
-    from simfoundry.spec.change.git.history import Step
+    from simfoundry.spec.change.git.history import HistoryEntry
 
 
 @click.command()
@@ -44,7 +44,7 @@ def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json
         raise CannotError(f"no commit there changes {what[-1]}")
 
 
-def _plain(step: Step) -> dict[str, Any]:
+def _plain(step: HistoryEntry) -> dict[str, Any]:
     about = step.commit
     head = {"commit": about.id, "date": about.date, "author": about.author, "subject": about.subject}
     return {**head, **plain(step.comparison)}

@@ -23,7 +23,7 @@ from simfoundry.cli.output import (
 from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
-    from simfoundry.spec.change.merge.conflict import Conflict
+    from simfoundry.spec.change.merge.conflict import MergeConflict
     from simfoundry.spec.change.merge.texts import MergedText
 
 
@@ -197,5 +197,5 @@ def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
     return {"conflicts": conflicts, "findings": [d.to_json() for d in errors]}
 
 
-def _count(conflicts: Sequence[Conflict]) -> str:
+def _count(conflicts: Sequence[MergeConflict]) -> str:
     return f"{len(conflicts) or 'no'} conflict{'s' if len(conflicts) != 1 else ''}"

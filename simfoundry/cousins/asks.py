@@ -15,10 +15,10 @@ from simfoundry.cousins.sides import DROPPED, SIDES, sets_of, side_axis
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Thing
 from simfoundry.cousins.twin import Twin
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
 from simfoundry.predicates import PredicateError
-from simfoundry.predicates.thresholds import ENCLOSED
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 from simfoundry.scene.place import CLEARANCE
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.models.cousins import SceneAxis
@@ -197,8 +197,8 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
     """Whether most of a thing is outside of the cavity, however it is turned."""
     from simfoundry.cousins.drops import DROPS
     from simfoundry.cousins.fit import SURE, cavity_extents, largest_share
-    from simfoundry.predicates.shapes import Bodies
-    from simfoundry.predicates.voxels import cavity
+    from simfoundry.geometry.cavity import cavity
+    from simfoundry.predicates.judging.bodies import Bodies
 
     bodies = Bodies(twin.scene)
     holes = [hole for form in bodies[anchor].forms if form is not None and (hole := cavity(form)) is not None]

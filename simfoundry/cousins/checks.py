@@ -12,8 +12,8 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.settling import MOST_S, Settled, settle_layout
 from simfoundry.cousins.twin import Twin
 from simfoundry.cousins.views import SEEN, best_view
+from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import StateBatch, Verdict
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Condition, parse_call, parts
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from simfoundry.cousins.outline import Complex, Outline
 from simfoundry.cousins.placing import Found, Mask, Region, There, rectangles_meet
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 EACH = 4
 """Candidates of each thing that are drawn at once."""

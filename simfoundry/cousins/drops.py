@@ -12,7 +12,7 @@ from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin
-from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.geometry.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.spec.models.place import Place

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from simfoundry.predicates.samples import volume_samples
-from simfoundry.predicates.shapes import Form
-from simfoundry.predicates.thresholds import ENCLOSED
-from simfoundry.predicates.voxels import Cavity
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.cavity import Cavity
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.volume_samples import volume_samples
+from simfoundry.predicates.judging.thresholds import ENCLOSED
 
 TURNS = 240
 """Number of sampled orientations, about 25 degrees apart."""

@@ -23,8 +23,9 @@ from simfoundry.cousins.sides import DROPPED
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.table import Table, Thing
 from simfoundry.cousins.twin import Twin, TwinError
-from simfoundry.predicates.batch import Poses, StateBatch, rotations
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.poses import Poses, rotations
+from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.spec.models.cousins import SceneAxis
 
 STARTS = 4

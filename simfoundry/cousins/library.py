@@ -211,7 +211,7 @@ def _read(stored: bytes) -> dict[str, Any] | None:
 
 def measure(item: SceneObject) -> dict[str, Any]:
     """Category, mass [kg], volume of the convex parts [m^3] and size [m] of a thing."""
-    from simfoundry.scene.summary import bounds
+    from simfoundry.scene.object_shapes import bounds
 
     low, high = bounds(item)
     return {
@@ -225,7 +225,7 @@ def measure(item: SceneObject) -> dict[str, Any]:
 def volume(geometry: Any) -> float:
     """Volume of a primitive or closed mesh [m^3]."""
     from simfoundry.assets import mass
-    from simfoundry.scene.model import Box, Capsule, Cylinder, Mesh, Sphere
+    from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
 
     match geometry:
         case Box():

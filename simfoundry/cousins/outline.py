@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
 
 Complex = NDArray[np.complex128]
 

@@ -10,7 +10,7 @@ from typing import Any
 import simfoundry
 from simfoundry.cousins.candidate import file_of
 from simfoundry.cousins.recipe import Recipe
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.poses import pose, pose_spec
 from simfoundry.scene.state import SceneState

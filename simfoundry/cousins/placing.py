@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from simfoundry.cousins.outline import Complex, Outline
 from simfoundry.cousins.support import Support
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 TRIES = 4096
 """Candidates until a thing counts as not placeable among what stands there."""

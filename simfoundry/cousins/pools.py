@@ -6,8 +6,6 @@ A pool is handed indices and gives back candidates in whatever order they are do
 from __future__ import annotations
 
 import os
-import queue
-import threading
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -17,13 +15,10 @@ from simfoundry.cousins.candidate import Candidate
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import MissingEngineError
 from simfoundry.runtime.extras import install_line
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
+from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
 
-SILENT_S = 600.0
+SILENCE_S = 600.0
 """More than a candidate may take, with all that its process has to prepare before the first [s]."""
-
-LEAST_MEMORY = 6 * 2**30
-"""Bytes of address space that a process has at least; of a large machine it has its share."""
 
 
 @dataclass(frozen=True)
@@ -87,55 +82,26 @@ class Local:
     """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
 
     def __init__(self, work: Work, size: int) -> None:
-        self.work, self.size, self._closed = work, size, False
-        self._asked: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        self._done: queue.SimpleQueue[Candidate] = queue.SimpleQueue()
-        self._workers = [Worker(_limits(size)) for _ in range(size)]
-        for worker in self._workers:
-            threading.Thread(target=self._serve, args=(worker,), daemon=True).start()
+        self.work, self.size = work, size
+        self._pool = WorkerPool(size, Limits.shared(SILENCE_S, size))
 
     def submit(self, index: int) -> None:
         """Ask for a candidate."""
-        self._asked.put(index)
+        self._pool.submit(index, f"{__name__}:line_of", self.work, index, attempts=2)
 
     def next(self) -> Candidate:
         """Wait for the next."""
-        return self._done.get()
+        index, result = self._pool.next()
+        return failed(index, result.how) if isinstance(result, WorkerError) else Candidate.of(result)
 
     def close(self) -> None:
         """End the processes."""
-        self._closed = True  # before they end: a candidate that is cut off now is not tried once more
-        for worker in self._workers:
-            self._asked.put(None)
-            worker.close()
-
-    def _serve(self, worker: Worker) -> None:
-        while (index := self._asked.get()) is not None and not self._closed:
-            self._done.put(self._contained(worker, index))
-        worker.close()
-
-    def _contained(self, worker: Worker, index: int) -> Candidate:
-        """A candidate, or, after a second try, how its process failed."""
-        tries = 0
-        while True:
-            try:
-                return Candidate.of(worker.call("simfoundry.cousins.pools:line_of", self.work, index))
-            except FailedError as error:
-                tries += 1
-                if tries == 2 or self._closed:
-                    return failed(index, error.how)
+        self._pool.close()
 
 
 def failed(index: int, how: str) -> Candidate:
     """A candidate of which no more is known than how its process failed."""
     return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
-
-
-def _limits(workers: int) -> Limits:
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        return Limits(SILENT_S, max(LEAST_MEMORY, memory // workers))
-    return Limits(SILENT_S, LEAST_MEMORY)
 
 
 class OnRay:

@@ -14,8 +14,8 @@ import numpy as np
 
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.runtime.extras import EXTRAS, install_line
-from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene
 
 OVER = 0.10

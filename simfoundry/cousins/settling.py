@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.place import rounded
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.footing import is_ball
 from simfoundry.worlds.mujoco_world import MujocoWorld

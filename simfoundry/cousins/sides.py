@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import combinations
 
-from simfoundry.predicates.rules import seen_along
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.predicates.sides import viewer_axis
 
 SIDES = {
     "LeftOf": "left of",
@@ -53,4 +53,4 @@ def side_axis(viewer: Pose | None, word: str) -> Array | None:
     if word not in _WAYS:
         return None
     column, sign = _WAYS[word]
-    return sign * seen_along(viewer, column)
+    return sign * viewer_axis(viewer, column)

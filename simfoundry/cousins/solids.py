@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.predicates.batch import rotations
-from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.poses import rotations
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Link, Scene, SceneObject
 

@@ -17,9 +17,9 @@ from simfoundry.cousins.log import Reader
 from simfoundry.cousins.recipe import Recipe
 from simfoundry.cousins.run import Plan
 from simfoundry.errors import OutputError
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.files import writing_atomically
 from simfoundry.runtime.outputs import MARK
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.poses import pose
 from simfoundry.spec.models import base
 from simfoundry.spec.yaml.text import parse
@@ -127,7 +127,7 @@ def _block(name: str, objects: Objects, added: Iterable[str], home: Mapping[str,
     for thing, data in objects.items():
         chosen = _variant(data["asset"]) if "asset" in data and thing not in added else ""
         choice = f' (variants = {{ string variant = "{chosen}" }})' if chosen else ""
-        X_WO = pose(base.Pose(**data["pose"])) if "pose" in data else home[thing]
+        X_WO = pose(base.PoseSpec(**data["pose"])) if "pose" in data else home[thing]
         lines += [f'                over "{thing}"{choice}', "                {", *_placed(X_WO), "                }"]
     return "\n".join([*lines, "            }", "        }", ""])
 

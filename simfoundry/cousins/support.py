@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.cousins.outline import Complex, hull
-from simfoundry.geometry.visibility import first_hits, scattered_rays
-from simfoundry.scene.frames import Array
-from simfoundry.scene.hulls import Hulls
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.ray_casts import first_hits, scattered_rays
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

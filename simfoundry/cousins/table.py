@@ -13,7 +13,7 @@ from simfoundry.cousins.outline import Outline
 from simfoundry.cousins.placing import Allowed, Demands, Found, Region, There, find
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.twin import Twin
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.place import CLEARANCE
 
 GAP = 0.002

@@ -20,11 +20,13 @@ from simfoundry.cousins.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
-from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
-from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.shapes import Cylinder
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Collider, Cylinder, Joint, Link, Scene, SceneObject
+from simfoundry.scene.model import Collider, Joint, Link, Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.load import load, load_kind

@@ -8,11 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.geometry.visibility import first_hits, scattered_rays
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.ray_casts import first_hits, scattered_rays
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Camera, Geometry, SceneObject
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.model import Camera, SceneObject
 
 SEEN = 0.6
 """Share of an object that at least one camera must see, or the share seen in the twin if that is smaller."""

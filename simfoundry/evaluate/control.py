@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, InvalidAnswerError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.worlds.robot import WorldRobot
 
 FARTHEST = 0.2

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.evaluate.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson
 from simfoundry.evaluate.scores import Score, ScoresError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 Interval = tuple[float, float]
 

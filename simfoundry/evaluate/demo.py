@@ -29,6 +29,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.render.montage import png_bytes, side_by_side
@@ -36,14 +37,12 @@ from simfoundry.render.raycast import raycast
 from simfoundry.runtime.extras import MissingExtraError, need_extra
 from simfoundry.runtime.files import staged, write_atomically, write_files
 from simfoundry.runtime.outputs import ensure_folder_replaceable
-from simfoundry.scene.crossings import solid
-from simfoundry.scene.frames import Array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.models.robot import ROBOTS, RobotSpec
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world

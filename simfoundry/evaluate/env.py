@@ -25,7 +25,7 @@ from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
 from simfoundry.evaluate.starts import Start, starts
 from simfoundry.evaluate.task import Task, load_task, need_robots
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import is_world, open_world, world_names
 from simfoundry.worlds.base import Image

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 Z_95 = 1.959963984540054
 """Quantile of the normal distribution that leaves 5 % in both tails together."""

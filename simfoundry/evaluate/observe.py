@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import Image, ImageSize, RobotReading
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.worlds.base import World

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.evaluate.grid import Cell, bounds
 from simfoundry.evaluate.task import Task
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import World
 from simfoundry.worlds.footing import is_ball

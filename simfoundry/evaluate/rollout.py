@@ -18,10 +18,10 @@ from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
-from simfoundry.scene.frames import Array
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.models.expressions import parse_call, texts
 from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot

@@ -24,6 +24,7 @@ from simfoundry.evaluate.strata import cousin_of
 from simfoundry.evaluate.task import Task, need_robots
 from simfoundry.evaluate.videos import whole_picture
 from simfoundry.runtime.extras import need_extra
+from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
 from simfoundry.scene.robot import FILES_ONLY, Robot
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
@@ -31,6 +32,9 @@ from simfoundry.worlds.base import World
 GIVE_UP = 3
 """After so many rollouts in a row that a policy did not answer, the others are not tried with it: a server that is gone
 keeps each of them waiting for its whole `timeout`."""
+
+SILENCE_S = 3600.0
+"""Longest time that one rollout may take [s]: a minute of simulated time against a slow policy server takes ten."""
 
 FRAME_EVERY = 3
 """Control steps from one picture of a video to the next: five a second at 15 Hz."""
@@ -154,20 +158,34 @@ def _carried_out(
         finally:
             _close()
         return
-    import multiprocessing
-    from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_close_at_exit) as pool:
-        queue, running = list(reversed(waiting)), dict[Future[Outcome], Job]()
+    pool = WorkerPool(workers, Limits.shared(SILENCE_S, workers))
+    try:
+        queue, running = list(reversed(waiting)), 0
         while queue or running:
-            while queue and len(running) < workers:
+            while queue and running < workers:
                 job = queue.pop()
                 if not given_up(job):
-                    running[pool.submit(carry_out, plan, job)] = job
-            for future in wait(running, return_when=FIRST_COMPLETED).done if running else ():
-                del running[future]
-                yield future.result()
+                    pool.submit(job, f"{__name__}:carry_out_in_worker", plan, job)
+                    running += 1
+            if running:
+                job, outcome = pool.next()
+                running -= 1
+                if isinstance(outcome, WorkerError):
+                    raise SimfoundryError(f"the process of rollout {job.index} of {job.entry.path.name} {outcome.how}")
+                if isinstance(outcome, SimfoundryError):
+                    raise outcome
+                yield outcome
+    finally:
+        pool.close(GRACE_S)
+
+
+def carry_out_in_worker(plan: Plan, job: Job) -> Outcome | SimfoundryError:
+    """Carry out one job in a worker, which closes its policies and world when the pool ends."""
+    at_worker_exit(_close)
+    try:
+        return carry_out(plan, job)
+    except SimfoundryError as error:
+        return error
 
 
 def carry_out(plan: Plan, job: Job) -> Outcome:
@@ -304,17 +322,6 @@ def _policy(job: Job, setting: _Setting) -> Policy:
         else:
             _open[key] = open_policy(choice)
     return _open[key]
-
-
-def _close_at_exit() -> None:
-    """Let a process of a pool close policies and worlds while the GL driver is there.
-
-    MuJoCo ends the driver by `atexit`, before anything that was registered earlier; what `multiprocessing` finalizes
-    comes first.
-    """
-    from multiprocessing.util import Finalize
-
-    Finalize(None, _close, exitpriority=1)
 
 
 def _close() -> None:

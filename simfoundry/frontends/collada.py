@@ -13,7 +13,7 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, texture_png
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.xmltree import Element, read_xml
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 Vec3 = tuple[float, float, float]
 
@@ -248,7 +248,7 @@ def _transform(element: Element) -> Array:
             axis = np.array(values[:3])
             length = float(np.linalg.norm(axis))
             if length > 0:
-                from simfoundry.scene.frames import matrix_from_quat
+                from simfoundry.geometry.frames import matrix_from_quat
 
                 half = math.radians(values[3]) / 2
                 out[:3, :3] = matrix_from_quat(np.array([math.cos(half), *(axis / length * math.sin(half))]))

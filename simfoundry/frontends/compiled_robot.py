@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from simfoundry.frontends.draft import RobotDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.robot import RobotSpec
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.frontends.draft import LinkDraft, MeshDraft, PartDraft, Rgba
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import Pose, rpy_from_quat
+from simfoundry.geometry.frames import Pose, rpy_from_quat
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.yaml.tree import plain_tree
 from simfoundry.spec.yaml.write import to_data, write_tree

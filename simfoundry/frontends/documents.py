@@ -230,14 +230,14 @@ def inline_data(body: BodyDraft) -> dict[str, Any] | None:
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
     """Whether the inertia of a link is that of its one shape at uniform density."""
-    from simfoundry.scene.bodies import shape_solid
+    from simfoundry.scene.shape_bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)
     if not link.mass:
         return True
     if link.com is not None and np.abs(link.com).max() > 1e-9:
         return False
-    solid = shape_solid(part.geometry)
+    solid = shape_body(part.geometry).solid
     inertia = solid.inertia * (link.mass / solid.volume)
     return link.inertia is None or bool(
         np.allclose(link.inertia, inertia, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, SphereShape
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape

@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of what states no mass, as MuJoCo and UsdPhysics take it: that of water."""

@@ -15,7 +15,7 @@ from simfoundry.assets.mesh import MeshPart, extent, read_parts
 from simfoundry.frontends.draft import MeshDraft
 from simfoundry.frontends.file_search import NotFoundError, Search
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.files import MESH_SUFFIXES
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.frames import rpy_from_quat
+from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 from simfoundry.spec.models.task import TaskSpec

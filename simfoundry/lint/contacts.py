@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from simfoundry.lint.convex import CLOSE, Piece, apart, lift, penetration
-from simfoundry.lint.report import MOST, length, number, warning, where
+from simfoundry.lint.report import MOST, warning, where
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.things import DOWN, Thing, close_pairs, is_over, landing_on
+from simfoundry.scene.lengths import length, number
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
 

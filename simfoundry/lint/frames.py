@@ -90,7 +90,7 @@ def unit(a: Vec) -> Vec:
     return (a[0] / length, a[1] / length, a[2] / length) if length > 1e-15 else (1.0, 0.0, 0.0)
 
 
-def frame_of(pose: base.Pose) -> Frame:
+def frame_of(pose: base.PoseSpec) -> Frame:
     """The frame that a document writes."""
     if pose.quat_wxyz is not None:
         return Frame(turned(pose.quat_wxyz), pose.xyz)

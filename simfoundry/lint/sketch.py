@@ -18,7 +18,7 @@ from simfoundry.lint.solids import Solid, hull_of_points, solid_of
 from simfoundry.lint.things import Limb, Thing, Turn
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.base import Body, Pose
+from simfoundry.spec.models.base import BodySpec, PoseSpec
 from simfoundry.spec.models.place import Place
 from simfoundry.spec.models.positions import Written, position
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec, SceneSpec
@@ -165,7 +165,7 @@ def _turn(joint: JointSpec, value: float, written: Written | None) -> Turn:
     if joint.limits_deg is not None:
         limits = (math.radians(joint.limits_deg[0]), math.radians(joint.limits_deg[1]))
     return Turn(
-        value, limits, joint.child, frame_of(written) if isinstance(written, Pose) else WORLD, joint.closed or ""
+        value, limits, joint.child, frame_of(written) if isinstance(written, PoseSpec) else WORLD, joint.closed or ""
     )
 
 
@@ -203,7 +203,7 @@ def _motion(joint: JointSpec, position: float) -> Frame:
     return Frame(about(joint.axis, position))
 
 
-def _mesh(file: Path, scale: float, body: Body) -> tuple[Solid, ...]:
+def _mesh(file: Path, scale: float, body: BodySpec) -> tuple[Solid, ...]:
     """A mesh as its hull; nothing where it cannot be used, which is another finding."""
     from simfoundry.assets.mesh_summary import mesh_facts
 

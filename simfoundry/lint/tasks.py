@@ -9,26 +9,19 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from simfoundry.lint.frames import frame_of
-from simfoundry.lint.report import Path_, length, number, warning
+from simfoundry.lint.report import Path_, warning
 from simfoundry.lint.sketch import Changes, Sketch, sketch
 from simfoundry.lint.things import Thing
 from simfoundry.lint.verdicts import judge, verdict
 from simfoundry.lint.views import unseen_of
 from simfoundry.lint.widths import grasp_width
+from simfoundry.scene.lengths import length, number
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
+from simfoundry.spec.models.predicate import Effect
 from simfoundry.spec.models.robot import RobotSpec
 from simfoundry.spec.models.task import TaskSpec
-
-CARRYING = ("Grasped", "Lifted", "OnTop", "Inside")
-"""Predicates whose first argument a robot takes between its fingers; others may be had by pushing."""
-
-MOVING = (*CARRYING, "NextTo", "Touching", "LeftOf", "RightOf", "InFrontOf", "Behind", "Above", "Under", "At")
-"""Predicates whose first argument a robot must get to."""
-
-TARGETS = ("OnTop", "Inside")
-"""Predicates whose second argument a robot must get to."""
 
 SLACK = 0.001
 """A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
@@ -91,7 +84,7 @@ def _is_true(spec: TaskSpec, goal: Any, drawn: Sketch) -> bool:
 
 def _placed_by(call: Call) -> tuple[str, ...]:
     """The things on whose position a predicate depends."""
-    return call.args if call.predicate in MOVING and call.predicate not in ("Grasped", "Lifted") else ()
+    return call.args if call.declaration.effect in (Effect.MOVE, Effect.PLACE) else ()
 
 
 def _true_finding(loaded: Loaded, path: Path_, message: str, why: str) -> Diagnostic:
@@ -113,7 +106,7 @@ def _too_wide(
     seen = set[str]()
     for call, path in wanted:
         thing = drawn.things.get(call.args[0].partition(".")[0])
-        if thing is None or call.predicate not in CARRYING or thing.name in seen:
+        if thing is None or not call.declaration.effect.grasps or thing.name in seen:
             continue
         seen.add(thing.name)
         width = grasp_width(thing) if thing.usable and thing.sure else 0.0
@@ -176,9 +169,9 @@ def _too_far(
 
 
 def _needed(call: Call) -> tuple[str, ...]:
-    if call.predicate in TARGETS:
-        return call.args
-    return call.args[:1] if call.predicate in (*MOVING, "Open", "Closed") else ()
+    """The objects that a robot must get to: the first, and where it is to be placed."""
+    effect = call.declaration.effect
+    return () if effect is Effect.NONE else call.args if effect is Effect.PLACE else call.args[:1]
 
 
 def _distance(base: _Base, thing: Thing, name: str) -> float:

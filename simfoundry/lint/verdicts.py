@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from simfoundry.lint.convex import CLOSE, Piece
 from simfoundry.lint.frames import Vec
-from simfoundry.lint.report import length
 from simfoundry.lint.sketch import Sketch
 from simfoundry.lint.things import Thing, bounds, extent, is_even, landing, middle
+from simfoundry.scene.lengths import length
 from simfoundry.spec.models.expressions import Call, parse_call, parts
 
 FAR_OFF = 0.03
@@ -78,10 +78,10 @@ def verdict(call: Call, drawn: Sketch) -> Verdict:
         return OPEN
     if len(things) > 1 and call.kinds[1] == "thing" and (things[1] is None or not things[1].usable):
         return OPEN
-    if call.predicate in _AT_THE_START:
-        value, why = _AT_THE_START[call.predicate]
-        return Verdict(value, why.format(call.args[0]))
-    return _RULES[call.predicate](call, drawn)
+    if (value := call.declaration.before_motion) is not None:
+        return Verdict(value, f"no robot touches `{call.args[0]}`" + ("" if value else " yet"))
+    rule = _RULES.get(call.predicate)  # of a predicate that a package brings, only the judge knows the rule
+    return OPEN if rule is None else rule(call, drawn)
 
 
 class _Side(NamedTuple):
@@ -331,10 +331,3 @@ _RULES: dict[str, Callable[[Call, Sketch], Verdict]] = {
     "Upright": _upright,
     **dict.fromkeys(("Open", "Closed"), _joint),
 }
-
-_AT_THE_START = {
-    "Grasped": (False, "no robot holds `{}` yet"),
-    "Lifted": (False, "no robot has lifted `{}` yet"),
-    "Released": (True, "no robot touches `{}`"),
-}
-"""What is so before a robot has moved."""

@@ -1,16 +1,15 @@
-"""Models that edit pictures, behind one method: a prompt and pictures in, one picture out."""
+"""Image editing models behind one method: a prompt and pictures in, one picture out."""
 
 from __future__ import annotations
 
 import base64
 import json
 import os
-import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from simfoundry.models.web import SECONDS, ModelError, post
+from simfoundry.models.web import TIMEOUT_S, ModelError, post
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG = b"\xff\xd8\xff"
@@ -23,7 +22,7 @@ class ImageEditor(Protocol):
     """Edits pictures."""
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """A new PNG made of ``pictures``, PNG or JPEG, the first the one to change; raises :class:`ModelError`."""
+        """Return a PNG made from ``pictures``, PNG or JPEG, the first to be changed; raises :class:`ModelError`."""
         ...
 
 
@@ -40,24 +39,24 @@ class HttpImages:
     url: str
     model: str
     key: str = ""
-    seconds: float = SECONDS
+    timeout_s: float = TIMEOUT_S
 
     def edit(self, prompt: str, pictures: Sequence[bytes]) -> bytes:
-        """The edited picture, with a transparent background."""
+        """Return the edited picture, with a transparent background."""
         if not pictures:
             raise ModelError("the image model needs a picture to change")
         fields = {"model": self.model, "prompt": prompt, "background": "transparent", "output_format": "png", "n": "1"}
-        body, kind = multipart(fields, [("image[]", *_file(k, p), p) for k, p in enumerate(pictures)])
-        headers = {"Content-Type": kind, "Accept": "application/json"}
-        if self.key:
-            headers["Authorization"] = f"Bearer {self.key}"
-        answer = post(f"{self.url.rstrip('/')}/images/edits", body, headers, "the image model", self.seconds)
+        files = [("image[]", _form_file(k, picture)) for k, picture in enumerate(pictures)]
+        headers = {"Accept": "application/json"} | ({"Authorization": f"Bearer {self.key}"} if self.key else {})
+        url = f"{self.url.rstrip('/')}/images/edits"
+        answer = post(url, "the image model", form=fields, files=files, headers=headers, timeout_s=self.timeout_s)
         return _picture(answer, self.url)
 
 
 def images_from_environment(environment: Mapping[str, str] | None = None, model: str | None = None) -> HttpImages:
-    """The image model that the environment names, or ``model`` on its server; a :class:`ModelError` says what is
-    missing.
+    """Return the image model that the environment names, or ``model`` on its server.
+
+    Raises :class:`ModelError` if a variable is missing.
     """
     env = os.environ if environment is None else environment
     missing = [name for name in (URL, MODEL) if not (env.get(name) or (name == MODEL and model))]
@@ -67,24 +66,12 @@ def images_from_environment(environment: Mapping[str, str] | None = None, model:
     return HttpImages(env[URL], model or env[MODEL], env.get(KEY, ""))
 
 
-def multipart(fields: Mapping[str, str], files: Sequence[tuple[str, str, str, bytes]]) -> tuple[bytes, str]:
-    """A multipart/form-data body (RFC 7578) and its content type; ``files`` are (field, file name, type, data)."""
-    mark = uuid.uuid5(uuid.NAMESPACE_OID, json.dumps([dict(fields), [len(f[3]) for f in files]])).hex
-    rows = []
-    for name, value in fields.items():
-        rows.append(f'--{mark}\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n{value}\r\n'.encode())
-    for name, file, kind, data in files:
-        head = f'--{mark}\r\nContent-Disposition: form-data; name="{name}"; filename="{file}"\r\n'
-        rows += [f"{head}Content-Type: {kind}\r\n\r\n".encode(), data, b"\r\n"]
-    return b"".join([*rows, f"--{mark}--\r\n".encode()]), f"multipart/form-data; boundary={mark}"
-
-
-def _file(k: int, data: bytes) -> tuple[str, str]:
-    """A file name and the media type of a picture."""
+def _form_file(k: int, data: bytes) -> tuple[str, bytes, str]:
+    """Return the file name, data and media type of a picture."""
     if data.startswith(PNG):
-        return f"picture_{k}.png", "image/png"
+        return f"picture_{k}.png", data, "image/png"
     if data.startswith(JPEG):
-        return f"picture_{k}.jpg", "image/jpeg"
+        return f"picture_{k}.jpg", data, "image/jpeg"
     raise ModelError("pictures for the image model are PNG or JPEG")
 
 

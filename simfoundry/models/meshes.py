@@ -1,15 +1,14 @@
-"""Models that make a mesh of a picture, behind one method."""
+"""Models that turn a picture into a mesh, behind one method."""
 
 from __future__ import annotations
 
 import base64
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from simfoundry.models.web import SECONDS, ModelError, post
+from simfoundry.models.web import TIMEOUT_S, ModelError, post
 
 URL = "SIMFOUNDRY_MESHES_URL"
 """The variable of the environment that says where the mesh model is."""
@@ -24,7 +23,7 @@ class MeshMaker(Protocol):
     """Makes meshes of pictures."""
 
     def make(self, picture: bytes, seed: int) -> bytes:
-        """A GLB, y up, in any unit, of what a PNG with a transparent background shows; raises :class:`ModelError`."""
+        """Return a GLB, y up, any unit, of a PNG with a transparent background; raises :class:`ModelError`."""
         ...
 
 
@@ -42,10 +41,10 @@ class HttpMeshes:
     url: str
     texture: bool = True
     faces: int = 20_000
-    seconds: float = SECONDS
+    timeout_s: float = TIMEOUT_S
 
     def make(self, picture: bytes, seed: int) -> bytes:
-        """The mesh of a picture."""
+        """Return the mesh of a picture."""
         asked = {
             "image": base64.b64encode(picture).decode(),
             "seed": seed % SEEDS,
@@ -53,11 +52,9 @@ class HttpMeshes:
             "face_count": self.faces,
             "type": "glb",
         }
-        headers = {"Content-Type": "application/json"}
         try:
-            data = post(
-                f"{self.url.rstrip('/')}/generate", json.dumps(asked).encode(), headers, "the mesh model", self.seconds
-            )
+            url = f"{self.url.rstrip('/')}/generate"
+            data = post(url, "the mesh model", json=asked, timeout_s=self.timeout_s)
         except ModelError as error:
             if self.texture and " 404 " in str(error):
                 hint = "; was it started with --enable_tex? without it, say `texture: false` of the recipe's `models`"
@@ -69,7 +66,7 @@ class HttpMeshes:
 
 
 def meshes_from_environment(environment: Mapping[str, str] | None = None, texture: bool = True) -> HttpMeshes:
-    """The mesh model that the environment names; a :class:`ModelError` says what is missing."""
+    """Return the mesh model that the environment names; a :class:`ModelError` names a missing variable."""
     env = os.environ if environment is None else environment
     if not env.get(URL):
         raise ModelError(f"no mesh model: set {URL} to the address of a server with Hunyuan3D-2's API")

@@ -19,31 +19,31 @@ from simfoundry.runtime.extras import install_line
 if TYPE_CHECKING:
     from pydantic_ai.models import Model
 
-SECONDS = 120.0
-"""An answer takes no longer than this [s]."""
+TIMEOUT_S = 120.0
+"""Time for one answer [s]: thinking models take up to a minute."""
 
-TOKENS = 16_000
-"""And has no more tokens than this, thinking included."""
+MAX_TOKENS = 16_000
+"""Tokens of one answer, thinking included: a task proposal takes about 2,000 without thinking."""
 
-MOST_BYTES, MOST_PICTURES = 10 * 2**20, 16
-"""Pictures that are sent at once: bytes of all together, and how many."""
+MAX_BYTES, MAX_PICTURES = 10 * 2**20, 16
+"""Bounds of the pictures in one request [bytes, count]: providers refuse requests of about 20 MB."""
 
-MOST_PROMPT = 200_000
-"""Letters of a prompt at most."""
+MAX_PROMPT = 200_000
+"""Longest prompt [characters]: about 50,000 tokens, which every current model takes."""
 
-TRIES = 2
-"""How often a model is told that its answer is not of the right form."""
+RETRIES = 2
+"""Times that a model is asked to correct the form of its answer."""
 
 KINDS = ((b"\x89PNG\r\n\x1a\n", "image/png"), (b"\xff\xd8\xff", "image/jpeg"))
 
 Mode = Literal["native", "tool", "prompt"]
-"""How a typed answer is asked for: by the model's own JSON schema, as a call of a tool, or in words."""
+"""Form of a request for a typed answer: by the model's own JSON schema, as a call of a tool, or in words."""
 
 Answer = TypeVar("Answer", bound=BaseModel)
 
 
 class VlmError(SimfoundryError):
-    """A model that gave no answer that can be used; the message says why, and what to do about it."""
+    """A model without a usable answer; the message says why, and what to do."""
 
 
 class Vlm:
@@ -59,15 +59,15 @@ class Vlm:
         base_url: str | None = None,
         mode: Mode = "native",
         temperature: float | None = None,
-        seconds: float = SECONDS,
-        tokens: int = TOKENS,
+        timeout_s: float = TIMEOUT_S,
+        max_tokens: int = MAX_TOKENS,
     ) -> None:
         self._model = _model(model, base_url)
         self._mode = mode
-        self._settings: dict[str, Any] = {"max_tokens": tokens, "timeout": seconds}
+        self._settings: dict[str, Any] = {"max_tokens": max_tokens, "timeout": timeout_s}
         if temperature is not None:
             self._settings["temperature"] = temperature
-        self._seconds = seconds
+        self._timeout_s = timeout_s
 
     @property
     def name(self) -> str:
@@ -75,7 +75,7 @@ class Vlm:
         return str(self._model.model_name)
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[Answer]) -> Answer:
-        """A typed answer. ``pictures`` are the bytes of PNG or JPEG files. Raises :class:`VlmError`."""
+        """Return a typed answer. ``pictures`` are the bytes of PNG or JPEG files. Raises :class:`VlmError`."""
         from pydantic_ai import NativeOutput, PromptedOutput, ToolOutput
 
         kind: Any = {"native": NativeOutput, "tool": ToolOutput, "prompt": PromptedOutput}[self._mode]
@@ -83,16 +83,16 @@ class Vlm:
         assert isinstance(found, answer)
         return found
 
-    def tell(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
-        """An answer in words. Raises :class:`VlmError`."""
+    def ask_text(self, prompt: str, pictures: Sequence[bytes] = ()) -> str:
+        """Return an answer in words. Raises :class:`VlmError`."""
         return str(self._run(prompt, pictures, str))
 
     def _run(self, prompt: str, pictures: Sequence[bytes], output: Any) -> Any:
         from pydantic_ai import Agent, exceptions
         from pydantic_ai.usage import UsageLimits
 
-        agent: Any = Agent(self._model, output_type=output, retries=TRIES)
-        limits = UsageLimits(request_limit=TRIES + 1)
+        agent: Any = Agent(self._model, output_type=output, retries=RETRIES)
+        limits = UsageLimits(request_limit=RETRIES + 1)
         try:
             result = agent.run_sync(
                 _message(prompt, pictures), model_settings=self._settings, usage_limits=limits, timeout=self._budget
@@ -104,7 +104,7 @@ class Vlm:
             ) from None
         except exceptions.UnexpectedModelBehavior as error:
             raise VlmError(
-                f"{self.name} gave no answer of the right form in {TRIES + 1} tries: {_short(error)}"
+                f"{self.name} gave no answer of the right form in {RETRIES + 1} tries: {_short(error)}"
             ) from None
         except exceptions.AgentRunError as error:
             raise VlmError(f"{self.name} gave no answer: {_short(error)}") from None
@@ -115,7 +115,7 @@ class Vlm:
     @property
     def _budget(self) -> float:
         """Time for all tries together [s]."""
-        return self._seconds * (TRIES + 1)
+        return self._timeout_s * (RETRIES + 1)
 
 
 def _model(model: str | Model, base_url: str | None) -> Model:
@@ -146,11 +146,11 @@ def _message(prompt: str, pictures: Sequence[bytes]) -> list[Any]:
     """Pictures first, then what is asked of them."""
     from pydantic_ai import BinaryContent
 
-    if len(prompt) > MOST_PROMPT:
-        raise VlmError(f"a prompt has at most {MOST_PROMPT} letters, not {len(prompt)}")
+    if len(prompt) > MAX_PROMPT:
+        raise VlmError(f"a prompt has at most {MAX_PROMPT} letters, not {len(prompt)}")
     size = sum(map(len, pictures))
-    if len(pictures) > MOST_PICTURES or size > MOST_BYTES:
-        most = f"{MOST_PICTURES} pictures of {MOST_BYTES / 2**20:.0f} MiB together"
+    if len(pictures) > MAX_PICTURES or size > MAX_BYTES:
+        most = f"{MAX_PICTURES} pictures of {MAX_BYTES / 2**20:.0f} MiB together"
         raise VlmError(f"at most {most} are sent, not {len(pictures)} of {size / 2**20:.1f} MiB; make them smaller")
     return [*(BinaryContent(data=data, media_type=_kind(data)) for data in pictures), prompt]
 

@@ -1,46 +1,62 @@
-"""Requests to servers of models: bounded in time and size, and what went wrong in one sentence."""
+"""HTTP requests to model servers: bounded in time and size, with every failure told in one sentence."""
 
 from __future__ import annotations
 
-import urllib.error
-import urllib.request
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from simfoundry.errors import SimfoundryError
 
-SECONDS = 300.0
-"""A generator of meshes takes a minute or two."""
+TIMEOUT_S = 300.0
+"""Time that a server may stay silent [s]: mesh generators take a minute or two."""
 
-MOST_BYTES = 256 * 2**20
-"""No picture and no mesh that can be used is larger."""
+MAX_BYTES = 256 * 2**20
+"""Largest answer [bytes]: no usable picture or mesh is larger."""
+
+MAX_QUOTE = 300
+"""Length of a server's error text that is quoted [characters]: its first sentences."""
+
+FormFile = tuple[str, tuple[str, bytes, str]]
+"""A file of a multipart form: field, then file name, data and media type."""
 
 
 class ModelError(SimfoundryError):
-    """A model gave no answer that can be used; the message says which, why, and what to do."""
+    """A model without a usable answer; the message says which model, why, and what to do."""
 
 
 def post(
-    url: str, body: bytes, headers: Mapping[str, str], what: str, seconds: float = SECONDS, most: int = MOST_BYTES
+    url: str,
+    server: str,
+    json: Mapping[str, Any] | None = None,
+    form: Mapping[str, str] | None = None,
+    files: Sequence[FormFile] = (),
+    headers: Mapping[str, str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+    max_bytes: int = MAX_BYTES,
 ) -> bytes:
-    """The body of the answer to a POST. ``what`` names the server in errors, as `the image model`.
+    """Send a POST with a JSON body or a multipart form and return the body of the answer.
 
-    Raises :class:`ModelError` for an address that is none, no answer in ``seconds``, a status other than success, and
-    more than ``most`` bytes.
+    ``server`` names the server in errors, as `the image model`. Raises :class:`ModelError` for an address that is not
+    HTTP, no answer within ``timeout_s``, a status other than success, and more than ``max_bytes``.
     """
+    import httpx
+
     if not url.startswith(("http://", "https://")):
-        raise ModelError(f"{what} needs an address that starts with http:// or https://, not `{url}`")
-    request = urllib.request.Request(url, data=body, headers=dict(headers), method="POST")
+        raise ModelError(f"{server} needs an address that starts with http:// or https://, not `{url}`")
+    body: dict[str, Any] = {"json": json} if json is not None else {"data": form, "files": list(files)}
     try:
-        with urllib.request.urlopen(request, timeout=seconds) as answer:
-            data: bytes = answer.read(most + 1)
-    except urllib.error.HTTPError as error:
-        said = " ".join(error.read(300).decode(errors="replace").split())
-        raise ModelError(f"{what} at {url} answered {error.code} {error.reason}: {said}") from None
-    except (urllib.error.URLError, TimeoutError, OSError, ValueError) as error:
-        reason = getattr(error, "reason", None) or error
+        with httpx.stream("POST", url, **body, headers=headers, timeout=timeout_s, follow_redirects=True) as answer:
+            data = b""
+            for chunk in answer.iter_bytes():
+                data += chunk
+                if len(data) > max_bytes:
+                    raise ModelError(f"{server} at {url} answered with more than {max_bytes // 2**20} MiB")
+    except (httpx.HTTPError, httpx.InvalidURL) as error:
+        reason = str(error) or type(error).__name__
         raise ModelError(
-            f"{what} at {url} does not answer ({reason}); is it running, and is the address right?"
+            f"{server} at {url} does not answer ({reason}); is it running, and is the address right?"
         ) from None
-    if len(data) > most:
-        raise ModelError(f"{what} at {url} answered with more than {most // 2**20} MiB")
+    if not answer.is_success:
+        quote = " ".join(data[:MAX_QUOTE].decode(errors="replace").split())
+        raise ModelError(f"{server} at {url} answered {answer.status_code} {answer.reason_phrase}: {quote}")
     return data

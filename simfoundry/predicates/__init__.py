@@ -1,7 +1,32 @@
-"""Predicates: whether a cup is on a plate, in any state, the same for every simulator (docs/predicates.md)."""
+"""Predicates: spatial relations and states of objects, judged alike on the state of every simulator.
 
-from simfoundry.predicates.batch import Poses, StateBatch
-from simfoundry.predicates.judge import Judge, Verdict
-from simfoundry.predicates.shapes import PredicateError
+Each predicate is one file of this folder; :mod:`~simfoundry.predicates.judging` measures and judges. The files are read
+by ``simfoundry check`` as well, which must not load numpy: therefore the judge is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import PredicateError
+    from simfoundry.predicates.judging.judge import Judge, Verdict
+    from simfoundry.predicates.judging.states import Poses, StateBatch
+
+_MODULES = {
+    "Judge": "judge",
+    "Poses": "states",
+    "PredicateError": "bodies",
+    "StateBatch": "states",
+    "Verdict": "judge",
+}
 
 __all__ = ["Judge", "Poses", "PredicateError", "StateBatch", "Verdict"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module `{__name__}` has no attribute `{name}`")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.judging.{_MODULES[name]}"), name)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.ray_casts import Hits, Rays, area_normals, blend, dot, first_hits, pixel_rays, turned, unit
 from simfoundry.render.shading import Points, background, encode_srgb, shade, studio
 from simfoundry.render.surface import Surface, scene_surface
-from simfoundry.scene.frames import Array
 from simfoundry.scene.model import Camera, Scene
 from simfoundry.scene.state import SceneState
 

@@ -9,7 +9,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import (
+from simfoundry.geometry.frames import Array, frozen_array, look_at
+from simfoundry.geometry.ray_casts import (
     NEAREST,
     Hits,
     area_normals,
@@ -20,9 +21,9 @@ from simfoundry.geometry.visibility import (
     turned,
     unit,
 )
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.render.surface import Surface
-from simfoundry.scene.frames import Array, frozen_array, look_at
-from simfoundry.scene.model import LightType, Mesh, Scene
+from simfoundry.scene.model import LightType, Scene
 
 SHADOW_BIAS = 2e-4
 """Something that is closer to a point than this along the light [m] is the point's own surface."""

@@ -8,12 +8,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import area_normals, dot, turned, unit
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.ray_casts import area_normals, dot, turned, unit
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Geometry, Scene, Visual
+from simfoundry.scene.model import Scene, Visual
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.tessellate import tessellate
 
 SEGMENTS = 96
 """How finely round primitives are drawn: the radius of a 5 cm cup is off by at most 27 micrometres."""

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 from simfoundry.review.labels import Label, place_labels
 from simfoundry.review.style import STYLE
 from simfoundry.runtime.outputs import MARK
-from simfoundry.spec.change.compare import Comparison, Side
+from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.poses import motion, words
-from simfoundry.spec.change.diff.words import Entry, summary
+from simfoundry.spec.change.diff.words import MemberChange, summary
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 
@@ -41,7 +41,7 @@ on a surface that is reckoned anew."""
 _MEANING = {"moved": "moved or turned", "changed": "changed or renamed", "added": "added", "removed": "removed"}
 
 
-def page(comparisons: Sequence[Comparison]) -> str:
+def page(comparisons: Sequence[DocumentComparison]) -> str:
     """The page of some documents."""
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
     colors = "".join(f".{mark}{{--mark:#{r:02x}{g:02x}{b:02x}}}" for mark, (r, g, b) in COLORS.items())
@@ -68,18 +68,18 @@ def page(comparisons: Sequence[Comparison]) -> str:
 """
 
 
-def mark_of(entry: Entry) -> str:
+def mark_of(entry: MemberChange) -> str:
     """The mark that decides the colour of a thing."""
     return next((mark for mark in ("added", "removed", "moved") if mark in entry.marks), "changed")
 
 
-def _hover(comparison: Comparison, key: str) -> str:
+def _hover(comparison: DocumentComparison, key: str) -> str:
     """Rules by which an entry and its tags in the pictures light up together."""
     named = [k for k, entry in enumerate(comparison.entries) if entry.name]
     return "".join(f"body:has(.{key}-{k}:hover) .{key}-{k}{{outline:2px solid var(--mark)}}\n" for k in named)
 
 
-def _document(comparison: Comparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
+def _document(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
     yield "<article>"
     yield f"<h1>{escape(comparison.name)}</h1>"
     yield f'<p class="sides"><code>{_label(comparison.old)}</code> → <code>{_label(comparison.new)}</code></p>'
@@ -96,7 +96,7 @@ def _document(comparison: Comparison, lowered: Sequence[Scene | str], key: str) 
     yield "</article>"
 
 
-def _with_moves(comparison: Comparison, lowered: Sequence[Scene | str]) -> Comparison:
+def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
     """The comparison with the moves that no text says: of what stands on or beside something that changed."""
     old, new = lowered if lowered else ("", "")
     if isinstance(old, str) or isinstance(new, str):
@@ -114,7 +114,7 @@ def _with_moves(comparison: Comparison, lowered: Sequence[Scene | str]) -> Compa
             continue
         told = words(found)
         if entry is None:
-            entries.append(Entry("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
+            entries.append(MemberChange("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
         else:
             marks = ("moved", *entry.marks)
             entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))
@@ -125,7 +125,7 @@ def _label(side: Side | None) -> str:
     return escape(side.label) if side is not None else "nothing"
 
 
-def _entry(entry: Entry, key: str) -> str:
+def _entry(entry: MemberChange, key: str) -> str:
     verbs = f" {escape(', '.join(entry.verbs))}" if entry.verbs else ""
     facts = [escape(fact) for fact in entry.facts]
     if not entry.name:
@@ -134,7 +134,7 @@ def _entry(entry: Entry, key: str) -> str:
     return f'<li class="{mark_of(entry)} {key}"><b>{escape(entry.subject)}</b>{verbs}{tail}</li>'
 
 
-def _findings(comparison: Comparison) -> Iterator[str]:
+def _findings(comparison: DocumentComparison) -> Iterator[str]:
     if comparison.findings:
         yield "<h2>Errors</h2>"
         yield '<ul class="findings">'
@@ -147,7 +147,7 @@ def _findings(comparison: Comparison) -> Iterator[str]:
 # -- pictures -------------------------------------------------------------------------------------------------------
 
 
-def _lowered_sides(comparison: Comparison) -> tuple[Scene | str, ...]:
+def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
     """Both scenes, or why one cannot be shown; nothing for documents of other kinds."""
     sides = (comparison.old, comparison.new)
     if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
@@ -155,7 +155,7 @@ def _lowered_sides(comparison: Comparison) -> tuple[Scene | str, ...]:
     return tuple(_lowered(side) for side in sides)
 
 
-def _pictures(comparison: Comparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
+def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
     """Both scenes side by side, or the reason why one is not shown; nothing for documents of other kinds."""
     if not lowered:
         return
@@ -180,7 +180,7 @@ def _pictures(comparison: Comparison, lowered: Sequence[Scene | str], key: str) 
         yield f'<p class="legend">{"".join(swatches)}</p>'
 
 
-def _tints(comparison: Comparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
+def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
     """The tints of both scenes; an object has one tint, also under a new name."""
     from simfoundry.review.pictures import tints_of
 
@@ -218,20 +218,20 @@ def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
     return next((c for c in scene.cameras if c.name == side.spec.viewpoint), None)
 
 
-def _keys(comparison: Comparison, key: str, new: bool) -> dict[str, tuple[str, Entry]]:
+def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
     """The changed objects of the old or the new scene by the name that they have there, each with its CSS class."""
-    out: dict[str, tuple[str, Entry]] = {}
+    out: dict[str, tuple[str, MemberChange]] = {}
     for k, entry in enumerate(comparison.entries):
         if entry.section == "objects":
             out.setdefault(entry.name if new else entry.was or entry.name, (f"{key}-{k}", entry))
     return out
 
 
-def _colors(comparison: Comparison, new: bool) -> dict[str, tuple[int, int, int]]:
+def _colors(comparison: DocumentComparison, new: bool) -> dict[str, tuple[int, int, int]]:
     return {name: COLORS[mark_of(entry)] for name, (_, entry) in _keys(comparison, "", new).items()}
 
 
-def _figure(side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, Entry]], caption: str) -> str:
+def _figure(side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, MemberChange]], caption: str) -> str:
     label = f"{caption}: <code>{_label(side)}</code>"
     if isinstance(shown, str):
         return f'<figure><div class="none">{escape(shown)}</div><figcaption>{label}</figcaption></figure>'
@@ -241,7 +241,7 @@ def _figure(side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, 
     return f'<figure><div class="view">{image}{tags}</div><figcaption>{label}</figcaption></figure>'
 
 
-def _tag(label: Label, key: str, entry: Entry) -> str:
+def _tag(label: Label, key: str, entry: MemberChange) -> str:
     """A label, and the line from it to what it names."""
     mark = mark_of(entry)
     top, height = min(label.y, label.thing_y), abs(label.thing_y - label.y)

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.render.raycast import raycast
 from simfoundry.render.surface import scene_surface
 from simfoundry.scene.bodies import GREY
-from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.model import Camera, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480

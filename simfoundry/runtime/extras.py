@@ -1,4 +1,4 @@
-"""What can be installed beside SimFoundry: what each extra is for, its packages, and the line that installs it."""
+"""Optional packages: the purpose of each extra, its packages, and the line that installs it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Extra:
 
 
 def is_installed(module: str) -> bool:
-    """Whether a top-level module can be imported, which is not tried."""
+    """Return whether a top-level module can be found; it is not imported."""
     if module in sys.modules:
         return sys.modules[module] is not None  # None stands for one that must not be imported
     try:

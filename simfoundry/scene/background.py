@@ -10,16 +10,17 @@ import numpy as np
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.assets.splat import read_splat
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.bodies import GREY
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import Background, Mesh, Visual
+from simfoundry.scene.model import Background, Visual
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models import scene as spec
 
 
-def lower_background(loaded: Loaded, written: spec.Background, X_WB: Pose) -> Background:
+def lower_background(loaded: Loaded, written: spec.BackgroundSpec, X_WB: Pose) -> Background:
     """The background of a scene; raises :class:`SpecError` where its file cannot be used."""
     key = "mesh" if written.mesh is not None else "splat"
     path = loaded.file(written.mesh or written.splat or "")

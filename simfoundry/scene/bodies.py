@@ -11,35 +11,20 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import Faces, hull, mesh_colliders
-from simfoundry.assets.errors import LEAST_VOLUME, MeshError, no_volume, not_closed
-from simfoundry.assets.lathe import checked_profile, lathe_error, lathe_mesh, lathe_parts
+from simfoundry.assets.convex import Colliders, Faces, file_key, hull, mesh_colliders, pack_colliders, unpack_colliders
+from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.mesh_summary import mesh_facts
 from simfoundry.assets.primitives import Primitive
-from simfoundry.assets.prism import checked_outline, convex_outlines, prism_mesh
-from simfoundry.scene.frames import IDENTITY, Array, Pose
-from simfoundry.scene.frames import frozen_array as frozen
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Link,
-    Mesh,
-    Sphere,
-    Visual,
-)
-from simfoundry.spec.models.asset import Inertial, Part
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.model import Collider, Link, Visual
+from simfoundry.scene.shape_bodies import ShapeSpec, shape_body
+from simfoundry.spec.models.asset import Inertial, PartSpec
 from simfoundry.spec.models.base import (
-    Body,
-    BoxShape,
-    CapsuleShape,
-    CylinderShape,
-    LatheShape,
+    BodySpec,
     Material,
-    PrismShape,
-    SphereShape,
     quantity_value,
 )
 
@@ -50,43 +35,50 @@ USUAL_DENSITY = 1000.0
 LEAST_MASS = LEAST_MOMENT = 1e-15
 """What moves and has less mass [kg] or less inertia [kg m^2], MuJoCo refuses."""
 
-ShapeSpec = BoxShape | SphereShape | CylinderShape | CapsuleShape | PrismShape | LatheShape
-
 
 @dataclass
 class BodyBuilder:
     """Collects the parts of one link, then computes the link. Raises :class:`MeshError` for meshes it cannot use.
 
-    Where it is ``weighed`` already, no part needs a volume.
+    Where it is ``weighed`` already, no part needs a volume. A ``draft`` shows no meshes and never cuts one: of a mesh
+    whose convex parts no cache has, the hull stands for it, and the link ``is_approximate``.
     """
 
     name: str
-    body: Body
+    body: BodySpec
     materials: dict[str, Material]
     cache: Cache | None
     weighed: bool = False
+    draft: bool = False
+    is_approximate: bool = False
     visuals: list[Visual] = field(default_factory=list)
     colliders: list[Collider] = field(default_factory=list)
     solids: list[tuple[str, float | None, mass.Solid]] = field(default_factory=list)
     collision_error: float = 0.0
     report: Callable[[str], object] = lambda said: None
 
-    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+    def add_shape(self, name: str, shape: ShapeSpec, X_LG: Pose, part: PartSpec | None, show: bool = True) -> None:
         """Add a primitive posed in the link; ``show`` is False where another mesh is shown in its place."""
-        geometry, solid, touching, error = _primitive(shape)
+        body = shape_body(shape, self.cache)
         if show and _use(part) != "collision":
-            self.visuals.append(Visual(name, geometry, self._rgba(part, None), X_LG))
+            self.visuals.append(Visual(name, body.visual, self._rgba(part, None), X_LG))
         if _use(part) == "visual":
             return
         if self.body.collision != "none":
-            self.collision_error = max(self.collision_error, error)
-            names = [name] if touching[0] is geometry else _piece_names(name, len(touching), part)
-            for label, piece in zip(names, touching, strict=True):
+            self.collision_error = max(self.collision_error, body.error)
+            is_cut = body.colliders[0] is not body.visual
+            names = _piece_names(name, len(body.colliders), part) if is_cut else [name]
+            for label, piece in zip(names, body.colliders, strict=True):
                 self._collide(label, piece, X_LG, part)
-        self._weigh(name, solid, X_LG, part)
+        self._weigh(name, body.solid, X_LG, part)
 
-    def add_mesh(self, name: str, path: Path, scale: float, X_LG: Pose, part: Part | None, show: bool = True) -> None:
+    def add_mesh(
+        self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
+    ) -> None:
         """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
+        if self.draft:
+            self._add_summary(name, path, scale, X_LG, part)
+            return
         pieces = read_mesh(path, scale)
         if show and _use(part) != "collision":
             self._show(name, pieces, X_LG, part)
@@ -102,6 +94,11 @@ class BodyBuilder:
         elif mass.mesh(vertices, faces).volume < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
         found = mesh_colliders(vertices, faces, self.body.collision, self.cache, path.name, self.report)
+        if self.cache is not None and self.body.collision != "none":
+            self.cache.put(file_key(path, scale, self.body.collision), pack_colliders(found))
+        self._add_colliders(name, found, X_LG, part)
+
+    def _add_colliders(self, name: str, found: Colliders, X_LG: Pose, part: PartSpec | None) -> None:
         self.collision_error = max(self.collision_error, found.error)
         if found.primitive is not None:
             geometry, X_GP = _fitted(found.primitive)
@@ -109,11 +106,38 @@ class BodyBuilder:
         for label, (corners, sides) in zip(_piece_names(name, len(found.parts), part), found.parts, strict=True):
             self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
 
+    def _add_summary(self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None) -> None:
+        """Add what is known of a mesh file without cutting it: its mass, and its convex parts or hull."""
+        summary = mesh_facts(path, self.cache)
+        if _use(part) == "visual":
+            wrong = implausible_size(path.name, summary.size * scale, scale)
+        else:
+            wrong = summary.fault(path.name, scale, "given" if self.weighed else self.body.solid, self.body.collision)
+        if wrong is not None:
+            raise wrong
+        if _use(part) == "visual":
+            return
+        if not self.weighed:
+            self._weigh(name, summary.solid(scale, self.body.solid == "hull"), X_LG, part)
+        if self.body.collision == "none":
+            return
+        stored = self.cache.get(file_key(path, scale, self.body.collision)) if self.cache is not None else None
+        found = unpack_colliders(stored) if stored is not None else None
+        if found is None:
+            found = Colliders((hull(np.array(summary.hull) * scale),))
+            self.is_approximate |= self.body.collision != "hull" and not summary.is_nearly_convex
+        self._add_colliders(name, found, X_LG, part)
+
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
         """Add a mesh file that is only looked at."""
+        if self.draft:
+            wrong = implausible_size(path.name, mesh_facts(path, self.cache).size * scale, scale)
+            if wrong is not None:
+                raise wrong
+            return
         self._show(name, read_mesh(path, scale), IDENTITY, None)
 
-    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: Part | None) -> None:
+    def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: PartSpec | None) -> None:
         for k, piece in enumerate(pieces):
             uv = None if piece.uv is None else frozen(piece.uv)
             mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
@@ -172,22 +196,22 @@ class BodyBuilder:
             raise no_volume(name)
         return solid, faces
 
-    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: Part | None) -> None:
+    def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: PartSpec | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
         self.solids.append((name, self._material(part).density, moved))
 
-    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: Part | None) -> None:
+    def _collide(self, name: str, geometry: Geometry, X_LG: Pose, part: PartSpec | None) -> None:
         material = self._material(part)
         friction = material.friction if self.body.friction is None else self.body.friction
         restitution = material.restitution if self.body.restitution is None else self.body.restitution
         spinning, rolling = material.torsional_friction, material.rolling_friction
         self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling))
 
-    def _material(self, part: Part | None) -> Material:
+    def _material(self, part: PartSpec | None) -> Material:
         name = part.material if part is not None and part.material is not None else self.body.material
         return Material() if name is None else self.materials[name]
 
-    def _rgba(self, part: Part | None, default: tuple[float, float, float, float] | None) -> Array:
+    def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:
         """The colour by the nearest word on it: the part's, the body's, the mesh's own, the material's, grey."""
         for color in (part.color if part is not None else None, self.body.color, default, self._material(part).color):
             if color is not None:
@@ -195,12 +219,12 @@ class BodyBuilder:
         return frozen(GREY)
 
 
-def _use(part: Part | None) -> str:
+def _use(part: PartSpec | None) -> str:
     """What a part is for; whatever is no part is for both."""
     return "both" if part is None else part.use
 
 
-def _piece_names(name: str, count: int, part: Part | None) -> list[str]:
+def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
     """What the convex parts of a piece are called: numbered, but for one alone where nothing seen has the name."""
     return [name] if count == 1 and _use(part) == "collision" else [f"{name}_{k}" for k in range(count)]
 
@@ -222,46 +246,6 @@ def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
             return Cylinder(*primitive.size), X_GP
         case "sphere":
             return Sphere(*primitive.size), Pose.of(primitive.centre)
-
-
-def _primitive(shape: ShapeSpec) -> tuple[Geometry, mass.Solid, list[Geometry], float]:
-    """What is shown, what it weighs at density 1, what touches, and how far that is from the shape at most [m]."""
-    geometry: Geometry
-    match shape:
-        case BoxShape():
-            geometry, solid = Box(frozen(shape.box)), mass.box(np.array(shape.box))
-        case SphereShape():
-            geometry, solid = Sphere(shape.sphere), mass.sphere(shape.sphere)
-        case CylinderShape():
-            c = shape.cylinder
-            geometry, solid = Cylinder(c.radius, c.height), mass.cylinder(c.radius, c.height)
-        case CapsuleShape():
-            c = shape.capsule
-            geometry, solid = Capsule(c.radius, c.height), mass.capsule(c.radius, c.height)
-        case PrismShape():
-            outline = checked_outline(np.array(shape.prism.outline))
-            vertices, faces = prism_mesh(outline, shape.prism.height)
-            pieces = [prism_mesh(p, shape.prism.height) for p in convex_outlines(outline)]
-            return _meshes((vertices, faces), pieces)
-        case LatheShape():
-            profile = checked_profile(np.array(shape.lathe.profile))
-            parts = [hull(points) for points in lathe_parts(profile)]
-            shown, _, touching, _ = _meshes(lathe_mesh(profile), parts)
-            return shown, mass.revolution(profile), touching, lathe_error(profile, parts)
-    return geometry, solid, [geometry], 0.0
-
-
-def shape_solid(shape: ShapeSpec) -> mass.Solid:
-    """What a shape weighs at density 1, in its own frame."""
-    return _primitive(shape)[1]
-
-
-def _meshes(
-    whole: tuple[Array, Faces], parts: list[tuple[Array, Faces]]
-) -> tuple[Geometry, mass.Solid, list[Geometry], float]:
-    """A shape that simulators know only as a mesh: its surface, its solid, its convex parts, which tile it exactly."""
-    shown, *touching = (Mesh(frozen(vertices), _faces(faces)) for vertices, faces in (whole, *parts))
-    return shown, mass.mesh(*whole), list(touching), 0.0
 
 
 def _faces(faces: Faces) -> Faces:

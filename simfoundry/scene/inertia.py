@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType
 from simfoundry.scene.trees import Tree

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import IDENTITY, Pose
+from simfoundry.geometry.frames import IDENTITY, Pose
 from simfoundry.scene.model import Joint, JointType, SceneObject
 
 

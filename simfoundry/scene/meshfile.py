@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from simfoundry.scene.model import Mesh
+from simfoundry.geometry.shapes import Mesh
 
 
 def obj_bytes(mesh: Mesh, material_file: str | None = None) -> bytes:

@@ -13,12 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from simfoundry.scene.drop import heights
-from simfoundry.scene.frames import IDENTITY, Array, Pose, quat_from_rpy
-from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.vertical_contact import heights
+from simfoundry.geometry.walls import hollow, surrounded
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
-from simfoundry.scene.walls import hollow, surrounded
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.models.place import Place
 
 CLEARANCE = 1e-4

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.geometry.frames import Pose, quat_from_rpy, rpy_from_quat
 from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.base import Pose as PoseSpec
+from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.scene import SceneSpec
 
 UPRIGHT_DEG = 0.05

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from simfoundry.scene.frames import IDENTITY, Pose
+from simfoundry.geometry.frames import IDENTITY, Pose
 
 
 class ModelFormat(StrEnum):

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from simfoundry.scene.frames import IDENTITY, Array, Pose
-from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Joint, JointType, Mesh, Scene, SceneObject, Sphere
+from simfoundry.geometry.frames import IDENTITY
+from simfoundry.geometry.shapes import Geometry, Mesh
+from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Estimate
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
@@ -134,42 +133,3 @@ def _kind(written: ObjectSpec, item: SceneObject) -> str:
     if written.shape is not None:
         return next(iter(type(written.shape).model_fields))
     return f"{len(item.links)} links" if len(item.links) > 1 else "mesh"
-
-
-def bounds(item: SceneObject) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
-    poses = link_poses(item)
-    spans = [
-        _span(part.geometry, poses[link.name] @ part.X_LG)
-        for link in item.links
-        for part in link.colliders or link.visuals
-    ]
-    if not spans:
-        return np.zeros(3), np.zeros(3)
-    return np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
-
-
-def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] of a geometry posed in a frame."""
-    axes = np.abs(X_OG.rotation)
-    match geometry:
-        case Mesh():
-            points = X_OG.apply(geometry.vertices)
-            return points.min(axis=0), points.max(axis=0)
-        case Box():
-            half = axes @ (geometry.size / 2)
-        case Sphere():
-            half = np.full(3, geometry.radius)
-        case Cylinder():
-            half = axes[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
-        case Capsule():
-            half = axes[:, 2] * geometry.height / 2 + geometry.radius
-    return X_OG.p - half, X_OG.p + half
-
-
-def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
-    """Lowest and highest corner [m] in the world of the object's own bounding box posed at ``X_WO``."""
-    low, high = bounds(item)
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    moved = X_WO.apply(corners)
-    return moved.min(axis=0), moved.max(axis=0)

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker, say
+from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool, report_progress
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 
-SILENT_S = 900.0
-"""More than a decomposition may take, during which a worker says nothing [s]."""
-
-LEAST_MEMORY = 6 * 2**30
-"""Bytes of address space that a worker has at least; of a large machine it has its share."""
+SILENCE_S = 900.0
+"""Longest time that a worker may report nothing [s]: the longest decomposition measured took 300 s."""
 
 FUNCTION = "simfoundry.targets.batch:compile_job"
 """What the workers call."""
@@ -72,50 +67,28 @@ def compile_all(
     needs too much memory fails its job, with what it was doing, and another takes its place.
     """
     outcomes: dict[int, CompileOutcome] = {}
-    todo = iter(range(len(jobs)))
-    lock = threading.Lock()
-
-    def next_one() -> int | None:
-        with lock:
-            return next(todo, None)
-
-    def heard(job: CompileJob) -> Callable[[str], object]:
-        return lambda said: report(f"{job.scene.name}: {said}", len(outcomes))
-
-    def serve(worker: Worker) -> None:
-        while (k := next_one()) is not None:
-            job = jobs[k]
-            outcomes[k] = _contained(worker, function, job, heard(job))
-            report(job.scene.name, len(outcomes))
-
-    pool = [Worker(limits or _limits(workers)) for _ in range(min(workers, len(jobs)))]
-    threads = [threading.Thread(target=serve, args=(worker,), daemon=True) for worker in pool]
+    size = min(workers, len(jobs))
+    pool = WorkerPool(
+        size,
+        limits or Limits.shared(SILENCE_S, workers),
+        lambda k, text: report(f"{jobs[k].scene.name}: {text}", len(outcomes)),
+    )
     try:
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        for k, job in enumerate(jobs):
+            pool.submit(k, function, job)
+        for _ in jobs:
+            k, result = pool.next()
+            outcomes[k] = _failure(jobs[k], result) if isinstance(result, WorkerError) else result
+            report(jobs[k].scene.name, len(outcomes))
     finally:
-        with lock:
-            todo = iter(())
-        for worker in pool:
-            worker.close()
+        pool.close()
     return [outcomes[k] for k in range(len(jobs))]
 
 
-def _limits(workers: int) -> Limits:
-    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
-        return Limits(SILENT_S, max(LEAST_MEMORY, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // workers))
-    return Limits(SILENT_S, LEAST_MEMORY)
-
-
-def _contained(worker: Worker, function: str, job: CompileJob, hear: Callable[[str], object]) -> CompileOutcome:
-    try:
-        outcome: CompileOutcome = worker.call(function, job, hear=hear)
-    except FailedError as error:
-        during = f", at {error.doing}" if error.doing else ""
-        return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
-    return outcome
+def _failure(job: CompileJob, error: WorkerError) -> CompileOutcome:
+    """The outcome of a job whose process failed."""
+    during = f", at {error.doing}" if error.doing else ""
+    return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
 
 
 def compile_job(job: CompileJob) -> CompileOutcome:
@@ -131,13 +104,13 @@ def compile_job(job: CompileJob) -> CompileOutcome:
 
     failed = CompileOutcome(str(job.scene), str(job.out), FAILED)
     try:
-        say("its documents")
+        report_progress("its documents")
         loaded = load_scene(job.scene)
         record = inputs.record(loaded, [find_target(name) for name in dict.fromkeys(job.targets)])
         if not job.force and is_current(job.out, record):
             return _read_back(job)
-        scene = lower(loaded, Cache.default(), lambda name, done, total: say(_object(loaded, name)))
-        say(f"its targets ({', '.join(job.targets)})")
+        scene = lower(loaded, Cache.default(), lambda name, done, total: report_progress(_object(loaded, name)))
+        report_progress(f"its targets ({', '.join(job.targets)})")
         artifacts = build(scene, job.targets, job.out, job.force, record)
     except TargetsError as error:
         return replace(_outcome(job, FAILED, error.artifacts), error=str(error))

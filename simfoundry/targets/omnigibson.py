@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from simfoundry.backends.artifact import number
 from simfoundry.backends.usd import compile_usd
-from simfoundry.scene.frames import IDENTITY, Array, to_xyzw
+from simfoundry.geometry.frames import IDENTITY, Array, to_xyzw
 from simfoundry.scene.model import JointType, Scene, SceneObject
 
 SCENE_FILE = "scene.json"

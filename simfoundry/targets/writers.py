@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 
 from simfoundry.backends.artifact import number
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.targets.omnigibson import omnigibson_files
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Cylinder, Drive, Scene, Sphere
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Cylinder, Sphere
+from simfoundry.scene.model import Drive, Scene
 from simfoundry.verify import rigs
 from simfoundry.verify.process import Run
 from simfoundry.verify.readback import Moment

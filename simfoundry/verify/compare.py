@@ -17,7 +17,8 @@ from simfoundry.backends.artifact import Fidelity, Loss
 from simfoundry.backends.features import feature_of
 from simfoundry.backends.pybullet import SKIN
 from simfoundry.backends.pybullet.inset import inset_hull
-from simfoundry.scene.model import Mesh, Scene
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
 from simfoundry.verify.engines import TOLERANCE, VerifyEngine
 from simfoundry.verify.expected import expected_readback, static_links

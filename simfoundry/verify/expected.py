@@ -9,23 +9,10 @@ from itertools import combinations, product
 import numpy as np
 
 from simfoundry.backends.urdf import capsule_parts
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import (
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-    pair_friction,
-)
+from simfoundry.scene.model import Collider, Joint, JointType, Link, Scene, SceneObject, pair_friction
 from simfoundry.scene.touching import silent_pairs
 from simfoundry.verify.readback import (
     FREE,

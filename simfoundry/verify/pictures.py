@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.frames import look_at
+from simfoundry.geometry.frames import look_at
 from simfoundry.scene.model import Camera, Scene
-from simfoundry.scene.summary import world_bounds
+from simfoundry.scene.object_shapes import world_bounds
 
 WIDTH, HEIGHT = 480, 300
 _FIELD_DEG = 40.0

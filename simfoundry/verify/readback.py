@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 Numbers = tuple[float, ...]
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.model import JointType, Scene, Sphere
+from simfoundry.geometry.shapes import Sphere
+from simfoundry.scene.model import JointType, Scene
 from simfoundry.verify.engines import InstalledEngine
 from simfoundry.verify.process import TIMEOUT_S, Run, ask
 from simfoundry.verify.readback import Moment, pose_of

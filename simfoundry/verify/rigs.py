@@ -8,23 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array, quat_from_rpy
-from simfoundry.scene.model import (
-    Box,
-    Collider,
-    Cylinder,
-    Drive,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    Mimic,
-    Primitive,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.geometry.frames import Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Primitive, Sphere
+from simfoundry.scene.model import Collider, Drive, Joint, JointType, Link, Mimic, Scene, SceneObject, Visual
 
 GRAVITY = 9.81
 """m/s^2, downwards."""

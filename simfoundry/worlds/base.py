@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.robot import WorldRobot
+
+if TYPE_CHECKING:
+    from simfoundry.predicates import Judge, Verdict
 
 Image = NDArray[np.uint8]
 """A colour picture: sRGB, shape (h, w, 3)."""
@@ -75,6 +79,26 @@ class JointFacts:
     drive: Drive | None = None
 
 
+class Judging:
+    """The judge of a world: predicates on the state that it is in, as on any other state of its scene."""
+
+    scene: Scene
+
+    def judge(self, condition: Any) -> Verdict:
+        """Judge a condition, as ``"OnTop(cup, desk)"``, in the present state."""
+        return self._judge(condition, self.state())
+
+    def state(self) -> SceneState:
+        """Return the present state."""
+        raise NotImplementedError
+
+    @cached_property
+    def _judge(self) -> Judge:
+        from simfoundry.predicates import Judge
+
+        return Judge(self.scene)
+
+
 class World(Protocol):
     """A simulator that holds one scene. Use it as a context manager, or call :meth:`close`."""
 
@@ -103,6 +127,10 @@ class World(Protocol):
 
     def state(self) -> SceneState:
         """Poses and speeds of all objects and positions of all joints, those of robots included, now."""
+        ...
+
+    def judge(self, condition: Any) -> Verdict:
+        """Judge a condition, as ``"OnTop(cup, desk)"``, in the present state."""
         ...
 
     def contacts(self) -> list[Contact]:

@@ -6,11 +6,12 @@ import math
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import SceneObject, Sphere
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.worlds.base import Contact, World
 
 UPWARD = 0.5

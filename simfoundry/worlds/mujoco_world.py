@@ -13,13 +13,13 @@ from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.errors import MissingEngineError
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
-from simfoundry.scene.frames import Array, Pose, frozen_array
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
 from simfoundry.worlds.mujoco_surfaces import own_surfaces
@@ -33,7 +33,7 @@ SMALL = 640
 """Pictures of so many pixels along a side, or fewer, are drawn quickly: policies look at them by the thousand."""
 
 
-class MujocoWorld:
+class MujocoWorld(Judging):
     """A :class:`~simfoundry.worlds.World` over MuJoCo; ``model`` and ``data`` are MuJoCo's own."""
 
     def __init__(self, scene: Scene) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.scene.robot import Gripper
 from simfoundry.worlds.robot import unknown_joint
 

@@ -20,12 +20,12 @@ import numpy as np
 
 from simfoundry.backends.pybullet import camera_arguments, compile_pybullet, lighting_arguments
 from simfoundry.errors import MissingEngineError
-from simfoundry.scene.frames import Pose, from_xyzw, frozen_array, to_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Link, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
@@ -37,7 +37,7 @@ BASE = -1
 """PyBullet's index of a body's root link; any other link has the index of the joint above it."""
 
 
-class PybulletWorld:
+class PybulletWorld(Judging):
     """A :class:`~simfoundry.worlds.World` over PyBullet; ``client`` and ``bodies`` (ids by object) are PyBullet's own.
 
     The world is what the shipped ``load.py`` makes of the shipped files.

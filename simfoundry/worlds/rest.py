@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import World

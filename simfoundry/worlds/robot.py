@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 
 class WorldRobot(Protocol):

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.worlds.base import Contact, World
 from simfoundry.worlds.footing import NUDGE_DEG, STEEP, has_foot, is_ball, supporters, topples
 from simfoundry.worlds.rest import is_confined, is_still

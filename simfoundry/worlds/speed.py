@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.scene.model import SceneObject
-from simfoundry.scene.summary import bounds
+from simfoundry.scene.object_shapes import bounds
 
 
 def reach(item: SceneObject) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.model import Drive, JointType, Mimic
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import JointFacts, LinkFacts

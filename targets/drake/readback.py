@@ -15,7 +15,7 @@ from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, RigidBody
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.readback import (
     FREE,
     TIMESTEP,

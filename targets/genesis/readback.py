@@ -9,7 +9,7 @@ from typing import Any
 import genesis as gs
 import numpy as np
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.readback import (
     FREE,
     TIMESTEP,

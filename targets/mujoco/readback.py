@@ -11,8 +11,8 @@ from types import ModuleType
 import mujoco
 import numpy as np
 
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
-from simfoundry.scene.frames import Pose
 from simfoundry.verify.readback import (
     FREE,
     WORLD,

@@ -10,7 +10,7 @@ import newton
 import numpy as np
 import warp as wp
 
-from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify.readback import (
     FREE,
     TIMESTEP,

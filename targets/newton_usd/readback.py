@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pxr import Usd, UsdGeom
 
+from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
-from simfoundry.scene.frames import Pose
 from simfoundry.verify.readback import Session
 
 _newton = import_file(Path(__file__).parents[1] / "newton" / "session.py")

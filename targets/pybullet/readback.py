@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pybullet
 
-from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.verify.readback import (
     FREE,
     WORLD,

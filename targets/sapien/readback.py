@@ -13,7 +13,7 @@ import numpy as np
 import sapien
 from sapien import physx
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.readback import (
     FREE,
     TIMESTEP,

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.verify.readback import (
     FREE,
     WORLD,

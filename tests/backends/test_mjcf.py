@@ -17,9 +17,10 @@ from simfoundry.backends.artifact import Artifact, Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.restitution import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
-from simfoundry.scene.frames import IDENTITY
+from simfoundry.geometry.frames import IDENTITY
+from simfoundry.geometry.shapes import Cylinder, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Collider, Cylinder, Mesh, Scene, Sphere, Visual
+from simfoundry.scene.model import Collider, Scene, Visual
 from tests.mechanisms import mechanisms, rough
 from tests.scenes import all_scenes, box, cabinet, full_scene, pose, primitives_scene, scene_of, solid, textured_object
 

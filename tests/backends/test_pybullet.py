@@ -12,8 +12,9 @@ from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.pybullet import SKIN, compile_pybullet, projection_matrix
 from simfoundry.backends.pybullet.inset import inset_hull
-from simfoundry.scene.frames import frozen_array
-from simfoundry.scene.model import Mesh, Scene, Sphere
+from simfoundry.geometry.frames import frozen_array
+from simfoundry.geometry.shapes import Mesh, Sphere
+from simfoundry.scene.model import Scene
 from tests.mechanisms import mechanisms, rough
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid, textured_object, wedge_mesh
 

@@ -11,7 +11,7 @@ import pytest
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.urdf import compile_urdf
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from tests.mechanisms import mechanisms

@@ -43,7 +43,7 @@ def test_physics_holds_what_urdf_lacks() -> None:
 
 
 def test_surfaces_stand_in_the_order_of_the_urdf() -> None:
-    from simfoundry.scene.model import Capsule
+    from simfoundry.geometry.shapes import Capsule
 
     files = compile_scene(scene_of(solid("pill", Capsule(0.02, 0.06), posed(0, 0, 1))), "urdf").files
     surfaces = json.loads(files["physics.json"])["objects"]["pill"]["links"]["body"]

@@ -18,17 +18,15 @@ from simfoundry.backends.artifact import Fidelity
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.backends.usd import compile_usd
 from simfoundry.backends.usd.joints import joint_frame
-from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import (
-    Box,
     Camera,
     JointType,
     LightType,
-    Mesh,
     Scene,
     SceneObject,
-    Sphere,
     Visual,
     pair_friction,
     pair_restitution,

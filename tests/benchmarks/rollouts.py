@@ -22,7 +22,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observatio
 from simfoundry.evaluate.rollout import Rollout, rollout
 from simfoundry.evaluate.starts import starts
 from simfoundry.evaluate.task import Task, load_task
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.expressions import AllOf, NoneOf
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY

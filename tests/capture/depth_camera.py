@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.shapes.raycast import cast_mesh, first_faces
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.shapes.ray_agreement import cast_mesh, first_faces
 from simfoundry.capture.shapes.unwrap import face_normals
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at
-from simfoundry.scene.model import Geometry
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
 K = np.array([[FOCAL, 0, 158.7], [0, FOCAL * 1.002, 121.4], [0, 0, 1]])
@@ -27,7 +27,7 @@ def yaw_pose(x: float, y: float, z: float, yaw_deg: float) -> Pose:
 
 def see(
     solids: list[Solid], *, eye: Array = EYE, noise: float = NOISE, face_colors: NDArray[np.uint8] | None = None
-) -> tuple[Frame, Support, NDArray[np.int32]]:
+) -> tuple[Frame, SupportSurface, NDArray[np.int32]]:
     """Frame, support and labels (1..n) of solids above the plane z = 0.
 
     ``face_colors`` uint8, shape (6, 3), paints the first solid by the direction of its surface in its own frame:
@@ -61,7 +61,7 @@ def see(
     noisy[flying] = (0.5 * noisy + 0.5 * np.roll(noisy, 1, axis=1))[flying]
     outline = frozen_array([[-0.6, -0.6], [0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])
     frame = Frame(color.reshape(HEIGHT, WIDTH, 3), noisy, K)
-    return frame, Support(X_WC, outline, noise, (picture == 0) & np.isfinite(noisy)), picture
+    return frame, SupportSurface(X_WC, outline, noise, (picture == 0) & np.isfinite(noisy)), picture
 
 
 def blinded(frame: Frame, mask: NDArray[np.bool_], inside: int, outside: int) -> Frame:

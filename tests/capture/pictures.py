@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from simfoundry.capture.frame import Frame
-from simfoundry.scene.frames import Array, Pose, look_at
+from simfoundry.geometry.frames import Array, Pose, look_at
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 290.0
 

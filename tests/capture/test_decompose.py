@@ -8,7 +8,7 @@ import pytest
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame, Segmentation
 from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, photograph
 from tests.corpora.segmentation import available, matched_iou, mosd_pictures, mosd_scores, pictures, segment
 

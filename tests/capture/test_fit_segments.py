@@ -7,8 +7,8 @@ import pytest
 
 from simfoundry.capture.fit_segments import DEEPEST, FOOTHOLD, deepened
 from simfoundry.capture.shapes.fit import FittedShape
-from simfoundry.scene.frames import Pose, quat_from_rpy
-from simfoundry.scene.model import Box, Cylinder
+from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder
 
 EYE = np.array([-0.7, 0.1, 0.6])
 YAW = 0.4

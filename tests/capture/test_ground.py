@@ -5,8 +5,8 @@ import pytest
 from shapely.geometry import Point, Polygon
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Support
-from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.find_support import find_support
 from tests.capture.pictures import Box, Cylinder, Setup, Table, photograph
 from tests.corpora.segmentation import available, pictures
 
@@ -19,7 +19,7 @@ VIEWS = [
 ]
 
 
-def outline_in_table(support: Support, setup: Setup) -> Polygon:
+def outline_in_table(support: SupportSurface, setup: Setup) -> Polygon:
     X_TW = setup.X_TC @ support.X_WC.inverse()
     corners = np.column_stack([support.outline, np.zeros(len(support.outline))])
     return Polygon(X_TW.apply(corners)[:, :2])

@@ -11,7 +11,7 @@ from PIL import Image
 
 from simfoundry.capture.frame import Frame
 from simfoundry.capture.load import load_frame, matrix, register
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.load import load_capture
 from simfoundry.spec.models.capture import Intrinsics

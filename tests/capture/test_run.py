@@ -15,9 +15,9 @@ import pytest
 from PIL import Image
 
 from simfoundry.assets.cache import Cache
+from simfoundry.capture.accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.capture.synthesize import synthesize
-from simfoundry.capture.truth import Comparison, compare
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
@@ -44,7 +44,7 @@ class Desk:
     run: CaptureRun
     folder: Path
     scene: Scene
-    truth: list[Comparison]
+    truth: list[ObjectAccuracy]
 
 
 @pytest.fixture(scope="module")

@@ -18,9 +18,10 @@ from simfoundry.capture.sensor import (
     simulate_frame,
     write_capture,
 )
+from simfoundry.geometry.frames import Array, frozen_array, look_at
+from simfoundry.geometry.shapes import Sphere
 from simfoundry.render.raycast import Raycast, raycast
-from simfoundry.scene.frames import Array, frozen_array, look_at
-from simfoundry.scene.model import Camera, Scene, Sphere
+from simfoundry.scene.model import Camera, Scene
 from tests.tabletop import box, front_camera, one, pose, rgba, tabletop
 
 QUIET = IDEAL

@@ -11,9 +11,9 @@ import trimesh
 from simfoundry.assets import mass
 from simfoundry.capture.errors import CaptureError
 from simfoundry.capture.frame import Frame
-from simfoundry.capture.shapes.fit import PRIOR, Candidate, FittedShape, choose, fit_shape, size_of
-from simfoundry.capture.shapes.raycast import (
-    Agreement,
+from simfoundry.capture.shapes.fit import PRIOR, FitCandidate, FittedShape, choose, fit_shape, size_of
+from simfoundry.capture.shapes.ray_agreement import (
+    RayAgreement,
     agreement,
     cast_box,
     cast_lathe,
@@ -21,9 +21,9 @@ from simfoundry.capture.shapes.raycast import (
     cast_sphere,
 )
 from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.model import Box, Cylinder, Mesh, Sphere
-from simfoundry.scene.tessellate import revolved, tessellate
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh, Sphere
+from simfoundry.geometry.tessellate import revolved, tessellate
 from tests.capture.depth_camera import EYE, NOISE, Solid, blinded, see, yaw_pose
 
 CARTON = (Box(np.array([0.16, 0.06, 0.21])), yaw_pose(0.02, 0.01, 0.105, 37))
@@ -274,8 +274,8 @@ def test_fit_is_deterministic(completed: FittedShape) -> None:
     ("explained", "intrusion", "chosen"), [(0.94, 0.01, "box"), (0.87, 0.0, "completed"), (0.95, 0.2, "completed")]
 )
 def test_a_completed_shape_must_explain_more_than_a_box(explained: float, intrusion: float, chosen: str) -> None:
-    def candidate(family: str, explained: float, intrusion: float, cost: float) -> Candidate:
-        return Candidate(family, CARTON[0], CARTON[1], Agreement(explained, 0.0, intrusion, 0.001, cost))
+    def candidate(family: str, explained: float, intrusion: float, cost: float) -> FitCandidate:
+        return FitCandidate(family, CARTON[0], CARTON[1], RayAgreement(explained, 0.0, intrusion, 0.001, cost))
 
     box = candidate("box", explained, intrusion, 0.33)
     free = candidate("completed", 0.95, 0.0, 0.33 - PRIOR["completed"] - 0.01)

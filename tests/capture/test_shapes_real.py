@@ -15,13 +15,13 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.fit import FittedShape, fit_shape, size_of
-from simfoundry.capture.shapes.raycast import cast_mesh
+from simfoundry.capture.shapes.ray_agreement import cast_mesh
 from simfoundry.capture.shapes.texture import textured_mesh
-from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Box, Cylinder, Mesh
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh
+from simfoundry.geometry.tessellate import tessellate
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
@@ -51,7 +51,7 @@ def load(folder: str, index: int) -> tuple[Frame, dict[str, Any]]:
     return Frame(read(DATA / folder / entry["rgb"])[:, :, ::-1].copy(), depth, np.array(entry["K"], float)), entry
 
 
-def plane_under(frame: Frame, candidates: NDArray[np.bool_]) -> Support:
+def plane_under(frame: Frame, candidates: NDArray[np.bool_]) -> SupportSurface:
     """The plane that most of the candidate pixels lie on, by sampling."""
     points = frame.points[candidates & np.isfinite(frame.depth)]
     rng = np.random.default_rng(0)
@@ -77,10 +77,10 @@ def plane_under(frame: Frame, candidates: NDArray[np.bool_]) -> Support:
     X_WC[:3, 3] = -X_WC[:3, :3] @ origin
     pose = Pose.from_matrix(X_WC)
     height = pose.apply(frame.points)[..., 2]
-    return Support(pose, frozen_array(np.zeros((0, 2))), 0.002, np.abs(height) < 0.008)
+    return SupportSurface(pose, frozen_array(np.zeros((0, 2))), 0.002, np.abs(height) < 0.008)
 
 
-def component_at(frame: Frame, support: Support, u: int, v: int) -> NDArray[np.bool_]:
+def component_at(frame: Frame, support: SupportSurface, u: int, v: int) -> NDArray[np.bool_]:
     """Pixels above the plane that hang together without a step in depth, from a pixel on the object."""
     from scipy import ndimage
 
@@ -94,7 +94,9 @@ def component_at(frame: Frame, support: Support, u: int, v: int) -> NDArray[np.b
 
 
 @functools.cache
-def posecnn(index: int, u: int, v: int, nearer: float = 0.0) -> tuple[FittedShape, Frame, Support, NDArray[np.bool_]]:
+def posecnn(
+    index: int, u: int, v: int, nearer: float = 0.0
+) -> tuple[FittedShape, Frame, SupportSurface, NDArray[np.bool_]]:
     """A fit to the object at pixel (u, v); ``nearer`` [1/m] is what the camera's inverse depth is too large by."""
     frame, _ = load("posecnn_demo", index)
     depth = 1 / (1 / frame.depth - nearer)

@@ -17,11 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.runtime import parallel as spreading
-from simfoundry.runtime.parallel import TRIAL, spread
+from simfoundry.runtime import parallel
+from simfoundry.runtime.parallel import SERIAL_TRIAL, map_parallel
 from simfoundry.spec.check.pages import page
 from simfoundry.spec.check.report import as_github, as_text
-from simfoundry.spec.check.report.model import FORMATS, Checked, Report, gather, renderer
+from simfoundry.spec.check.report.model import FORMATS, Checked, CheckReport, gather, renderer
 from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity
 from simfoundry.spec.yaml.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
@@ -126,7 +126,7 @@ ANY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1,
 @given(message=ANY, hint=ANY, file=ANY.filter(lambda t: "/" not in t and t not in (".", "..")), line=st.integers(0, 9))
 def test_no_text_breaks_out_of_an_annotation(message: str, hint: str, file: str, line: int) -> None:
     finding = Diagnostic("SF101", Severity.ERROR, message, file, line, line, "", hint)
-    text = as_github.render(Report((file,), 1, (finding,)))
+    text = as_github.render(CheckReport((file,), 1, (finding,)))
     match = re.fullmatch(r"::error ([^:]*)::([^\r\n]*)", text)
     assert match is not None
     properties = dict(part.split("=", 1) for part in match[1].split(","))
@@ -316,7 +316,7 @@ def test_a_format_that_does_not_exist_is_named() -> None:
 def test_every_format_renders_by_itself() -> None:
     report = gather(["a.yaml"], [Checked((Diagnostic("SF101", Severity.ERROR, "no", "a.yaml"),))])
     assert {form: "SF101" in renderer(form)(report) for form in FORMATS} == dict.fromkeys(FORMATS, True)
-    assert as_text.render(Report(("a.yaml",), 1, ())) == "no findings in 1 document"
+    assert as_text.render(CheckReport(("a.yaml",), 1, ())) == "no findings in 1 document"
 
 
 def test_hidden_folders_are_left_out_and_where_one_stands_does_not_matter(
@@ -390,44 +390,47 @@ def process_and_square(number: int) -> tuple[int, int]:
     return os.getpid(), number * number
 
 
-def dies_elsewhere(number: int) -> int:
-    import multiprocessing
+PARENT = os.environ.setdefault("SIMFOUNDRY_TEST_PARENT", str(os.getpid()))
 
+
+def dies_elsewhere(number: int) -> int:
     time.sleep(0.002)
-    if multiprocessing.parent_process() is not None:
+    if str(os.getpid()) != PARENT:
         os._exit(1)
     return number
 
 
 def test_processes_give_what_one_gives_in_the_same_order() -> None:
     heard: list[int] = []
-    results = spread(process_and_square, range(TRIAL + 200), heard.append, worth_s=0.01, processes=2)
-    assert [square for _, square in results] == [n * n for n in range(TRIAL + 200)]
-    assert heard == list(range(1, TRIAL + 201))
-    assert {pid for pid, _ in results[:TRIAL]} == {os.getpid()}
-    assert os.getpid() not in {pid for pid, _ in results[TRIAL:]}
+    results = map_parallel(process_and_square, range(SERIAL_TRIAL + 200), heard.append, startup_s=0.01, processes=2)
+    assert [square for _, square in results] == [n * n for n in range(SERIAL_TRIAL + 200)]
+    assert heard == sorted(set(heard)) and heard[-1] == SERIAL_TRIAL + 200
+    assert {pid for pid, _ in results[:SERIAL_TRIAL]} == {os.getpid()}
+    assert os.getpid() not in {pid for pid, _ in results[SERIAL_TRIAL:]}
 
 
 def test_no_process_is_started_for_little_work_or_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spreading, "_spread", lambda *_: pytest.fail("processes were started"))
-    assert len(spread(process_and_square, range(300), processes=8)) == 300
-    assert len(spread(process_and_square, range(100), worth_s=0.0, processes=1)) == 100
-    assert len(spread(process_and_square, range(TRIAL - 1), worth_s=0.0, processes=8)) == TRIAL - 1
-    assert spread(process_and_square, []) == []
+    monkeypatch.setattr(parallel, "_map_in_processes", lambda *_: pytest.fail("processes were started"))
+    assert len(map_parallel(process_and_square, range(300), processes=8)) == 300
+    assert len(map_parallel(process_and_square, range(100), startup_s=0.0, processes=1)) == 100
+    assert (
+        len(map_parallel(process_and_square, range(SERIAL_TRIAL - 1), startup_s=0.0, processes=8)) == SERIAL_TRIAL - 1
+    )
+    assert map_parallel(process_and_square, []) == []
 
 
 def test_a_process_that_is_killed_is_a_sentence() -> None:
-    with pytest.raises(SimfoundryError, match="ended from outside"):
-        spread(dies_elsewhere, range(TRIAL + 50), worth_s=0.0, processes=2)
+    with pytest.raises(SimfoundryError, match="ended with exit code 1"):
+        map_parallel(dies_elsewhere, range(SERIAL_TRIAL + 50), startup_s=0.0, processes=2)
 
 
 def test_a_large_tree_is_checked_by_processes_as_by_one(tree: Path) -> None:
-    for k in range(TRIAL + 40):
+    for k in range(SERIAL_TRIAL + 40):
         (tree / f"scene_{k:03}.scene.yaml").write_text(BAD if k % 7 == 3 else GOOD)
-    eager = "from simfoundry.runtime.parallel import spread\nspread.__defaults__ = (spread.__defaults__[0], 0.0, 2)\n"
+    eager = "from simfoundry.runtime.parallel import map_parallel as m\nm.__defaults__ = (m.__defaults__[0], 0.0, 2)\n"
     by_processes, alone = python(eager + MAIN, "check", "--json"), run("check", "--json")
     assert by_processes == alone
-    assert alone.json["errors"] == 11 and alone.json["documents"] == TRIAL + 43
+    assert alone.json["errors"] == 11 and alone.json["documents"] == SERIAL_TRIAL + 43
 
 
 # -- what is loaded, and what a terminal shows ----------------------------------------------------------------------

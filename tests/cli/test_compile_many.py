@@ -14,7 +14,7 @@ import pytest
 
 from simfoundry.assets import decompose
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.runtime.subprocess_worker import Limits, say
+from simfoundry.runtime.workers import Limits, report_progress
 from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, CompileJob, CompileOutcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
 from tests.cli.command import run
@@ -132,15 +132,15 @@ def test_textures_and_profiles_count(project: Path) -> None:
     corners, faces = block((0.1, 0.2, 0.3))
     (project / "one.obj").write_text(f"mtllib one.mtl\nusemtl m\n{obj(corners, faces)}")
     (project / "one.mtl").write_text("newmtl m\nKd 1 0 0\n")
-    profile = (REPOSITORY / "targets" / "mujoco.yaml").read_text()
-    (project / "mine.yaml").write_text(profile.replace("name: mujoco", "name: mine"))
+    profile = (REPOSITORY / "targets" / "mjx" / "profile.yaml").read_text()
+    (project / "mine.yaml").write_text(profile.replace("name: mjx", "name: mine"))
     job = CompileJob(Path("a.scene.yaml"), ("mine.yaml",), Path("build/a"))
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]
     (project / "one.mtl").write_text("newmtl m\nKd 0 1 0\n")
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]
-    (project / "mine.yaml").write_text(profile.replace("name: mujoco", "name: mine") + "\n# the same\n")
+    (project / "mine.yaml").write_text(profile.replace("name: mjx", "name: mine") + "\n# the same\n")
     assert compile_job(job).state == CURRENT
-    changed = profile.replace("name: mujoco", "name: mine").replace("description: ", "description: my own ")
+    changed = profile.replace("name: mjx", "name: mine").replace("description: ", "description: my own ")
     (project / "mine.yaml").write_text(changed)
     assert compile_job(job).state == COMPILED
 
@@ -173,14 +173,14 @@ def crash(*_: object) -> None:
 def crash_on_a(job: CompileJob) -> CompileOutcome:
     """What a segfault of a library does while the scene `a` is compiled."""
     if job.scene.name.startswith("a."):
-        say("object `one` (one.obj)")
+        report_progress("object `one` (one.obj)")
         ctypes.string_at(0)
     return compile_job(job)
 
 
 def hang_on_a(job: CompileJob) -> CompileOutcome:
     if job.scene.name.startswith("a."):
-        say("object `one` (one.obj)")
+        report_progress("object `one` (one.obj)")
         time.sleep(600)
     return compile_job(job)
 

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
+from simfoundry.runtime.workers import Limits, Worker, WorkerError
 from simfoundry.verify.engines import find_engine
 from simfoundry.verify.process import EngineJob, ask
 from tests.assets.meshes import blob, obj
@@ -247,7 +247,7 @@ def _judged(worker: Worker, name: str, place: Path, function: str) -> Verdict:
     started = time.perf_counter()
     try:
         what, why, megabytes = worker.call(f"tests.corpora.faults:{function}", place)
-    except FailedError as error:
+    except WorkerError as error:
         what, why, megabytes = "CRASHED", str(error), 0.0
     return Verdict(name, what, why, time.perf_counter() - started, megabytes)
 

@@ -24,7 +24,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
 
-from simfoundry.runtime.subprocess_worker import FailedError, Limits, Worker
+from simfoundry.runtime.workers import Limits, Worker, WorkerError
 from tests.corpora.importing.files import OBTAIN, Job, jobs_below, sampled
 from tests.corpora.importing.mutants import mutant
 from tests.corpora.importing.outcome import Outcome
@@ -64,7 +64,7 @@ class Pool:
         worker = self.free.get()
         try:
             made: Outcome = worker.call(f"tests.corpora.importing.measure:{function}", job.corpus, str(file))
-        except FailedError as error:
+        except WorkerError as error:
             made = Outcome(job.corpus, str(file), broke=error.how)
         finally:
             self.free.put(worker)

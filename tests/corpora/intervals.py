@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.evaluate.correlate import Draws, agreements
 from simfoundry.evaluate.metrics import pearson
 from simfoundry.evaluate.scores import Score
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 ROLLOUTS, COMPARISONS = 25, 300
 

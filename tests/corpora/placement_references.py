@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
 

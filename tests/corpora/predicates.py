@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.poses import rotate
 from simfoundry.predicates import Judge, Poses, StateBatch
-from simfoundry.predicates.batch import rotate
-from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.expressions import parse_call
 from simfoundry.worlds import World, open_world

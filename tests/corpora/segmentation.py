@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Segmentation, Support
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
 from simfoundry.capture.load import register
 from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.ground import find_support
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.geometry.frames import Array, Pose
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 Labels = NDArray[np.int32]
@@ -71,7 +71,7 @@ def _image(path: Path, mode: int) -> NDArray[np.integer[Any]]:
     return np.asarray(picture)
 
 
-def segment(frame: Frame) -> tuple[Support, Segmentation]:
+def segment(frame: Frame) -> tuple[SupportSurface, Segmentation]:
     """Support and objects of one picture."""
     support = find_support(frame)
     return support, decompose(frame, support)

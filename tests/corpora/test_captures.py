@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose as lowered_pose
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load_capture

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from simfoundry.cousins.objects.checks import Twin, faults
-from simfoundry.cousins.objects.grips import grip_width
 from simfoundry.cousins.objects.item import lowered
 from simfoundry.cousins.objects.likeness import COLOR, SHAPE, likeness
 from simfoundry.cousins.objects.needs import Needs, needs_of
@@ -19,8 +17,8 @@ from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.load import load_kind
-from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, Pose, Round, SphereShape
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
+from simfoundry.spec.models.base import BoxShape, CylinderShape, LatheShape, Material, PoseSpec, Round, SphereShape
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
@@ -106,10 +104,10 @@ def test_a_thing_that_topples_does_not_stand() -> None:
             "body": LinkSpec(
                 material="wood",
                 parts={
-                    "stick": Part(
-                        shape=CylinderShape(cylinder=Round(radius=0.004, height=0.1)), pose=Pose(xyz=(0, 0, 0.05))
+                    "stick": PartSpec(
+                        shape=CylinderShape(cylinder=Round(radius=0.004, height=0.1)), pose=PoseSpec(xyz=(0, 0, 0.05))
                     ),
-                    "head": Part(shape=BoxShape(box=(0.05, 0.05, 0.02)), pose=Pose(xyz=(0.02, 0.0, 0.11))),
+                    "head": PartSpec(shape=BoxShape(box=(0.05, 0.05, 0.02)), pose=PoseSpec(xyz=(0.02, 0.0, 0.11))),
                 },
             )
         },
@@ -121,7 +119,7 @@ def test_a_thing_that_topples_does_not_stand() -> None:
 def test_a_drawer_that_jams_is_refused() -> None:
     spec = item("cabinet").spec
     parts = parts_of(spec)
-    block = Part(shape=BoxShape(box=(0.03, 0.03, 0.03)), pose=Pose(xyz=(0.0, 0.0, 0.03)), material="wood")
+    block = PartSpec(shape=BoxShape(box=(0.03, 0.03, 0.03)), pose=PoseSpec(xyz=(0.0, 0.0, 0.03)), material="wood")
     jammed = with_parts(spec, {**parts, ("body", "block"): block})  # within the lower drawer
     code, text = first(jammed, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
     assert code == "joint" and "overlap by" in text
@@ -130,27 +128,6 @@ def test_a_drawer_that_jams_is_refused() -> None:
     )
     code, text = first(short, "cabinet", twin("store_marker", "cabinet", "cabinet"), "drawer_cabinet")
     assert (code, text) == ("joint", "`drawer` moves 0.050, and 0.160 in the twin")
-
-
-@pytest.mark.parametrize(
-    ("name", "width", "tolerance"),
-    [("cube", 0.05, 1e-6), ("cup", 0.0032, 0.0008), ("baseball", 0.0685, 0.0045), ("brown_box", 0.005, 1e-6)],
-)
-def test_the_narrowest_grip(name: str, width: float, tolerance: float) -> None:
-    assert grip_width(thing(item(name).spec, name)) == pytest.approx(width, abs=tolerance)
-
-
-def test_a_slit_too_narrow_for_a_finger_is_no_grip() -> None:
-    def boards(gap: float) -> SceneObject:
-        parts = {
-            side: Part(shape=BoxShape(box=(0.2, 0.04, 0.1)), pose=Pose(xyz=(0.0, sign * (gap + 0.04) / 2, 0.05)))
-            for side, sign in (("left", 1.0), ("right", -1.0))
-        }
-        link = LinkSpec(mass=0.3, parts=parts)
-        return lowered(AssetSpec(simfoundry="asset/1", name="boards", links={"body": link}), Path(), "boards")
-
-    assert grip_width(boards(0.03)) == pytest.approx(0.04, abs=1e-6)
-    assert grip_width(boards(0.01)) == pytest.approx(0.09, abs=1e-6)
 
 
 def test_likeness_tells_apart_and_only_that() -> None:

@@ -28,12 +28,13 @@ from simfoundry.cousins.objects.skins import PATTERNS, skinned
 from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
 from simfoundry.cousins.objects.weigh import weighed
-from simfoundry.predicates.shapes import Bodies
-from simfoundry.predicates.voxels import cavity
+from simfoundry.geometry.cavity import cavity
+from simfoundry.geometry.frames import frozen_array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.runtime.files import write_atomically
-from simfoundry.scene.frames import frozen_array
-from simfoundry.scene.model import Mesh, Scene
-from simfoundry.scene.summary import bounds
+from simfoundry.scene.model import Scene
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.load import load
 from simfoundry.spec.models.base import Estimate, LatheShape
 from simfoundry.spec.models.cousins import Change

@@ -23,11 +23,11 @@ from simfoundry.cousins.objects.retrieval import Library, Retrieval
 from simfoundry.cousins.objects.stuff import same_kind
 from simfoundry.cousins.objects.variants import variants
 from simfoundry.cousins.reasons import Reason
+from simfoundry.geometry.shapes import Capsule
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.models.web import ModelError
 from simfoundry.scene.meshfile import obj_bytes
-from simfoundry.scene.model import Capsule
-from simfoundry.scene.summary import bounds
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 from tests.cousins.test_objects_rules import ASSETS, item

@@ -17,9 +17,9 @@ from simfoundry.cousins.objects.variants import Variants, procedural, variants, 
 from simfoundry.cousins.objects.weigh import weighed
 from simfoundry.cousins.reasons import ImpossibleError
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Mesh
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants

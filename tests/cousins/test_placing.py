@@ -18,9 +18,10 @@ from simfoundry.cousins.placing import Demands, Region, There, find, rectangles_
 from simfoundry.cousins.solids import Solids
 from simfoundry.cousins.support import Support, support_of
 from simfoundry.cousins.twin import Twin
-from simfoundry.scene.frames import IDENTITY, Pose, quat_from_rpy
-from simfoundry.scene.hulls import hulls
-from simfoundry.scene.model import Box, Collider, Cylinder, Geometry, Link, SceneObject
+from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry
+from simfoundry.scene.model import Collider, Link, SceneObject
+from simfoundry.scene.object_shapes import hulls
 from simfoundry.spec.models.cousins import SceneAxis
 from tests.cousins.conftest import twin_of
 

@@ -231,7 +231,7 @@ def test_no_process_outlives_its_pool() -> None:
     pool.next()
     pool.close()
     time.sleep(0.5)
-    assert all(worker._process is None for worker in pool._workers)
+    assert all(worker._process is None for worker in pool._pool._workers)
 
 
 ON_RAY = """

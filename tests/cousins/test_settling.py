@@ -13,7 +13,7 @@ from simfoundry.cousins.layout import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.twin import Twin, bare
 from simfoundry.cousins.views import VisibleSurface, best_view, visible_share
-from simfoundry.scene.frames import Pose, look_at, quat_from_rpy
+from simfoundry.geometry.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera
 from simfoundry.spec.models.cousins import SceneAxis
 from simfoundry.worlds.mujoco_world import MujocoWorld

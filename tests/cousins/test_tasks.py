@@ -13,7 +13,6 @@ from simfoundry.cousins.tasks.accept import AcceptedTask, accept
 from simfoundry.cousins.tasks.choices import task_cousins
 from simfoundry.cousins.tasks.document import task
 from simfoundry.cousins.tasks.enumerate import Proposal, Proposals, enumerate_tasks
-from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.tasks.ideas import Affordances
 from simfoundry.cousins.tasks.meaning import meaning, objects_of
 from simfoundry.cousins.tasks.setting import Setting
@@ -21,8 +20,10 @@ from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.cousins.tasks.written import checked, write
 from simfoundry.errors import MissingEngineError
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.lint.run import lint
-from simfoundry.scene.frames import Pose
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.cousins import TaskAxis
@@ -107,7 +108,7 @@ def test_what_cannot_be_taken_says_why(setting: Setting, name: str, code: str, s
 
 def test_fingers_measure_a_ball_at_its_equator_and_a_bowl_at_its_wall(setting: Setting) -> None:
     def width(name: str) -> float:
-        return grip_width(setting.twin.item_at(name, setting.twin.state.poses[name]))
+        return grasp_width(solid(setting.twin.item_at(name, setting.twin.state.poses[name])))
 
     assert width("ball") == pytest.approx(0.067, abs=0.002)
     assert width("block") == pytest.approx(0.03, abs=0.002)

@@ -34,13 +34,13 @@ class Recorded:
     def __init__(self) -> None:
         self.asked: list[str] = []
 
-    def tell(self, prompt: str, pictures: Any = ()) -> str:
+    def ask_text(self, prompt: str, pictures: Any = ()) -> str:
         assert list(pictures) == [PICTURE]
         self.asked.append(prompt)
         return RECORDED.read_text()
 
     def ask(self, prompt: str, pictures: Any, answer: Any) -> Any:
-        tasks = [one.model_dump() for one in read(self.tell(prompt, pictures)) if isinstance(one, Told)]
+        tasks = [one.model_dump() for one in read(self.ask_text(prompt, pictures)) if isinstance(one, Told)]
         return answer.model_validate({"tasks": tasks})
 
 

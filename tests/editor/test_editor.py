@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from simfoundry.spec.editor.reference import EXAMPLES
-from simfoundry.spec.models.expressions import PREDICATES
 from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.models.predicate import built_in_predicates
 from simfoundry.spec.models.robot import ROBOTS
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
@@ -95,13 +95,13 @@ def keys(kind: str, part: str) -> set[str]:
         ("|", "scene", "Document"),
         (f"{OBJECT}|", "scene", "ObjectSpec"),
         (f"{OBJECT}shape:\n      |", "scene", "Shape"),
-        (f"{OBJECT}pose:\n      |", "scene", "Pose"),
+        (f"{OBJECT}pose:\n      |", "scene", "PoseSpec"),
         (f"{OBJECT}place:\n      |", "scene", "Place"),
         (f"{SCENE}robots:\n  arm:\n    |", "scene", "RobotSpec"),
         (f"{SCENE}cameras:\n  front:\n    |", "scene", "CameraSpec"),
         (f"{SCENE}materials:\n  wood:\n    |", "scene", "Material"),
         (f"{OVERLAY}objects:\n  cup:\n    |", "scene", "ObjectSpec"),
-        (f"{OVERLAY}objects:\n  cup:\n    pose:\n      |", "scene", "Pose"),
+        (f"{OVERLAY}objects:\n  cup:\n    pose:\n      |", "scene", "PoseSpec"),
         (f"{TASK}subtasks:\n  pick:\n    |", "task", "Subtask"),
         (f"{TASK}reset:\n  |", "task", "Reset"),
         (f"{ASSET}joints:\n  slide:\n    |", "asset", "JointSpec"),
@@ -167,7 +167,7 @@ def test_values_are_offered_each_with_its_own_words(editor: Editor, text: str, v
 )
 def test_predicates_are_offered_with_their_meaning(editor: Editor, text: str) -> None:
     offered = editor.offered(text)
-    for name, predicate in PREDICATES.items():
+    for name, predicate in built_in_predicates().items():
         (label,) = (label for label in offered if label.startswith(f"{name}("))
         assert predicate.meaning[1:] in _words(offered[label])
         assert re.fullmatch(rf"{name}\((\$\{{\d:[a-z.]+\}}(, )?)+\)", offered[label]["insertText"])

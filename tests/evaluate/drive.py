@@ -12,7 +12,7 @@ from simfoundry.evaluate.policies.base import Image, Observation, PolicyError, R
 from simfoundry.evaluate.policies.openpi import OpenpiPolicy
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.policy import PolicySpec
 

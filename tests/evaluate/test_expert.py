@@ -8,10 +8,11 @@ import pytest
 from simfoundry.evaluate.expert.pace import HAND, JOINT, paced
 from simfoundry.evaluate.expert.plan import Skill, steps
 from simfoundry.evaluate.task import load_task
-from simfoundry.scene.crossings import crossings, met, solid
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.crossings import crossings, met
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 from tests.conftest import REPOSITORY
 

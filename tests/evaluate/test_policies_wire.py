@@ -21,7 +21,7 @@ from simfoundry.evaluate.policies.chunk import actions_of
 from simfoundry.evaluate.policies.codec import CodecError
 from simfoundry.evaluate.policies.images import resize_with_pad
 from simfoundry.evaluate.policies.reading import pictures, reading, roll_pitch_yaw
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from tests.evaluate.drive import JOINTS, observation, spec_of
 
 DTYPES = st.sampled_from(["|u1", "<f4", ">f4", "<f8", "<i8", "<u2", "|b1", "<f2"]).map(np.dtype)

@@ -16,9 +16,9 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observatio
 from simfoundry.evaluate.rollout import End, Video, rollout
 from simfoundry.evaluate.starts import Start
 from simfoundry.evaluate.task import Task, load_task
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.render.gl import Engine, choose_engine
-from simfoundry.scene.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import Image
 from simfoundry.worlds.mujoco_world import MujocoWorld

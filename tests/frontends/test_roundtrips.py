@@ -12,7 +12,7 @@ from simfoundry.backends import compile_scene
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
 from simfoundry.frontends.usd.reader import read_usd
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import JointType, Scene, SceneObject
 from tests.corpora.roundtrip import MAINS, trip_by_scene

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.lint.verdicts import judge, verdict
-from simfoundry.spec.models.expressions import PREDICATES, parse_call
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import PREDICATES
 from tests.lint.scenes import BOWL, drawn, found, written
 
 CUP = "shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2"
@@ -104,7 +105,7 @@ def test_each_predicate_is_judged_as_far_as_it_can_be(scene: Path) -> None:
     sketch = drawn(scene)
     got = {text: verdict(parse_call(text), sketch).value for text in EXPECTED}
     assert got == EXPECTED
-    assert {parse_call(text).predicate for text in EXPECTED} == set(PREDICATES)
+    assert {parse_call(text).predicate for text in EXPECTED} == set(PREDICATES.built_in)
 
 
 def test_every_certain_verdict_says_why(scene: Path) -> None:

@@ -117,12 +117,12 @@ def test_what_is_no_mesh_and_what_is_too_large_is_refused(server: tuple[str, typ
         HttpMeshes(url).make(PICTURE, 0)
     handler.answer = 200, b"x" * 2000
     with pytest.raises(ModelError, match="more than 0 MiB"):
-        post(url, b"", {}, "the mesh model", most=1000)
+        post(url, "the mesh model", json={}, max_bytes=1000)
 
 
 def test_nobody_there_and_nothing_set_up() -> None:
     with pytest.raises(ModelError, match=r"the mesh model at .* does not answer .*is it running"):
-        HttpMeshes("http://127.0.0.1:9", seconds=2).make(PICTURE, 0)
+        HttpMeshes("http://127.0.0.1:9", timeout_s=2).make(PICTURE, 0)
     with pytest.raises(ModelError, match="http:// or https://"):
         HttpMeshes("file:///etc").make(PICTURE, 0)
     with pytest.raises(ModelError, match="set SIMFOUNDRY_IMAGES_URL and SIMFOUNDRY_IMAGES_MODEL"):

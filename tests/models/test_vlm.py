@@ -17,7 +17,7 @@ from pydantic_ai.messages import BinaryContent, ModelResponse, TextPart, UserPro
 from pydantic_ai.models.function import AgentInfo, FunctionModel
 from pydantic_ai.models.test import TestModel
 
-from simfoundry.models.vlm import MOST_BYTES, Vlm, VlmError
+from simfoundry.models.vlm import MAX_BYTES, Vlm, VlmError
 
 PNG = b"\x89PNG\r\n\x1a\n rest"
 
@@ -63,20 +63,20 @@ def test_the_library_s_own_test_model_fills_in_the_type() -> None:
 
 
 def test_words() -> None:
-    assert answering("a cup")[0].tell("What?", [b"\xff\xd8\xff jpeg"]) == "a cup"
+    assert answering("a cup")[0].ask_text("What?", [b"\xff\xd8\xff jpeg"]) == "a cup"
 
 
 @pytest.mark.parametrize(
     ("pictures", "said"),
     [
         ([b"GIF89a"], "neither"),
-        ([PNG + bytes(MOST_BYTES)], "make them smaller"),
+        ([PNG + bytes(MAX_BYTES)], "make them smaller"),
         ([PNG] * 17, "at most 16 pictures"),
     ],
 )
 def test_pictures_are_bounded(pictures: list[bytes], said: str) -> None:
     with pytest.raises(VlmError, match=said):
-        answering("")[0].tell("?", pictures)
+        answering("")[0].ask_text("?", pictures)
 
 
 @pytest.mark.parametrize(
@@ -147,9 +147,9 @@ def test_a_refusal_is_a_sentence(server: Any) -> None:
     url, handler = server
     handler.status = 401
     with pytest.raises(VlmError, match=r"answered with status 401: .*bad key.*is its key right"):
-        Vlm("local", url).tell("?")
+        Vlm("local", url).ask_text("?")
 
 
 def test_nobody_there() -> None:
     with pytest.raises(VlmError, match=r"m gave no answer|is not reached"):
-        Vlm("m", "http://127.0.0.1:9", seconds=2).tell("?")
+        Vlm("m", "http://127.0.0.1:9", timeout_s=2).ask_text("?")

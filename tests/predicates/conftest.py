@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.predicates import Judge
-from simfoundry.scene.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState

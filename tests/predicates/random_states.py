@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.poses import rotate, rotations
 from simfoundry.predicates import Poses, StateBatch
-from simfoundry.predicates.batch import rotate, rotations
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
@@ -170,7 +170,7 @@ def _leaning(n: int, rng: np.random.Generator) -> Array:
 
 def states(batch: StateBatch) -> list[SceneState]:
     """The states of a batch one by one."""
-    from simfoundry.scene.frames import quat_from_matrix
+    from simfoundry.geometry.frames import quat_from_matrix
 
     poses = {
         name: [Pose.of(p, quat_from_matrix(R)) for p, R in zip(*x, strict=True)] for name, x in batch.poses.items()

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError
-from simfoundry.scene.frames import Pose
 from tests.conftest import REPOSITORY
 from tests.predicates.conftest import Setting, changed, posed
 
@@ -123,8 +123,8 @@ def test_the_cavity_of_a_turned_mesh_frame_is_found(setting: Found) -> None:
     """A container whose frame lies on its side, as y-up meshes have it, still opens where it opens."""
     from dataclasses import replace
 
-    from simfoundry.predicates.shapes import Bodies
-    from simfoundry.predicates.voxels import cavity
+    from simfoundry.geometry.cavity import cavity
+    from simfoundry.predicates.judging.bodies import Bodies
 
     cup = setting("marker_in_cup").scene.object("cup")
     link = cup.root
@@ -146,9 +146,9 @@ def test_the_cavity_of_a_turned_mesh_frame_is_found(setting: Found) -> None:
 def test_the_cavity_of_a_mug_does_not_reach_into_its_handle() -> None:
     """The space between wall and grip is open on both sides; the cavity is that of the vessel, to a cell."""
     from simfoundry.cousins.library import lowered
-    from simfoundry.predicates.shapes import Bodies
-    from simfoundry.predicates.voxels import cavity
-    from simfoundry.scene.frames import frozen_array
+    from simfoundry.geometry.cavity import cavity
+    from simfoundry.geometry.frames import frozen_array
+    from simfoundry.predicates.judging.bodies import Bodies
     from simfoundry.scene.model import Scene
 
     mug = lowered(REPOSITORY / "specs" / "assets" / "mug.asset.yaml")

@@ -14,7 +14,8 @@ from simfoundry.predicates import Judge, PredicateError
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
-from simfoundry.spec.models.expressions import PREDICATES, parse_call
+from simfoundry.spec.models.expressions import parse_call
+from simfoundry.spec.models.predicate import built_in_predicates
 from tests.lint.scenes import BOWL, written
 
 SHAPES = {
@@ -54,7 +55,7 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
 
 def calls(rng: np.random.Generator, state: SceneState) -> list[str]:
     texts = []
-    for name, predicate in PREDICATES.items():
+    for name, predicate in built_in_predicates().items():
         match predicate.parameters[:2]:
             case ("thing", "thing") | ("body", "body"):
                 texts += [f"{name}({a}, {b})" for a, b in permutations(NAMES, 2)]

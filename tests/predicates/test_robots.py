@@ -9,8 +9,8 @@ import pytest
 
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
+from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError
-from simfoundry.scene.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import LeftOut

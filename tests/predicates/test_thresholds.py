@@ -7,7 +7,12 @@ from collections.abc import Callable
 
 import pytest
 
-from simfoundry.predicates import thresholds as at
+from simfoundry.predicates.at import AT
+from simfoundry.predicates.judging import thresholds as at
+from simfoundry.predicates.lifted import RISE
+from simfoundry.predicates.next_to import NEAR_SHARE
+from simfoundry.predicates.opening import OPEN_SHARE
+from simfoundry.predicates.upright import UPRIGHT_DEG
 from tests.predicates.conftest import Setting, changed, posed
 
 STEP = 1e-4
@@ -89,7 +94,7 @@ def test_a_cavity_that_faces_down_holds_nothing(setting: Callable[[str], Setting
 
 
 def test_side_by_side_ends_at_a_share_of_the_sizes(boxes: Setting) -> None:
-    near = at.NEAR_SHARE * ((0.04 + 0.06 + 0.02) / 3 + (0.1 + 0.08 + 0.05) / 3)
+    near = NEAR_SHARE * ((0.04 + 0.06 + 0.02) / 3 + (0.1 + 0.08 + 0.05) / 3)
     crosses(lambda gap: boxes.margin("NextTo(a, b)", a=posed(BESIDE + gap, 0, 0.01)) > 0, near, STEP, True)
 
 
@@ -117,17 +122,17 @@ def test_above_and_under_begin_where_the_plumb_line_meets_the_other(boxes: Setti
 
 
 def test_at_ends_two_centimetres_away(boxes: Setting) -> None:
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, at.AT, STEP, True)
-    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, at.AT, STEP, True)
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2)", a=posed(0.1 + d, 0.2, 0.5)) > 0, AT, STEP, True)
+    crosses(lambda d: boxes.margin("At(a, 0.1, 0.2, 0.3)", a=posed(0.1, 0.2, 0.3 - d)) > 0, AT, STEP, True)
 
 
 def test_upright_ends_at_ten_degrees(boxes: Setting) -> None:
     leaning = lambda deg: boxes.margin("Upright(a)", a=posed(0, 0, 0.1, math.radians(deg), 0, 0.7)) > 0  # noqa: E731
-    crosses(leaning, at.UPRIGHT_DEG, 0.01, True)
+    crosses(leaning, UPRIGHT_DEG, 0.01, True)
 
 
 def test_lifted_begins_two_centimetres_higher(boxes: Setting) -> None:
-    crosses(lambda rise: boxes.margin("Lifted(a)", a=posed(0.3, 0.1, 0.01 + rise)) > 0, at.RISE, STEP, False)
+    crosses(lambda rise: boxes.margin("Lifted(a)", a=posed(0.3, 0.1, 0.01 + rise)) > 0, RISE, STEP, False)
 
 
 def test_what_stands_on_another_thing_is_not_lifted(boxes: Setting) -> None:
@@ -145,8 +150,8 @@ def test_open_begins_at_a_tenth_of_the_range(
     def holds(condition: str) -> Callable[[float], bool]:
         return lambda share: one.judge(condition, changed(one.start, {joint: share * reach})).value
 
-    crosses(holds(f"Open({joint})"), at.OPEN_SHARE, 1e-3, False)
-    crosses(holds(f"Closed({joint})"), at.OPEN_SHARE, 1e-3, True)
+    crosses(holds(f"Open({joint})"), OPEN_SHARE, 1e-3, False)
+    crosses(holds(f"Closed({joint})"), OPEN_SHARE, 1e-3, True)
 
 
 def test_of_a_cabinet_every_drawer_counts(setting: Callable[[str], Setting]) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from simfoundry.geometry.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.render.gl import Engine, RenderError, choose_engine
 from simfoundry.render.montage import label_color, overlay, png_bytes, save_png, side_by_side
 from simfoundry.render.offscreen import MujocoRenderer, _aim
 from simfoundry.render.raycast import raycast
-from simfoundry.scene.frames import Pose, frozen_array, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera, Light, LightType
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.mujoco_world import MujocoWorld

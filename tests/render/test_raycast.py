@@ -11,23 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from simfoundry.geometry.visibility import first_hits, pixel_rays, scattered_rays
+from simfoundry.geometry.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
+from simfoundry.geometry.ray_casts import first_hits, pixel_rays, scattered_rays
+from simfoundry.geometry.shapes import Box, Geometry, Mesh, Sphere
 from simfoundry.render.raycast import Raycast, raycast
 from simfoundry.render.shading import encode_srgb
-from simfoundry.scene.frames import Array, Pose, frozen_array, look_at, quat_from_rpy
-from simfoundry.scene.model import (
-    Box,
-    Camera,
-    Geometry,
-    Light,
-    LightType,
-    Link,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.scene.model import Camera, Light, LightType, Link, Scene, SceneObject, Visual
 from simfoundry.scene.state import SceneState
 from tests.tabletop import INERTIA, box, front_camera, label_png, one, pose, rgba, tabletop
 

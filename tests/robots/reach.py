@@ -6,7 +6,7 @@ import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.robot import Robot
 from simfoundry.worlds.base import World

@@ -13,7 +13,7 @@ import simfoundry
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.jaws import jaws
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.robot import ROBOTS
 from simfoundry.worlds import open_world

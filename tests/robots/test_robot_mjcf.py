@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat

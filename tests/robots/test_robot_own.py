@@ -10,7 +10,7 @@ import yaml
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.task import load_task, need_robots
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
 from simfoundry.worlds import open_world

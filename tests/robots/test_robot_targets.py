@@ -16,7 +16,7 @@ from pxr import Usd, UsdGeom, UsdPhysics, UsdValidation
 from simfoundry.backends import compile_scene
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

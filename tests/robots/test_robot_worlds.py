@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
 from simfoundry.scene.robots import OWN_MODELS

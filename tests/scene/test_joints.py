@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.geometry.shapes import Box, Mesh, Sphere
 from simfoundry.scene.lower import lower_file
-from simfoundry.scene.model import Box, Link, Mesh, Sphere
+from simfoundry.scene.model import Link
 from simfoundry.spec.diagnostics import SpecError
 
 SHEET = "v 0 0 0\nv 0.1 0 0\nv 0 0.2 0\nv 0.1 0.2 0.05\nf 1 2 3\nf 2 4 3\n"

@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.assets import decompose
-from simfoundry.scene.frames import Array, Pose, look_at, quat_from_rpy
-from simfoundry.scene.hulls import PROUD
+from simfoundry.geometry.frames import Array, Pose, look_at, quat_from_rpy
+from simfoundry.geometry.hulls import PROUD
+from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
 from simfoundry.scene.lower import lower_file
-from simfoundry.scene.model import Capsule, Cylinder, Primitive, SceneObject, Sphere
+from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.diagnostics import SpecError

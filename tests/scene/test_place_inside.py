@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.scene.hulls import PROUD
+from simfoundry.geometry.hulls import PROUD
+from simfoundry.geometry.shapes import Capsule, Sphere
 from simfoundry.scene.lower import lower_file
-from simfoundry.scene.model import Capsule, SceneObject, Sphere
+from simfoundry.scene.model import SceneObject
 from simfoundry.scene.place import CLEARANCE, PlaceError, place_all
 from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld

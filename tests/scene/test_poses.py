@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import pose
 from simfoundry.scene.poses import pose_spec, with_poses
-from simfoundry.spec.models.base import BoxShape
-from simfoundry.spec.models.base import Pose as PoseSpec
+from simfoundry.spec.models.base import BoxShape, PoseSpec
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 
 ANGLE = st.floats(-math.pi, math.pi)

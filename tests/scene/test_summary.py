@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.lower import lower
-from simfoundry.scene.summary import bounds, summary, tree, world_bounds
+from simfoundry.scene.object_shapes import bounds, world_bounds
+from simfoundry.scene.summary import summary, tree
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
 from tests.tabletop import box, one, rgba

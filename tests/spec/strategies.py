@@ -7,7 +7,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from simfoundry.spec.models.asset import AssetSpec, Drive, Inertial, JointSpec, LinkSpec, Mimic, Part
+from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec, LinkSpec, MimicSpec, PartSpec
 from simfoundry.spec.models.base import (
     FARTHEST,
     BoxShape,
@@ -19,7 +19,7 @@ from simfoundry.spec.models.base import (
     LatheShape,
     Material,
     Origin,
-    Pose,
+    PoseSpec,
     Prism,
     PrismShape,
     Round,
@@ -74,10 +74,10 @@ def _unit(values: tuple[float, float, float, float]) -> tuple[float, ...]:
 
 QUATERNIONS = st.tuples(*[st.floats(0.1, 1)] * 4).map(_unit)
 POSES = st.one_of(
-    st.builds(Pose, xyz=POINT3),
-    st.builds(Pose, xyz=POINT3, yaw_deg=NUMBERS),
-    st.builds(Pose, xyz=POINT3, rpy_deg=VEC3),
-    st.builds(Pose, xyz=POINT3, quat_wxyz=QUATERNIONS),
+    st.builds(PoseSpec, xyz=POINT3),
+    st.builds(PoseSpec, xyz=POINT3, yaw_deg=NUMBERS),
+    st.builds(PoseSpec, xyz=POINT3, rpy_deg=VEC3),
+    st.builds(PoseSpec, xyz=POINT3, quat_wxyz=QUATERNIONS),
 )
 ROUNDS = st.builds(Round, radius=LENGTHS, height=LENGTHS)
 SHAPES = st.one_of(
@@ -181,8 +181,8 @@ SCENES = st.builds(
     origin=maybe(ORIGINS),
 )
 PARTS = st.one_of(
-    st.builds(Part, shape=SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
-    st.builds(Part, mesh=TEXTS, scale=POSITIVE, pose=POSES),
+    st.builds(PartSpec, shape=SHAPES, pose=POSES, material=maybe(NAMES), color=maybe(COLORS)),
+    st.builds(PartSpec, mesh=TEXTS, scale=POSITIVE, pose=POSES),
 )
 LINKS = st.builds(
     LinkSpec,
@@ -204,10 +204,10 @@ JOINT: dict[str, st.SearchStrategy[Any]] = {
 }
 ONE_AXIS: dict[str, st.SearchStrategy[Any]] = {
     **JOINT,
-    "mimic": maybe(st.builds(Mimic, joint=NAMES, multiplier=NUMBERS, offset=NUMBERS)),
+    "mimic": maybe(st.builds(MimicSpec, joint=NAMES, multiplier=NUMBERS, offset=NUMBERS)),
     "drive": maybe(
         st.builds(
-            Drive,
+            DriveSpec,
             stiffness=st.floats(0, 1e6),
             damping=st.floats(1e-6, 1e6),
             target=maybe(NUMBERS),

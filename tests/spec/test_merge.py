@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.change.merge.conflict import Conflict, dotted, parts
+from simfoundry.spec.change.merge.conflict import MergeConflict, dotted, parts
 from simfoundry.spec.change.merge.resolve import ResolveError, resolve
 from simfoundry.spec.change.merge.texts import UnmergeableError, merge_texts, new_errors
 from simfoundry.spec.change.merge.trees import Merged, merge
@@ -621,7 +621,7 @@ def test_paths_are_read_back(path: tuple[str, ...]) -> None:
 
 
 def test_deciding_says_what_it_cannot() -> None:
-    data = {**BASES["scene"], "conflicts": Conflict(("objects", "spoon", "mass"), 1, 2, 3).record()}
+    data = {**BASES["scene"], "conflicts": MergeConflict(("objects", "spoon", "mass"), 1, 2, 3).record()}
     with pytest.raises(ResolveError, match="no conflict is recorded here"):
         resolve(plain_tree(BASES["scene"]), SceneSpec, "ours")
     entries = {"objects.spoon.mass": {"base": 1, "ours": 2, "theirs": 3}}

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.change.migrate import STEPS, Step, migrated, renamed
+from simfoundry.spec.change.migrate import STEPS, Migration, migrated, renamed
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.kinds import KINDS
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.yaml.tree import CommentedTree
 from tests.cli.command import run
 
 OLD = """\
@@ -23,7 +23,7 @@ things:            # what stands there
 """
 
 
-def in_grams(tree: Tree) -> Tree:
+def in_grams(tree: CommentedTree) -> CommentedTree:
     """Weights in grams become masses in kilograms."""
     tree = renamed(tree, ("objects", "*", "weight"), "mass")
     objects = tree.value["objects"]
@@ -37,8 +37,8 @@ def in_grams(tree: Tree) -> Tree:
 
 
 STEPS_HERE = {
-    "scene/a": Step("scene/b", lambda tree: renamed(tree, ("things",), "objects")),
-    "scene/b": Step("scene/1", in_grams),
+    "scene/a": Migration("scene/b", lambda tree: renamed(tree, ("things",), "objects")),
+    "scene/b": Migration("scene/1", in_grams),
 }
 
 
@@ -83,7 +83,7 @@ def test_steps_lead_to_a_version_that_there_is() -> None:
     assert all(step.to in STEPS or step.to in KINDS for step in STEPS.values())
     assert not set(STEPS) & set(KINDS)
     with pytest.raises(ValueError, match="lead back"):
-        migrated(OLD, "a", {"scene/a": Step("scene/b", lambda t: t), "scene/b": Step("scene/a", lambda t: t)})
+        migrated(OLD, "a", {"scene/a": Migration("scene/b", lambda t: t), "scene/b": Migration("scene/a", lambda t: t)})
 
 
 def test_the_command_changes_nothing_that_is_up_to_date(tmp_path: Path) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from simfoundry.geometry.frames import IDENTITY
 from simfoundry.scene.bodies import BodyBuilder
-from simfoundry.scene.frames import IDENTITY
 from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST, implausible, volume
 from simfoundry.spec.models.base import (
-    Body,
+    BodySpec,
     BoxShape,
     CapsuleShape,
     CylinderShape,
@@ -33,7 +33,7 @@ SHAPES: list[Shape] = [
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_the_volume_is_that_of_the_solid(shape: Shape) -> None:
-    builder = BodyBuilder("thing", Body(density=1000.0), {}, None)
+    builder = BodyBuilder("thing", BodySpec(density=1000.0), {}, None)
     builder.add_shape("shape", shape, IDENTITY, None)
     # A lathe is lowered with 48 sides and so a little smaller than the round body.
     rel = 1e-9 if not isinstance(shape, LatheShape) else 0.005

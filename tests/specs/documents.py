@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.task import ResetRegion, TaskSpec

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.scene.object_shapes import world_bounds
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import world_bounds
 from simfoundry.spec.change.format import format_file
 from simfoundry.spec.load import load
 from simfoundry.spec.models.expressions import parse_call, texts

@@ -18,7 +18,7 @@ import pytest
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.splat import read_splat
 from simfoundry.backends import compile_scene
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import Scene, Sphere
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Sphere
+from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.verify.readback import Moment, pose_numbers
 from simfoundry.verify.rest import judge_rest, settle_subjects

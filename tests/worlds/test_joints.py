@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene, Sphere
+from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import World, read_back
 from simfoundry.worlds.mujoco_world import MujocoWorld

@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.twin import bare
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load, load_scene

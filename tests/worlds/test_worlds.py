@@ -12,19 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.scene.frames import Pose, frozen_array
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import (
-    Capsule,
-    Collider,
-    Cylinder,
-    JointType,
-    Link,
-    Primitive,
-    Scene,
-    SceneObject,
-    Sphere,
-)
+from simfoundry.scene.model import Collider, JointType, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import MissingEngineError, World
 from simfoundry.worlds.base import read_back

@@ -9,23 +9,10 @@ from simfoundry.backends.artifact import number, numbers
 from simfoundry.backends.mjcf.contacts import Contacts, twin_body
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
-from simfoundry.scene.model import (
-    Background,
-    Box,
-    Capsule,
-    Collider,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.scene.model import Background, Collider, Joint, JointType, Link, SceneObject, Visual
 from simfoundry.scene.trees import Tree, trees
 
 _JOINT_TYPES = {

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss, number
-from simfoundry.scene.frames import frozen_array
-from simfoundry.scene.model import Collider, Cylinder, Link, Mesh, Scene
+from simfoundry.geometry.frames import frozen_array
+from simfoundry.geometry.shapes import Cylinder, Mesh
+from simfoundry.scene.model import Collider, Link, Scene
 
 
 def with_prisms(scene: Scene, sides: int) -> Scene:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from simfoundry.backends.mjcf.restitution import solref
 from simfoundry.backends.mjcf.surfaces import Surface
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Scene
 
 Ints = NDArray[np.int64]

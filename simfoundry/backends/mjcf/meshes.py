@@ -5,9 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_bytes, texture_name
-from simfoundry.scene.model import Mesh
 
 
 class Assets:

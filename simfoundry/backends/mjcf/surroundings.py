@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Camera, Light, LightType, Scene
 
 OPENCV_FROM_OPENGL = Pose.of(q=[0.0, 1.0, 0.0, 0.0])

@@ -33,19 +33,18 @@ from simfoundry.backends.urdf import (
     whole,
 )
 from simfoundry.backends.urdf.physics import silent_between
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.shapes import Geometry, Mesh
 from simfoundry.runtime.shipped import shipped
-from simfoundry.scene.frames import IDENTITY, Array, Pose
 from simfoundry.scene.model import (
     Camera,
     Collider,
     Drive,
-    Geometry,
     Joint,
     JointType,
     Light,
     LightType,
     Link,
-    Mesh,
     Mimic,
     Scene,
     SceneObject,

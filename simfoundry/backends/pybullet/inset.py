@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, frozen_array
-from simfoundry.scene.model import Mesh
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 
 
 def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:

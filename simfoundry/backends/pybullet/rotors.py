@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.model import JointType, SceneObject
 
 

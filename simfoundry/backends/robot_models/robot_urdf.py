@@ -12,7 +12,7 @@ from pathlib import Path
 from simfoundry.backends.artifact import Fidelity, Loss, number
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot import Follow, LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes

@@ -23,24 +23,11 @@ from simfoundry.backends.robot_models.robot_urdf import ROBOT, RobotUrdf, robot_
 from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.urdf.physics import physics_manifest
 from simfoundry.backends.xmltext import DECLARATION, xml_text
+from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.runtime.shipped import shipped
-from simfoundry.scene.frames import IDENTITY, Pose, rpy_from_quat
 from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
-from simfoundry.scene.model import (
-    Background,
-    Box,
-    Capsule,
-    Cylinder,
-    Geometry,
-    Joint,
-    JointType,
-    Link,
-    Mesh,
-    Scene,
-    SceneObject,
-    Sphere,
-    Visual,
-)
+from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
 

@@ -7,8 +7,9 @@ from typing import Protocol
 
 from simfoundry.backends.artifact import json_text, rounded
 from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import Drive, Geometry, Joint, JointType, Link, Scene
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.scene.model import Drive, Joint, JointType, Link, Scene
 from simfoundry.scene.touching import silent_pairs
 from simfoundry.scene.trees import Tree, trees
 

@@ -20,8 +20,9 @@ from simfoundry.backends.usd.prims import (
     settled,
     vec3,
 )
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Joint, JointType, Link, Mesh, Scene, SceneObject
+from simfoundry.scene.model import Joint, JointType, Link, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs, touching_pairs
 from simfoundry.scene.trees import Tree, trees
 

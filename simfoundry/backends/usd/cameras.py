@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.prims import Prim, attribute, define, place
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Camera
 
 # Focal length and apertures share a unit, and only their ratios count. At 1/32 a pixel they read like a real lens

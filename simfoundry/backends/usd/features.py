@@ -10,7 +10,8 @@ from simfoundry.backends.features import Cell, approximated, dropped, exact
 from simfoundry.backends.robot_models.robot_urdf import ROBOT
 from simfoundry.backends.usd.bodies import is_static
 from simfoundry.backends.usd.materials import texture_of
-from simfoundry.scene.model import Collider, Joint, JointType, LightType, Mesh, Scene, SceneObject
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Collider, Joint, JointType, LightType, Scene, SceneObject
 from simfoundry.scene.trees import trees
 
 HULL_VERTICES = 64  # PhysX's limit of a convex hull

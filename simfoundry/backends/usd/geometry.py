@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.crates import author, crate_bytes, new_crate
 from simfoundry.backends.usd.prims import Prim, attribute, define, place
-from simfoundry.scene.frames import Pose
-from simfoundry.scene.model import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
 if TYPE_CHECKING:
     from pxr import Sdf

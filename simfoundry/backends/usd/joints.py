@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.backends.artifact import rounded
 from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, quat, relate, vec3
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic
 
 _TYPE = {

@@ -10,8 +10,9 @@ import numpy as np
 
 from simfoundry.backends.artifact import number, rounded
 from simfoundry.backends.usd.prims import Asset, Prim, apply_schemas, attribute, connect, define, vec3
-from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Collider, Mesh, Visual
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.scene.model import Collider, Visual
 
 
 def texture_of(visual: Visual) -> bytes | None:

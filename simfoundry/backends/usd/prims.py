@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from simfoundry.backends.artifact import rounded
-from simfoundry.scene.frames import IDENTITY, Pose
+from simfoundry.geometry.frames import IDENTITY, Pose
 
 
 class Attribute(NamedTuple):

@@ -13,7 +13,7 @@ from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, mujoc
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import MountedCamera, Scene, SceneObject
 from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import model_files

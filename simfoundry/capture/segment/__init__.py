@@ -1,1 +1,1 @@
-"""Which pixels belong to the support and to each object: planes, edges, regions, and who stands on whom."""
+"""Segmentation of a depth picture into the support and the objects on it, with the support graph."""

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Segmentation, Support
-from simfoundry.capture.segment.hidden import join_containers, join_hidden
-from simfoundry.capture.segment.kinship import join_kin
-from simfoundry.capture.segment.merge import TOUCHING, compact, join_hanging, merge_smooth, renamed
-from simfoundry.capture.segment.necks import split_necks
+from simfoundry.capture.frame import Frame, Segmentation, SupportSurface
+from simfoundry.capture.segment.merge_by_color import join_kin
+from simfoundry.capture.segment.merge_occluded import join_containers, join_hidden
+from simfoundry.capture.segment.merge_regions import TOUCHING, compact, join_hanging, merge_smooth, renamed
 from simfoundry.capture.segment.noise import depth_sigma, valid_depth
 from simfoundry.capture.segment.regions import Labels, Relief, borders, cut, flood, reach_of, relief_of
 from simfoundry.capture.segment.silhouette import close_silhouettes
-from simfoundry.capture.segment.stacking import below, carriers, parts_of, sinking
-from simfoundry.scene.frames import Array
+from simfoundry.capture.segment.split_necks import split_necks
+from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
+from simfoundry.geometry.frames import Array
 
 LOWEST = 0.006  # [m] above the support, below which nothing is told from it
 TALLEST = 0.6  # [m]
@@ -49,7 +49,7 @@ class _Scene:
     down: tuple[float, float]
 
 
-def decompose(frame: Frame, support: Support) -> Segmentation:
+def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
     """The objects on ``support``, numbered from 1, and what each of them stands on.
 
     Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
@@ -73,7 +73,7 @@ def decompose(frame: Frame, support: Support) -> Segmentation:
     return Segmentation(labels, carriers(parts))
 
 
-def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> Labels:
+def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:
     """The capture's own masks, without specks and without what is not on the support."""
     import cv2
 
@@ -95,7 +95,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: Support) -> L
     return compact(out)
 
 
-def _found(frame: Frame, points_W: Array, support: Support) -> Labels:
+def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
     """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
     depth, K = frame.depth, frame.K
     standing = _standing(depth, points_W, support.outline)
@@ -114,7 +114,7 @@ def _found(frame: Frame, points_W: Array, support: Support) -> Labels:
     return close_silhouettes(labels, depth, points_W, step + 1)
 
 
-def _instances(scene: _Scene, support: Support) -> Labels:
+def _instances(scene: _Scene, support: SupportSurface) -> Labels:
     """The passes in order: cut; join what is smooth across, one by shape, or hanging; drop what is no object."""
     reach = scene.relief.reach
     regions = cut(scene.mask, scene.relief)
@@ -127,11 +127,11 @@ def _instances(scene: _Scene, support: Support) -> Labels:
     regions = join_kin(regions, scene.depth, scene.K, scene.points_W, scene.color, scene.down, reach)
     regions = join_hanging(regions, scene.depth, scene.K, scene.points_W, scene.down, reach)
     regions = _without_specks(regions, scene)
-    regions = _without_strangers(regions, scene, support.outline)
+    regions = _without_foreign_regions(regions, scene, support.outline)
     return regions
 
 
-def _scene(frame: Frame, points_W: Array, support: Support) -> _Scene | None:
+def _scene(frame: Frame, points_W: Array, support: SupportSurface) -> _Scene | None:
     """Crop to what stands on the support; None if nothing does."""
     depth, K = frame.depth, frame.K
     height = points_W[..., 2]
@@ -183,7 +183,7 @@ def _padded(used: NDArray[np.intp], size: int, pad: int = 16) -> slice:
 
 
 def _within(outline: Array, xy: Array, margin: float) -> NDArray[np.bool_]:
-    """Whether world points, shape (..., 2) [m], lie on the support or up to ``margin`` [m] beside it; False for NaN."""
+    """Mask of world points, shape (..., 2) [m], on the support or up to ``margin`` [m] beside it; False for NaN."""
     import cv2
 
     cell = 0.005
@@ -215,7 +215,7 @@ def _without_specks(labels: Labels, scene: _Scene) -> Labels:
     return compact(flood(seeds, (keep | touching)[labels] & (labels > 0), scene.relief.edge))
 
 
-def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
+def _without_foreign_regions(labels: Labels, scene: _Scene, outline: Array) -> Labels:
     """Drop what does not stand on the support: the wall at its end, a chair behind it, what hangs over it."""
     parts = parts_of(labels, scene.points_W, scene.depth, scene.K)
     on = carriers(parts)
@@ -245,11 +245,11 @@ def _without_strangers(labels: Labels, scene: _Scene, outline: Array) -> Labels:
         ):
             parent[k] = 0
     # What stood on something that is gone has lost its place as well.
-    return _without_strangers(renamed(labels, parent), scene, outline) if parent else labels
+    return _without_foreign_regions(renamed(labels, parent), scene, outline) if parent else labels
 
 
 def _on_border(mask: NDArray[np.bool_], scene: _Scene) -> float:
-    """How much of the whole picture's border the region takes, as a share of the picture's shorter side."""
+    """Length of the picture's border that the region covers, as a share of the picture's shorter side."""
     rows, columns = scene.window
     h, w = scene.whole
     band = round(BORDER_BAND * min(h, w))  # sensors often leave the outermost pixels empty
@@ -261,7 +261,7 @@ def _on_border(mask: NDArray[np.bool_], scene: _Scene) -> float:
 
 
 def _is_warp(mask: NDArray[np.bool_], top: float, scene: _Scene) -> bool:
-    """Whether a low region fades into the support without an edge: an error of the sensor, not a thing."""
+    """Test whether a low region fades into the support without an edge: a sensor error, not an object."""
     import cv2
 
     if top > LOW:

@@ -1,4 +1,4 @@
-"""How far off a depth reading may be, and whether a depth picture is one in metres at all."""
+"""Noise of depth readings, and a check that a depth picture is in metres."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
 FEWEST_PIXELS = 200

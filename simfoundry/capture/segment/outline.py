@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 MOST_CELLS = 700
 MOST_VERTICES = 24
@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class TopView:
     """A map of the support seen from above: ``mask`` bool, shape (rows, columns), row along world y, column along x.
 
     Cell (r, c) is centred at ``corner + cell * (c, r)`` in world xy [m].
@@ -28,7 +28,7 @@ class Plan:
     cell: float
 
     def contains(self, xy: Array) -> Mask:
-        """Whether world points, shape (..., 2) [m], lie on the support; False for NaN."""
+        """Test whether world points, shape (..., 2) [m], lie on the support; False for NaN."""
         index = np.round((np.nan_to_num(xy, nan=-1e6) - self.corner) / self.cell)
         rows, columns = self.mask.shape
         inside = (index >= 0).all(-1) & (index[..., 0] < columns) & (index[..., 1] < rows)
@@ -36,7 +36,9 @@ class Plan:
         return np.asarray(inside & self.mask[index[..., 1], index[..., 0]])
 
 
-def plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array, finest: float = 0.005) -> Plan | None:
+def top_view(
+    inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array, finest: float = 0.005
+) -> TopView | None:
     """The largest connected surface of ``inliers``, with what objects hide of it closed; None if there is none.
 
     ``inliers`` marks the plane's pixels and ``hidden`` those whose ray does not reach the plane (an object is in
@@ -68,10 +70,10 @@ def plan_of(inliers: Mask, hidden: Mask, X_WC: Pose, K: Array, points_W: Array, 
     seen = surface & main
     filled = _fill(seen | (unseen & _hull(seen)))
     smooth = _largest(_open(filled, 0.01 / cell), filled)
-    return None if smooth is None else Plan(_fill(smooth), lo, cell)
+    return None if smooth is None else TopView(_fill(smooth), lo, cell)
 
 
-def polygon_of(plan: Plan) -> Array:
+def polygon_of(plan: TopView) -> Array:
     """The plan's boundary in world xy [m], shape (n, 2): counter-clockwise, simple, few vertices."""
     import cv2
     from shapely.geometry import Polygon

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 MOST_PLANES = 8
 HYPOTHESES = 1500
@@ -120,5 +120,5 @@ def refine(plane: Plane, points: Array, rounds: int = 6) -> Plane:
 
 
 def is_level(plane: Plane) -> bool:
-    """Whether a level camera could see this plane as a floor: it is not one straight ahead (or straight below)."""
+    """Return whether a level camera could see this plane as a floor, neither straight ahead nor straight below."""
     return bool(plane.normal[1] < -0.3)

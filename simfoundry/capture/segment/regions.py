@@ -7,9 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.capture.segment.edge_map import (
+    CUT,
+    across,
+    bend_and_jump,
+    edge_strength,
+    normals_of,
+    start_of,
+    tangents,
+)
 from simfoundry.capture.segment.noise import depth_sigma
-from simfoundry.capture.segment.relief import CUT, across, bend_and_jump, edge_strength, normals_of, start_of, tangents
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 SCALE = 0.009  # [m] on the object, over which a surface is smoothed and its edges are judged
 FLAT = 0.5  # edge strength, in units of `Relief.edge`, below which a pixel may seed a region
@@ -19,7 +27,7 @@ Labels = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """What the cut goes by: smoothed ``points`` [m] and ``normals`` in the camera frame, (h, w, 3), and edges, (h, w).
+    """Input of the cut: smoothed ``points`` [m] and ``normals`` in the camera frame, (h, w, 3), and edges, (h, w).
 
     ``inward`` and ``step`` are the edge strengths over what the noise explains: 1 is a likely edge.
     """
@@ -37,7 +45,7 @@ class Relief:
 
 
 def reach_of(depth: Array, K: Array) -> float:
-    """How many pixels the scale of edges takes at the median depth."""
+    """Convert the scale of edges to pixels at the median depth."""
     return SCALE * float(K[0, 0] + K[1, 1]) / 2 / float(np.nanmedian(depth))
 
 
@@ -55,7 +63,7 @@ def relief_of(depth: Array, K: Array, scale: float) -> Relief:
 
 
 def _breaks(depth: Array) -> Array:
-    """How far [m] the depth jumps to a direct neighbour where it is no slope; this needs no surface to either side."""
+    """Jump of the depth [m] to a direct neighbour beyond any slope; it needs no surface on either side."""
     limit = CUT + 3 * depth_sigma(depth)
     out = np.zeros(depth.shape)
     for axis in (0, 1):
@@ -112,7 +120,7 @@ def flood(seeds: Labels, mask: NDArray[np.bool_], height: Array) -> Labels:
 
 @dataclass(frozen=True)
 class Border:
-    """Where two regions ``a < b`` meet: pixel ``pairs`` seen across it, and means over these in units of the noise.
+    """Border of two regions ``a < b``: pixel ``pairs`` seen across it, and means over these in units of the noise.
 
     ``bend``: positive for an inward crease, negative for an outward one. ``jump``: positive where ``b`` is in front.
     ``meets`` is the share of the closer pairs across which the surface goes on within the noise.
@@ -127,7 +135,7 @@ class Border:
 
     @property
     def edge(self) -> float:
-        """How much the two are separated: 1 is a likely border of two objects, negative a convex edge of one."""
+        """Separation of the two: 1 is a likely border of two objects, negative a convex edge of one."""
         return max(self.bend, 0.8 * abs(self.jump))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.segment.regions import Labels
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 MEASURED = 0.1  # share of a hole's pixels with depth from which on its depth decides what it shows
 INSIDE = 0.7  # of a hole's points over the object's footprint
@@ -95,7 +95,7 @@ def _bounded(area: Mask, mask: Mask, free: Mask) -> Mask:
 
 
 def _is_round(xy: Array) -> bool:
-    """Whether positions [m], shape (n, 2), fill about as much of a circle round them as a square does."""
+    """Test whether positions [m], shape (n, 2), fill at least as much of their bounding circle as a square does."""
     import cv2
 
     hull = cv2.convexHull((xy * 1000).astype(np.float32))
@@ -114,7 +114,7 @@ def _holes(mask: Mask, labels: Labels) -> list[Mask]:
 
 
 def _is_own(hole: Mask, mask: Mask, points_W: Array) -> bool:
-    """Whether what is seen in ``hole`` lies over the footprint of the object: the bottom of a bowl, not a table.
+    """Test whether ``hole`` shows a surface over the footprint of the object: the bottom of a bowl, not a table.
 
     The table seen through the handle of a mug lies behind the mug, outside of its footprint.
     """

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.assets import mass
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_box import DEPTH_PRIOR
-from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_mesh
+from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_mesh
 from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Mesh
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Mesh
 
 LEVELS, SIDES, COLUMNS = 18, 40, 32
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
@@ -38,7 +38,7 @@ class CompletedFit:
 
     mesh: Mesh
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class _Slices:
     along: Array
 
 
-def complete(frame: Frame, support: Support, evidence: Evidence) -> CompletedFit:
+def complete(frame: Frame, support: SupportSurface, evidence: Evidence) -> CompletedFit:
     """The completed solid on ``base_z`` of the points in ``evidence``."""
     slices = _slice(frame, support, evidence)
     rings = _carve(_Space(frame, support, slices.across, slices.along), _smooth(_rings(slices)))
@@ -78,7 +78,7 @@ def _axes(evidence: Evidence) -> tuple[Array, Array]:
     return across, np.array([across[1], -across[0]])
 
 
-def _slice(frame: Frame, support: Support, evidence: Evidence) -> _Slices:
+def _slice(frame: Frame, support: SupportSurface, evidence: Evidence) -> _Slices:
     across, along = _axes(evidence)
     space = _Space(frame, support, across, along)
     fronts = _fronts(evidence, evidence.points[:, :2] @ across, evidence.points[:, :2] @ along)
@@ -121,7 +121,7 @@ def _columns(t: Array) -> Array:
 
 
 def _mirror_depths(fronts: list[tuple[float, Array, Array, Array]]) -> Array:
-    """Where the mirror plane lies in each slice [m].
+    """Position of the mirror plane in each slice [m].
 
     An ellipse curves back by 0.47 of its half depth over the inner 85 % of its width; a flat front tells nothing, and
     the depth prior of boxes takes over. Things that stand are symmetric about one plane from foot to cap, so the
@@ -152,15 +152,15 @@ def _envelope(columns: Array, t: Array, s: Array, percentile: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Space:
-    """Which places the camera saw to be empty, in the axes of the slices."""
+    """Free space as the camera saw it, in the axes of the slices."""
 
     frame: Frame
-    support: Support
+    support: SupportSurface
     across: Array
     along: Array
 
     def free(self, t: Array, s: Array, level: float) -> NDArray[np.bool_]:
-        """Whether the camera saw past each place (t, s) [m] at the height ``level`` [m]."""
+        """Test whether the camera saw past each place (t, s) [m] at the height ``level`` [m]."""
         frame = self.frame
         xy = t[..., None] * self.across + s[..., None] * self.along
         p_C = self.support.X_WC.inverse().apply(np.concatenate([xy, np.full((*s.shape, 1), level)], axis=-1))

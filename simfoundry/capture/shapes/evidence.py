@@ -1,4 +1,4 @@
-"""What the camera says about one object: its points, and for a grid of rays what lies on, before and behind them."""
+"""Evidence of the camera about one object: its points, and a grid of rays through and around it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Support
-from simfoundry.scene.frames import Array
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.geometry.frames import Array
 
 MAX_RAYS = 2600
 _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too
@@ -55,7 +55,7 @@ def robust_top(z: Array) -> float:
 
 def gather(
     frame: Frame,
-    support: Support,
+    support: SupportSurface,
     mask: NDArray[np.bool_],
     base_z: float,
     labels: NDArray[np.int32] | None = None,
@@ -92,7 +92,7 @@ def gather(
 
 
 def main_body(points: Array, pitch: float) -> NDArray[np.bool_]:
-    """Which of the points belong to the object rather than to stray background under its mask, bool, shape (n,).
+    """Select the points of the object itself, without stray background under its mask; bool, shape (n,).
 
     Points are joined through a grid of ``pitch`` [m]; a part counts if it holds a tenth of the largest part's points,
     so that an object cut in two by something before it stays whole.

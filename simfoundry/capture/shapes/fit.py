@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.capture.errors import CaptureError
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.complete import complete
 from simfoundry.capture.shapes.evidence import Evidence, gather
 from simfoundry.capture.shapes.fit_box import fit_box
 from simfoundry.capture.shapes.fit_lathe import LatheFit, fit_hollow, fit_lathe
 from simfoundry.capture.shapes.fit_round import fit_cylinder, fit_lying_cylinder, fit_sphere
-from simfoundry.capture.shapes.raycast import Agreement
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Box, Cylinder, Geometry, Mesh, Sphere
-from simfoundry.scene.tessellate import revolved
+from simfoundry.capture.shapes.ray_agreement import RayAgreement
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.tessellate import revolved
 
 MIN_POINTS = 12
 PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]
@@ -53,13 +53,13 @@ class FittedShape:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class FitCandidate:
     """One family's best solid; ``guessed`` if a prior supplied an extent that was not seen."""
 
     family: str
     geometry: Geometry
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
     guessed: bool = False
     profile: Array | None = None
 
@@ -71,7 +71,7 @@ class Candidate:
 
 def fit_shape(
     frame: Frame,
-    support: Support,
+    support: SupportSurface,
     mask: NDArray[np.bool_],
     base_z: float,
     *,
@@ -103,7 +103,7 @@ def fit_shape(
     )
 
 
-def choose(found: list[Candidate]) -> Candidate:
+def choose(found: list[FitCandidate]) -> FitCandidate:
     """The cheapest candidate; a completed shape only where it explains clearly more than the best simple one.
 
     It follows every dent, so its residuals are smaller than those of a carton that bulges a little.
@@ -113,33 +113,33 @@ def choose(found: list[Candidate]) -> Candidate:
     return simple if _net(best.agreement) - _net(simple.agreement) < GAIN else best
 
 
-def _net(result: Agreement) -> float:
+def _net(result: RayAgreement) -> float:
     return result.explained - result.intrusion
 
 
-def candidates(frame: Frame, support: Support, evidence: Evidence) -> list[Candidate]:
+def candidates(frame: Frame, support: SupportSurface, evidence: Evidence) -> list[FitCandidate]:
     """The best solid of every family that the evidence can carry; few points carry boxes and cylinders only."""
     box, cylinder = fit_box(evidence), fit_cylinder(evidence)
     found = [
-        Candidate("box", box.box, box.X_WO, box.agreement, box.guessed_depth),
-        Candidate("cylinder", cylinder.shape, cylinder.X_WO, cylinder.agreement),
+        FitCandidate("box", box.box, box.X_WO, box.agreement, box.guessed_depth),
+        FitCandidate("cylinder", cylinder.shape, cylinder.X_WO, cylinder.agreement),
     ]
     if len(evidence.points) < FEW_POINTS:
         return found
     for family, fit in (("lying", fit_lying_cylinder(evidence)), ("sphere", fit_sphere(evidence))):
-        found.append(Candidate(family, fit.shape, fit.X_WO, fit.agreement))
+        found.append(FitCandidate(family, fit.shape, fit.X_WO, fit.agreement))
     found.append(_turned("lathe", fit_lathe(evidence)))
     hollow = fit_hollow(evidence)
     if hollow is not None:
         found.append(_turned("hollow", hollow))
     completed = complete(frame, support, evidence)
-    found.append(Candidate("completed", completed.mesh, completed.X_WO, completed.agreement))
+    found.append(FitCandidate("completed", completed.mesh, completed.X_WO, completed.agreement))
     return found
 
 
-def _turned(family: str, fit: LatheFit) -> Candidate:
+def _turned(family: str, fit: LatheFit) -> FitCandidate:
     profile = thinned(fit.profile)
-    return Candidate(family, revolved(profile, LATHE_SIDES), fit.X_WO, fit.agreement, profile=profile)
+    return FitCandidate(family, revolved(profile, LATHE_SIDES), fit.X_WO, fit.agreement, profile=profile)
 
 
 def thinned(profile: Array) -> Array:
@@ -150,8 +150,8 @@ def thinned(profile: Array) -> Array:
     return np.asarray(line.coords)
 
 
-def confidence(candidate: Candidate, evidence: Evidence) -> float:
-    """How far to trust a fit, in [0, 1]: the product of five shares.
+def confidence(candidate: FitCandidate, evidence: Evidence) -> float:
+    """Confidence in a fit, in [0, 1]: the product of five shares.
 
     The share of measured pixels explained within the noise scale; the share of rays without intrusion into free space;
     ``exp(-fit / (5 % of the size))``; ``min(1, sqrt(points / 400))``; and 0.6 if a prior supplied an unseen extent, 0.7

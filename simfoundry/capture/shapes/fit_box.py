@@ -10,9 +10,9 @@ import numpy as np
 
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_round import search
-from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_box
-from simfoundry.scene.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Box
+from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_box
+from simfoundry.geometry.frames import Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Box
 
 SMALLEST = 0.004
 DEPTH_PRIOR = 0.35  # depth over width of a box that shows one face only: cartons and bottles run from 0.25 to 0.5
@@ -27,7 +27,7 @@ class BoxFit:
 
     box: Box
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
     guessed_depth: bool
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.capture.shapes.fit_round import search, start_axis
-from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_lathe
+from simfoundry.geometry.frames import Array, Pose
 
 LEVELS = 14
 WALL = 0.004
@@ -28,7 +28,7 @@ class LatheFit:
 
     profile: Array
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
     hollow: bool
 
 
@@ -51,7 +51,7 @@ def fit_hollow(evidence: Evidence) -> LatheFit | None:
 def _fit(
     evidence: Evidence, axis: Array, radius: float, profile_of: Callable[[Evidence, Array], Array], *, hollow: bool
 ) -> LatheFit:
-    def judge(x: Array) -> Agreement:
+    def judge(x: Array) -> RayAgreement:
         return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile_of(evidence, x), _pose(evidence, x)))
 
     view = evidence.view
@@ -107,7 +107,7 @@ def solid_profile(evidence: Evidence, axis: Array) -> Array:
 
 
 def through_rim(evidence: Evidence, axis: Array, radius: float) -> NDArray[np.bool_]:
-    """Which points are seen through the disc of ``radius`` [m] at the height of the rim, and lie clearly below it."""
+    """Select the points seen through the disc of ``radius`` [m] at the height of the rim, and lie clearly below it."""
     rim = evidence.top
     below = rim - evidence.points[:, 2]
     fall = evidence.eye[2] - evidence.points[:, 2]

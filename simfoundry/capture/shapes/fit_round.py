@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.capture.shapes.evidence import Evidence
-from simfoundry.capture.shapes.raycast import Agreement, agreement, cast_lathe, cast_sphere
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.scene.model import Cylinder, Sphere
+from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cast_lathe, cast_sphere
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Cylinder, Sphere
 
 SMALLEST = 0.004
 
@@ -22,7 +22,7 @@ class RoundFit:
 
     shape: Cylinder | Sphere
     X_WO: Pose
-    agreement: Agreement
+    agreement: RayAgreement
 
 
 def search(cost: Callable[[Array], float], start: Array, steps: Array, evaluations: int) -> tuple[float, Array]:
@@ -110,7 +110,7 @@ def _lying_start(evidence: Evidence, yaw: float, radius: float) -> Array:
     return np.array([*(along * (low + high) / 2 + side * offset), yaw, radius, high - low])
 
 
-def _cylinder_agreement(evidence: Evidence, shape: Cylinder, X_WO: Pose) -> Agreement:
+def _cylinder_agreement(evidence: Evidence, shape: Cylinder, X_WO: Pose) -> RayAgreement:
     profile = cylinder_profile(shape.radius, shape.height)
     return agreement(evidence, cast_lathe(evidence.eye, evidence.rays, profile, X_WO))
 
@@ -131,7 +131,7 @@ def fit_sphere(evidence: Evidence) -> RoundFit:
         r = float(max(x[2], SMALLEST))
         return r, np.array([x[0], x[1], evidence.base_z + r])
 
-    def judge(x: Array) -> Agreement:
+    def judge(x: Array) -> RayAgreement:
         return agreement(evidence, cast_sphere(evidence.eye, evidence.rays, *solid(x)))
 
     starts = [np.array([*axis, r]) for r in (radius, max((evidence.top - evidence.base_z) / 2, SMALLEST))]

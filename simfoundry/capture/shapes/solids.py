@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.assets.lathe import ring_faces
-from simfoundry.scene.frames import Array
-from simfoundry.scene.model import Mesh
-from simfoundry.scene.tessellate import closed_mesh
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import closed_mesh
 
 
 def loft_mesh(rings: Array) -> Mesh:
@@ -22,7 +22,7 @@ def loft_mesh(rings: Array) -> Mesh:
 
 
 def hull_margin(footprint: Array, point: Array) -> float:
-    """How far inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
+    """Distance inside the convex hull of ``footprint`` (xy [m], shape (n, 2)) a point lies [m]; negative outside."""
     from scipy.spatial import ConvexHull
 
     equations = ConvexHull(footprint).equations

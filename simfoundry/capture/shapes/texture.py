@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.capture.frame import Frame, Support
+from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.capture.shapes.evidence import depth_scale
 from simfoundry.capture.shapes.fit import FittedShape
 from simfoundry.capture.shapes.unwrap import Atlas, face_normals, unwrap
-from simfoundry.scene.frames import Array, frozen_array
-from simfoundry.scene.model import Mesh
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import tessellate
 
 _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
@@ -52,7 +52,7 @@ def dominant_color(frame: Frame, mask: NDArray[np.bool_]) -> tuple[float, float,
     return float(r), float(g), float(b)
 
 
-def textured_mesh(shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> Mesh:
+def textured_mesh(shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> Mesh:
     """The mesh of a fitted shape, in its object frame, with texture coordinates (v up) and a PNG from the picture.
 
     ``mask`` (bool, shape (h, w)) marks the object's pixels; colours from outside it never enter. Raises ``ValueError``
@@ -109,12 +109,12 @@ class _View:
 
     shape: FittedShape
     frame: Frame
-    support: Support
+    support: SupportSurface
     core: NDArray[np.bool_]
     colors: NDArray[np.float32]
 
     @classmethod
-    def of(cls, shape: FittedShape, frame: Frame, support: Support, mask: NDArray[np.bool_]) -> _View:
+    def of(cls, shape: FittedShape, frame: Frame, support: SupportSurface, mask: NDArray[np.bool_]) -> _View:
         core = _eroded(mask, 1 + int(mask.sum() > _LARGE_FROM / 4))
         core = core if core.any() else mask
         return cls(shape, frame, support, core, _nearest_fill(frame.color.astype(np.float32), core))

@@ -9,15 +9,15 @@ import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.mesh import open_edges, weld
-from simfoundry.cousins.objects.grips import grip_width
 from simfoundry.cousins.objects.needs import Needs
 from simfoundry.cousins.objects.stuff import Sort, sort_of
 from simfoundry.cousins.objects.trials import Outcome, moves, rests, stands
 from simfoundry.cousins.reasons import Reason
-from simfoundry.lint.report import length
+from simfoundry.geometry.grasp_width import grasp_width
+from simfoundry.geometry.tessellate import tessellate
+from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, SceneObject, Visual
-from simfoundry.scene.summary import bounds
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.object_shapes import bounds, solid
 from simfoundry.spec.check.plausible import HEAVIEST, LIGHTEST
 from simfoundry.spec.models.expressions import Call
 
@@ -59,7 +59,7 @@ class Twin:
         steady = stands(item)
         if not steady.passed:
             lacks.append(f"stands: {steady.why}")
-        width = grip_width(item)
+        width = grasp_width(solid(item))
         opening = needs.opening
         if opening is not None and width > opening - MARGIN:
             lacks.append(f"the gripper opens {length(opening)}, and it is {length(width)} wide")
@@ -72,7 +72,7 @@ def faults(item: SceneObject, twin: Twin, category: str) -> Iterator[Reason]:
     yield from _open_meshes(item)
     yield from _size(item, twin.item, sort_of(category))
     if twin.opening is not None:
-        width = grip_width(item)
+        width = grasp_width(solid(item))
         if width > twin.opening - MARGIN:
             text = f"it is {length(width)} wide at its narrowest, and the gripper opens {length(twin.opening)}"
             yield Reason("grip", text, {"width": width, "opening": twin.opening})

@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.cousins.objects.parts import Key, at, axis_of, bounds, parts_of, rod
 from simfoundry.cousins.objects.profiles import Profile
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, SphereShape
 
 SLIM = 0.012
@@ -104,7 +104,7 @@ def components(spec: AssetSpec) -> tuple[Component, ...]:
     return tuple(found)
 
 
-def _attached(key: Key, part: Part, own: dict[Key, Part]) -> Kind | None:
+def _attached(key: Key, part: PartSpec, own: dict[Key, PartSpec]) -> Kind | None:
     """What a part is beside the body; None where it belongs to that."""
     words = set(re.split(r"[_\d]+", key[1])) - {""}
     if len(own) == 1:
@@ -136,7 +136,7 @@ def _moving(spec: AssetSpec, link: str) -> Kind | None:
     return Kind.DRAWER if joint.type == "prismatic" else Kind.LID
 
 
-def _main_kind(parts: list[Part], keys: list[Key]) -> Kind:
+def _main_kind(parts: list[PartSpec], keys: list[Key]) -> Kind:
     lathes = [Profile.of(p.shape) for p in parts if isinstance(p.shape, LatheShape)]
     if len(parts) == 1 and lathes:
         return Kind.VESSEL if lathes[0].is_hollow else Kind.TURNED
@@ -153,11 +153,11 @@ def _main_kind(parts: list[Part], keys: list[Key]) -> Kind:
     return Kind.BODY
 
 
-def _coaxial(part: Part) -> bool:
+def _coaxial(part: PartSpec) -> bool:
     return bool(np.hypot(*at(part)[:2]) < 1e-3 and abs(axis_of(part)[2]) > 0.999)
 
 
-def _groups(own: dict[Key, Part], keys: list[Key], kind: Kind) -> list[list[Key]]:
+def _groups(own: dict[Key, PartSpec], keys: list[Key], kind: Kind) -> list[list[Key]]:
     """The keys in groups of what touches; only handles are made of several parts."""
     if kind is not Kind.HANDLE:
         return [[key] for key in keys]

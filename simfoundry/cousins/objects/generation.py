@@ -23,13 +23,14 @@ from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Varia
 from simfoundry.cousins.objects.retrieval import USUAL
 from simfoundry.cousins.reasons import Reason
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.frames import Array, frozen_array, look_at
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.models.images import ImageEditor
 from simfoundry.models.meshes import MeshMaker
 from simfoundry.render.raycast import raycast
-from simfoundry.scene.frames import Array, frozen_array, look_at
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Camera, Mesh, Scene, SceneObject
-from simfoundry.scene.summary import bounds
+from simfoundry.scene.model import Camera, Scene, SceneObject
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
 from simfoundry.spec.models.cousins import ObjectVariants
 

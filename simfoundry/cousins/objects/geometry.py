@@ -20,8 +20,8 @@ from simfoundry.cousins.objects.parts import (
 )
 from simfoundry.cousins.objects.profiles import Profile, flared, swelled, thickened
 from simfoundry.cousins.objects.stretch import allowed, stretched, stretched_part
-from simfoundry.scene.frames import Array
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.geometry.frames import Array
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import LatheShape, SphereShape
 
 Edit = tuple[AssetSpec, str]
@@ -99,7 +99,7 @@ def resize(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     return with_parts(spec, changed), f"{component.name}: reach x {reach:.2f}, span x {span:.2f}, rods x {thick:.2f}"
 
 
-def outward(body: list[Part], handle: list[Part]) -> Array | None:
+def outward(body: list[PartSpec], handle: list[PartSpec]) -> Array | None:
     """The axis, with its sign, along which a component stands off from the rest of its link, shape (3,)."""
     if not body:
         return None
@@ -114,7 +114,7 @@ def outward(body: list[Part], handle: list[Part]) -> Array | None:
     return axis
 
 
-def _anchor(handle: list[Part], out: Array) -> Array:
+def _anchor(handle: list[PartSpec], out: Array) -> Array:
     """The point of a component where it meets the body: its end against ``out``, in its middle across [m]."""
     low, high = bounds(handle)
     k = int(np.abs(out).argmax())
@@ -156,7 +156,7 @@ def with_profile(spec: AssetSpec, key: Key, old: Profile, new: Profile) -> Asset
     return with_parts(spec, changed)
 
 
-def _follow(parts: dict[Key, Part], old: Profile, new: Profile, base: float) -> dict[Key, Part]:
+def _follow(parts: dict[Key, PartSpec], old: Profile, new: Profile, base: float) -> dict[Key, PartSpec]:
     """Parts of one component where the wall that they hang on has moved."""
     if not parts:
         return {}
@@ -166,12 +166,12 @@ def _follow(parts: dict[Key, Part], old: Profile, new: Profile, base: float) -> 
         return {key: moved(part, at(part) + rise) for key, part in parts.items()}
     scale = new.height / old.height
 
-    def delta(part: Part) -> float:
+    def delta(part: PartSpec) -> float:
         z = float(at(part)[2]) - base
         return float(new.radius(new.foot + (z - old.foot) * scale) - old.radius(z))
 
     together = max((delta(p) for p in parts.values() if not is_radial(p)), default=0.0)
-    out: dict[Key, Part] = {}
+    out: dict[Key, PartSpec] = {}
     for key, part in parts.items():
         p = at(part)
         off = float(np.hypot(*p[:2]))
@@ -192,7 +192,7 @@ def _follow(parts: dict[Key, Part], old: Profile, new: Profile, base: float) -> 
     return out
 
 
-def is_radial(part: Part) -> bool:
+def is_radial(part: PartSpec) -> bool:
     """Whether a rod points away from the z axis of its link."""
     p, axis = at(part), axis_of(part)
     off = float(np.hypot(*p[:2]))

@@ -13,10 +13,10 @@ from simfoundry.cousins.objects.geometry import Rng, lathe_of, outward
 from simfoundry.cousins.objects.meshes import FOLDER
 from simfoundry.cousins.objects.parts import Key, aimed, at, axis_of, parts_of, rod, with_parts
 from simfoundry.cousins.objects.profiles import Profile
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 
 RINGS, AROUND = 33, 14
@@ -94,7 +94,7 @@ def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
     return None
 
 
-def _out(spec: AssetSpec, component: Component, own: list[Part], body: list[Part]) -> Array | None:
+def _out(spec: AssetSpec, component: Component, own: list[PartSpec], body: list[PartSpec]) -> Array | None:
     """The way in which a handle stands off: from the axis of what is turned, else along the nearest axis."""
     turned = any(c.kind is Kind.VESSEL and c.link == component.link for c in components(spec))
     middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
@@ -180,13 +180,13 @@ def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, ra
     parts = parts_of(spec)
     model = parts[component.parts[0]]
     kept = {k: p for k, p in parts.items() if k not in component.parts}
-    added: dict[Key, Part] = {}
+    added: dict[Key, PartSpec] = {}
     for n, (a, b) in enumerate(pairwise(joints)):
         long = float(np.linalg.norm(b - a))
         shape = CapsuleShape(capsule=Round(radius=round(radius, 6), height=round(long, 6)))
-        piece = Part(shape=shape, pose=aimed((a + b) / 2, (b - a) / long), material=model.material, use="collision")
+        piece = PartSpec(shape=shape, pose=aimed((a + b) / 2, (b - a) / long), material=model.material, use="collision")
         added[component.link, f"{component.name}_{n}"] = piece
-    look = Part(mesh=mesh, material=model.material, color=model.color, use="visual")
+    look = PartSpec(mesh=mesh, material=model.material, color=model.color, use="visual")
     added[component.link, LOOK if (component.link, LOOK) not in kept else f"{LOOK}_{component.name}"] = look
     return with_parts(spec, kept | added)
 

@@ -16,8 +16,8 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.files import is_document
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
-from simfoundry.spec.models.base import Body, Material
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
+from simfoundry.spec.models.base import BodySpec, Material
 from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_names, variant_of
 from simfoundry.spec.yaml.write import to_yaml
@@ -25,7 +25,7 @@ from simfoundry.spec.yaml.write import to_yaml
 LINK = "body"
 """What the one link of a shape or mesh is called."""
 
-_OF_BODY = tuple(Body.model_fields)
+_OF_BODY = tuple(BodySpec.model_fields)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def item_of_asset(asset: Loaded) -> Item:
 
 def item_of_mesh(path: Path, name: str, category: str, material: Material, scale: float = 1.0) -> Item:
     """A mesh file as a thing of one part."""
-    link = LinkSpec(material="stuff", parts={"mesh": Part(mesh=path.name, scale=scale)})
+    link = LinkSpec(material="stuff", parts={"mesh": PartSpec(mesh=path.name, scale=scale)})
     spec = AssetSpec(
         simfoundry="asset/1", name=name, category=category, materials={"stuff": material}, links={LINK: link}
     )
@@ -83,11 +83,11 @@ def _item_of_body(scene: Loaded, name: str, written: ObjectSpec, materials: Mapp
     body = {key: getattr(written, key) for key in _OF_BODY if key in written.model_fields_set}
     files: dict[str, Path] = {}
     if written.shape is not None:
-        part = Part(shape=written.shape)
+        part = PartSpec(shape=written.shape)
     else:
         mesh = Path(written.asset or "").name
         files[mesh] = scene.file(written.asset or "")
-        part = Part(mesh=mesh, scale=written.scale)
+        part = PartSpec(mesh=mesh, scale=written.scale)
     used = {} if written.material is None else {written.material: materials[written.material]}
     category = written.category or name
     spec = AssetSpec(

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Mesh, SceneObject
-from simfoundry.scene.tessellate import tessellate
+from simfoundry.scene.model import SceneObject
 
 PAIRS, BINS = 16_384, 24
 """Pairs of surface points, and bins of their distances: the noise of the shape distance then is below 0.02."""

@@ -11,10 +11,10 @@ from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, read_parts
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 
 FOLDER = "meshes"
 """Where the meshes of variants lie, beside their documents."""
@@ -30,7 +30,7 @@ def deformed(spec: AssetSpec, files: Mapping[str, Path], rng: Rng) -> tuple[Asse
     parts = parts_of(spec)
     meshes = {key: part for key, part in parts.items() if part.mesh is not None}
     span = _heights([(files[part.mesh or ""], part.scale) for part in meshes.values()])
-    changed: dict[Key, Part] = {}
+    changed: dict[Key, PartSpec] = {}
     for key, part in meshes.items():
         assert part.mesh is not None
         read = joined(read_parts(files[part.mesh], part.scale))

@@ -9,14 +9,9 @@ from typing import Any
 
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.models.expressions import Call, parse_call, texts
+from simfoundry.spec.models.predicate import Effect
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
-
-CARRIED = ("Grasped", "Lifted", "OnTop", "Inside")
-"""Predicates whose first argument a robot takes between its fingers."""
-
-RESTING = ("OnTop", "Inside")
-MOVED = ("Open", "Closed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +31,10 @@ def needs_of(name: str, spec: SceneSpec, scene: Scene, tasks: Sequence[TaskSpec]
     calls = list(dict.fromkeys(c for task in tasks for c in _calls(task)))
     mine = [c for c in calls if any(argument.partition(".")[0] == name for argument in c.args)]
     known = {item.name: item for item in scene.objects}
-    rests = [c for c in mine if c.predicate in RESTING and all(a.partition(".")[0] in known for a in c.args)]
-    carried = any(c.predicate in CARRIED and c.args[0].partition(".")[0] == name for c in mine)
+    rests = [
+        c for c in mine if c.declaration.effect is Effect.PLACE and all(a.partition(".")[0] in known for a in c.args)
+    ]
+    carried = any(c.declaration.effect.grasps and c.args[0].partition(".")[0] == name for c in mine)
     joints = tuple(j.name for j in known[name].joints if j.has_axis and j.limits is not None)
     others = {o: known[o] for c in rests for a in c.args if (o := a.partition(".")[0]) != name}
     opening = _opening(spec) if carried else None

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.poses import pose
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
     LatheShape,
-    Pose,
+    PoseSpec,
     PrismShape,
     Shape,
     SphereShape,
@@ -24,10 +24,10 @@ from simfoundry.spec.models.base import (
 Key = tuple[str, str]
 """A part, by its link and its name."""
 
-Parts = Mapping[Key, Part]
+Parts = Mapping[Key, PartSpec]
 
 
-def parts_of(spec: AssetSpec) -> dict[Key, Part]:
+def parts_of(spec: AssetSpec) -> dict[Key, PartSpec]:
     """Every part of every link."""
     return {(link, name): part for link, body in spec.links.items() for name, part in body.parts.items()}
 
@@ -41,36 +41,36 @@ def with_parts(spec: AssetSpec, parts: Parts) -> AssetSpec:
     return spec.model_copy(update={"links": links})
 
 
-def each(spec: AssetSpec, change: Callable[[Key, Part], Part]) -> AssetSpec:
+def each(spec: AssetSpec, change: Callable[[Key, PartSpec], PartSpec]) -> AssetSpec:
     """The spec with every part as ``change`` has it."""
     return with_parts(spec, {key: change(key, part) for key, part in parts_of(spec).items()})
 
 
-def moved(part: Part, xyz: Array) -> Part:
+def moved(part: PartSpec, xyz: Array) -> PartSpec:
     """The part with its frame at ``xyz`` [m], turned as it is."""
     return part.model_copy(update={"pose": part.pose.model_copy(update={"xyz": _vector(xyz)})})
 
 
-def shaped(part: Part, shape: Shape) -> Part:
+def shaped(part: PartSpec, shape: Shape) -> PartSpec:
     """The part with another shape."""
     return part.model_copy(update={"shape": shape})
 
 
-def at(part: Part) -> Array:
+def at(part: PartSpec) -> Array:
     """Where its frame is in the link [m], shape (3,)."""
     return np.array(part.pose.xyz)
 
 
-def aimed(xyz: Array, direction: Array) -> Pose:
+def aimed(xyz: Array, direction: Array) -> PoseSpec:
     """A pose at ``xyz`` [m] whose z points along ``direction``."""
     x, y, z = (float(v) for v in direction)
     pitch, yaw = math.degrees(math.atan2(math.hypot(x, y), z)), math.degrees(math.atan2(y, x))
     if abs(pitch) < 1e-9:
-        return Pose(xyz=_vector(xyz))
-    return Pose(xyz=_vector(xyz), rpy_deg=(0.0, round(pitch, 4), round(yaw, 4)))
+        return PoseSpec(xyz=_vector(xyz))
+    return PoseSpec(xyz=_vector(xyz), rpy_deg=(0.0, round(pitch, 4), round(yaw, 4)))
 
 
-def axis_of(part: Part) -> Array:
+def axis_of(part: PartSpec) -> Array:
     """The unit vector along the part's own z in the link's frame, shape (3,)."""
     return pose(part.pose).rotation[:, 2]
 
@@ -80,7 +80,7 @@ def is_level(direction: Array) -> bool:
     return abs(float(direction[2])) < 1e-3
 
 
-def rod(part: Part) -> tuple[float, float] | None:
+def rod(part: PartSpec) -> tuple[float, float] | None:
     """Radius and length [m] of a cylinder or capsule, its caps left out; None for any other part."""
     match part.shape:
         case CylinderShape():
@@ -90,14 +90,14 @@ def rod(part: Part) -> tuple[float, float] | None:
     return None
 
 
-def with_rod(part: Part, radius: float, height: float) -> Part:
+def with_rod(part: PartSpec, radius: float, height: float) -> PartSpec:
     """A cylinder or capsule with other sizes [m]."""
     kind = CylinderShape if isinstance(part.shape, CylinderShape) else CapsuleShape
     name = "cylinder" if kind is CylinderShape else "capsule"
     return shaped(part, kind.model_validate({name: {"radius": float(radius), "height": float(height)}}))
 
 
-def corners(part: Part) -> Array:
+def corners(part: PartSpec) -> Array:
     """Points of the part's surface in the link's frame [m], shape (k, 3): their bounds are those of the part, or close.
 
     Of a mesh there is only its origin: its file is not read.
@@ -134,7 +134,7 @@ def _ring(profile: list[tuple[float, float]]) -> Array:
     return np.array([(r * math.cos(a), r * math.sin(a), z) for r, z in profile for a in turns])
 
 
-def bounds(parts: Iterator[Part] | list[Part]) -> tuple[Array, Array]:
+def bounds(parts: Iterator[PartSpec] | list[PartSpec]) -> tuple[Array, Array]:
     """The lowest and the highest corner [m] of parts of one link, shapes (3,)."""
     points = np.concatenate([corners(part) for part in parts])
     return points.min(axis=0), points.max(axis=0)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.base import LatheShape
 
 HOLLOW = 0.12

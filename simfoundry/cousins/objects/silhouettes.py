@@ -10,7 +10,7 @@ from simfoundry.cousins.objects.components import Component
 from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of, with_profile
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.profiles import THINNEST, Profile
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.base import LatheShape
 

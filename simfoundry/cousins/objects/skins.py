@@ -16,10 +16,10 @@ from simfoundry.cousins.objects.parts import Key, parts_of, rod, with_parts
 from simfoundry.cousins.objects.profiles import Profile
 from simfoundry.cousins.objects.silhouettes import FLAT, LOW
 from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
-from simfoundry.scene.frames import Array, frozen_array
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 PIXELS = 192
@@ -68,7 +68,7 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
         written = obj_with_material(mesh)
         files |= {f"{FOLDER}/{file}": data for file, data in written.items()}
         changed[key] = part.model_copy(update={"use": "collision", "color": None})
-        look = Part(mesh=f"{FOLDER}/{next(iter(written))}", pose=part.pose, color=(1.0, 1.0, 1.0), use="visual")
+        look = PartSpec(mesh=f"{FOLDER}/{next(iter(written))}", pose=part.pose, color=(1.0, 1.0, 1.0), use="visual")
         changed[_free(changed, key[0], f"skin_{k}")] = look.model_copy(update={"material": part.material})
     return (with_parts(spec, changed), files, f"{component.name} with {name}") if files else (spec, {}, "")
 
@@ -77,12 +77,12 @@ SKINNED = tuple(kind for kind in (*MAIN, Kind.LID, Kind.DRAWER, Kind.CAP) if kin
 """Kinds of components that carry a pattern; berries and the layers of a burger do not."""
 
 
-def _is_chain(parts: list[Part]) -> bool:
+def _is_chain(parts: list[PartSpec]) -> bool:
     """Whether parts are several rods, as of a banana: a pattern on each would show where one ends."""
     return len(parts) > 1 and all(rod(part) is not None for part in parts)
 
 
-def _patterns(spec: AssetSpec, part: Part, component: Component) -> tuple[str, ...]:
+def _patterns(spec: AssetSpec, part: PartSpec, component: Component) -> tuple[str, ...]:
     """What things of a kind and material are decorated with."""
     material = part.material or spec.links[component.link].material or ""
     category = spec.category or spec.name
@@ -141,7 +141,7 @@ def _meshed(shape: Shape | None, image: bytes, around: bool) -> Mesh | None:
             return _box(np.array(shape.box), image)
         case PrismShape():
             return _prism(np.array(shape.prism.outline), shape.prism.height, image)
-    if shape is not None and (size := rod(Part(shape=shape))) is not None:
+    if shape is not None and (size := rod(PartSpec(shape=shape))) is not None:
         r, half = size[0], size[1] / 2
         bend = np.linspace(0.0, np.pi / 2, 9) if "capsule" in type(shape).model_fields else np.zeros(1)
         cap = np.column_stack([r * np.cos(bend), half + r * np.sin(bend)])
@@ -243,7 +243,7 @@ def _prism(outline: Array, height: float, image: bytes) -> Mesh | None:
     return Mesh(frozen_array(vertices), np.concatenate(faces).astype(np.int32), frozen_array(uv), image)
 
 
-def _free(parts: dict[Key, Part], link: str, name: str) -> Key:
+def _free(parts: dict[Key, PartSpec], link: str, name: str) -> Key:
     n, key = 1, (link, name)
     while key in parts:
         n, key = n + 1, (link, f"{name}_{n + 1}")

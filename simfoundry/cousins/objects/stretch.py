@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from simfoundry.cousins.objects.parts import aimed, at, each, moved, parts_of, rod, shaped, with_rod
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.poses import pose
-from simfoundry.spec.models.asset import AssetSpec, JointSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, JointSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, PrismShape, Shape, SphereShape
 
 SQUARE = 1e-6
@@ -40,7 +40,7 @@ def allowed(spec: AssetSpec, factor: Array) -> Array:
     return f
 
 
-def stretched_part(part: Part, f: Array) -> Part:
+def stretched_part(part: PartSpec, f: Array) -> PartSpec:
     """One part with the axes of its link multiplied by ``f``, shape (3,)."""
     there = moved(part, at(part) * f)
     if part.mesh is not None:
@@ -73,7 +73,7 @@ def _scaled(shape: Shape | None, f: Array) -> Shape:
         case PrismShape():
             outline = tuple((u * x, v * y) for u, v in shape.prism.outline)
             return PrismShape.model_validate({"prism": {"outline": outline, "height": shape.prism.height * z}})
-    part = Part(shape=shape)
+    part = PartSpec(shape=shape)
     size = rod(part)
     assert size is not None
     scaled = with_rod(part, size[0] * across, size[1] * z).shape
@@ -81,7 +81,7 @@ def _scaled(shape: Shape | None, f: Array) -> Shape:
     return scaled
 
 
-def _leaning_rod(part: Part, size: tuple[float, float], axis: Array, f: Array) -> Part:
+def _leaning_rod(part: PartSpec, size: tuple[float, float], axis: Array, f: Array) -> PartSpec:
     """A cylinder or capsule that lies across the axes: its ends go where the stretch takes them."""
     along = axis * f
     length = float(np.linalg.norm(along))
@@ -110,7 +110,7 @@ def is_ball(spec: AssetSpec) -> bool:
     return len(every) == 1 and isinstance(every[0].shape, SphereShape)
 
 
-def _round_about_z(part: Part) -> bool:
+def _round_about_z(part: PartSpec) -> bool:
     """Whether it would no longer be what it is with another factor in x than in y."""
     turn = pose(part.pose).rotation
     if not _is_square(turn):

@@ -21,7 +21,7 @@ from simfoundry.cousins.reasons import ImpossibleError, Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.base import Body
+from simfoundry.spec.models.base import BodySpec
 from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
@@ -30,7 +30,7 @@ from simfoundry.spec.yaml.write import to_yaml
 VERSION = "variants/3"
 """Changes where the same twin, axis and seed would give other variants."""
 
-REPLACED = (*Body.model_fields, "shape", "scale", "visual")
+REPLACED = (*BodySpec.model_fields, "shape", "scale", "visual")
 """What a scene says of a shape or mesh, and an asset document says of itself."""
 
 

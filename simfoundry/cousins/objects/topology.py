@@ -19,14 +19,14 @@ from simfoundry.cousins.objects.parts import (
     with_parts,
 )
 from simfoundry.cousins.objects.profiles import Profile, raised_foot
-from simfoundry.scene.frames import Array
-from simfoundry.spec.models.asset import AssetSpec, Part
+from simfoundry.geometry.frames import Array
+from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
     LatheShape,
-    Pose,
+    PoseSpec,
     Round,
     SphereShape,
 )
@@ -69,12 +69,12 @@ def loop_handle(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     far = max(walls) + reach
     parts = parts_of(spec)
     base = at(parts[key])[2]
-    added: dict[Key, Part] = {}
+    added: dict[Key, PartSpec] = {}
     for name, z, wall in (("lower", low, walls[0]), ("upper", high, walls[1])):
         start = wall + thick - 0.6 * min(profile.wall, thick)  # its cap ends within the wall
         pose = aimed(np.array([(start + far) / 2, 0.0, z + base]), np.array([1.0, 0.0, 0.0]))
-        added[_free(parts, key[0], f"handle_{name}")] = Part(shape=_capsule(thick, far - start), pose=pose)
-    grip = Part(shape=_capsule(thick, high - low), pose=aimed(np.array([far, 0.0, (low + high) / 2 + base]), UP))
+        added[_free(parts, key[0], f"handle_{name}")] = PartSpec(shape=_capsule(thick, far - start), pose=pose)
+    grip = PartSpec(shape=_capsule(thick, high - low), pose=aimed(np.array([far, 0.0, (low + high) / 2 + base]), UP))
     added[_free(parts, key[0], "handle_grip")] = grip
     return with_parts(spec, parts | added), f"a loop handle that reaches {far - max(walls):.3f} m out"
 
@@ -90,11 +90,11 @@ def lugs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     z = profile.rim - rng.uniform(1.2, 1.8) * thick
     off = float(profile.radius(z)) + 0.5 * thick
     parts = parts_of(spec)
-    added: dict[Key, Part] = {}
+    added: dict[Key, PartSpec] = {}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         spot = np.array([0.0, sign * off, z]) + at(parts[key])
         pose = aimed(spot, np.array([1.0, 0.0, 0.0]))
-        added[_free(parts, key[0], f"lug_{side}")] = Part(shape=_capsule(thick, long), pose=pose)
+        added[_free(parts, key[0], f"lug_{side}")] = PartSpec(shape=_capsule(thick, long), pose=pose)
     return with_parts(spec, parts | added), f"two lugs of {long * 1000:.0f} mm"
 
 
@@ -126,13 +126,13 @@ def knobs(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     middle = (low + high) / 2
     kept = {key: part for key, part in parts.items() if key not in component.parts}
     material = parts[component.parts[0]].material
-    added: dict[Key, Part] = {}
+    added: dict[Key, PartSpec] = {}
     for n, sign in enumerate((0.0,) if count == 1 else (-1.0, 1.0)):
         spot = middle + sign * spread * along
-        neck = Part(shape=_cylinder(0.45 * radius, length), pose=aimed(spot, out), material=material)
+        neck = PartSpec(shape=_cylinder(0.45 * radius, length), pose=aimed(spot, out), material=material)
         head = spot + out * (length / 2 - 0.3 * radius)
         added[_free(kept, component.link, f"knob_neck_{n}")] = neck
-        added[_free(kept, component.link, f"knob_{n}")] = Part(
+        added[_free(kept, component.link, f"knob_{n}")] = PartSpec(
             shape=_cylinder(radius, 0.8 * radius), pose=aimed(head, out), material=material
         )
     return with_parts(spec, kept | added), f"{count} knob{'s' * (count > 1)} in place of its {component.name}"
@@ -160,7 +160,7 @@ def lid_knob(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
     radius, height = rng.uniform(0.01, 0.016), rng.uniform(0.014, 0.022)
     key = lathe_of(spec, component)
     spot = np.array([*(at(parts[key])[:2] if key else (low + high)[:2] / 2), high[2] + height / 2 - 0.001])
-    added = {_free(parts, component.link, "top_knob"): Part(shape=_cylinder(radius, height), pose=aimed(spot, UP))}
+    added = {_free(parts, component.link, "top_knob"): PartSpec(shape=_cylinder(radius, height), pose=aimed(spot, UP))}
     return with_parts(spec, parts | added), "a knob on the lid"
 
 
@@ -196,7 +196,7 @@ def crate_divider(spec: AssetSpec, component: Component, rng: Rng) -> Edit | Non
     spot[k] += rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.3) * size[k]
     spot[2] = low[2] + 0.5 * thick + box[2] / 2
     x, y, z = (float(v) for v in box)
-    added = {_free(parts, component.link, "divider"): Part(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))}
+    added = {_free(parts, component.link, "divider"): PartSpec(shape=BoxShape(box=(x, y, z)), pose=_upright(spot))}
     return with_parts(spec, parts | added), "a board across"
 
 
@@ -216,7 +216,7 @@ def feet(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         (x, y) for x in (low[0] + inset, high[0] - inset) for y in (low[1] + inset, high[1] - inset)
     ):
         pose = _upright(np.array([x, y, low[2] + up / 2]))
-        lifted[_free(lifted, component.link, f"foot_{n}")] = Part(shape=_cylinder(radius, up), pose=pose)
+        lifted[_free(lifted, component.link, f"foot_{n}")] = PartSpec(shape=_cylinder(radius, up), pose=pose)
     joints = {
         name: joint.model_copy(update={"pose": _raised(joint.pose, up)}) if joint.parent == component.link else joint
         for name, joint in spec.joints.items()
@@ -272,9 +272,9 @@ def leaf(spec: AssetSpec, component: Component, rng: Rng) -> Edit | None:
         return None
     spot = at(parts[key]) + np.array([0.009, 0.0, 0.003])
     size = (round(rng.uniform(0.014, 0.02), 4), round(rng.uniform(0.008, 0.011), 4), 0.001)
-    pose = Pose(xyz=tuple(float(v) for v in spot), yaw_deg=round(float(rng.uniform(-30, 30)), 1))  # type: ignore[arg-type]
+    pose = PoseSpec(xyz=tuple(float(v) for v in spot), yaw_deg=round(float(rng.uniform(-30, 30)), 1))  # type: ignore[arg-type]
     green = (0.3, 0.52, 0.18)
-    part = Part(shape=BoxShape(box=size), pose=pose, color=green, material=parts[key].material)
+    part = PartSpec(shape=BoxShape(box=size), pose=pose, color=green, material=parts[key].material)
     return with_parts(spec, parts | {_free(parts, component.link, "leaf"): part}), "a leaf at its stem"
 
 
@@ -324,7 +324,7 @@ def _vessel(spec: AssetSpec, component: Component) -> tuple[Key | None, Profile 
     return key, Profile.of(shape)
 
 
-def _free(parts: dict[Key, Part], link: str, name: str) -> Key:
+def _free(parts: dict[Key, PartSpec], link: str, name: str) -> Key:
     """A name for a new part of a link that no part has."""
     n, key = 1, (link, name)
     while key in parts:
@@ -340,25 +340,25 @@ def _cylinder(radius: float, height: float) -> CylinderShape:
     return CylinderShape(cylinder=Round(radius=float(radius), height=float(height)))
 
 
-def _box(part: Part) -> tuple[float, float, float]:
+def _box(part: PartSpec) -> tuple[float, float, float]:
     assert isinstance(part.shape, BoxShape)
     return part.shape.box
 
 
-def _upright(xyz: Array) -> Pose:
+def _upright(xyz: Array) -> PoseSpec:
     x, y, z = (round(float(v), 6) for v in xyz)
-    return Pose(xyz=(x, y, z))
+    return PoseSpec(xyz=(x, y, z))
 
 
-def _raised(pose: Pose, up: float) -> Pose:
+def _raised(pose: PoseSpec, up: float) -> PoseSpec:
     x, y, z = pose.xyz
     return pose.model_copy(update={"xyz": (x, y, z + up)})
 
 
-def _yaw(part: Part) -> float:
+def _yaw(part: PartSpec) -> float:
     return part.pose.rpy_deg[2] if part.pose.rpy_deg is not None else part.pose.yaw_deg or 0.0
 
 
-def _turned(part: Part, yaw: float) -> tuple[float, float, float]:
+def _turned(part: PartSpec, yaw: float) -> tuple[float, float, float]:
     roll, pitch = part.pose.rpy_deg[:2] if part.pose.rpy_deg is not None else (0.0, 0.0)
     return roll, pitch, yaw

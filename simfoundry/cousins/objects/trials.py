@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from simfoundry.cousins.reasons import Reason
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.shapes import Box
 from simfoundry.predicates import Judge
-from simfoundry.predicates.shapes import PredicateError
-from simfoundry.scene.frames import Pose, frozen_array
-from simfoundry.scene.model import Box, Collider, Link, Scene, SceneObject, Visual
+from simfoundry.predicates.judging.bodies import PredicateError
+from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
+from simfoundry.scene.object_shapes import bounds
 from simfoundry.scene.place import PlaceError, solve
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.summary import bounds
 from simfoundry.spec.models.expressions import Call
 from simfoundry.spec.models.place import Place
 from simfoundry.worlds.mujoco_world import MujocoWorld

@@ -11,7 +11,7 @@ from simfoundry.assets import mass
 from simfoundry.assets.mesh import read_parts, weld
 from simfoundry.cousins.objects.stuff import STUFFS
 from simfoundry.spec.check.plausible import volume
-from simfoundry.spec.models.asset import AssetSpec, LinkSpec, Part
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
 from simfoundry.spec.models.base import Estimate, Material, quantity_value
 
 DOUBT = 0.15
@@ -54,7 +54,7 @@ def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: i
     return total
 
 
-def _volume(part: Part, volumes: Mapping[str, float]) -> float:
+def _volume(part: PartSpec, volumes: Mapping[str, float]) -> float:
     if part.mesh is not None:
         return volumes[part.mesh] * part.scale**3
     assert part.shape is not None

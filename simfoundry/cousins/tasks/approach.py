@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.hulls import Hulls
-from simfoundry.scene.walls import free_distance
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.walls import free_distance
 
 if TYPE_CHECKING:
     from simfoundry.cousins.tasks.setting import Setting
@@ -101,7 +101,7 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
 def _obstacles(setting: Setting, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
     """All other objects that are near enough to be in the way."""
     from simfoundry.cousins.tasks.trial import item_in
-    from simfoundry.scene.hulls import hulls
+    from simfoundry.scene.object_shapes import hulls
 
     twin = setting.twin
     found = []

@@ -43,7 +43,7 @@ def propose_tasks(
     """
     asked = prompt(setting, count, form, include, exclude)
     told: Sequence[Told | Unread]
-    told = vlm.ask(asked, [picture], Answer).tasks if form == "typed" else read(vlm.tell(asked, [picture]))
+    told = vlm.ask(asked, [picture], Answer).tasks if form == "typed" else read(vlm.ask_text(asked, [picture]))
     return judged(told, setting, f"proposed by {vlm.name}", scene, exclude)
 
 

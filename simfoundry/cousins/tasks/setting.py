@@ -13,12 +13,13 @@ import numpy as np
 
 from simfoundry.cousins.reasons import Reason
 from simfoundry.cousins.tasks.approach import ABOVE, Approach, approaches
-from simfoundry.cousins.tasks.grip import grip_width
 from simfoundry.cousins.twin import Twin
-from simfoundry.lint.report import length
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.grasp_width import grasp_width
+from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
@@ -151,7 +152,7 @@ class Setting:
         if not openings or len(openings) < len(self.hands):
             return ()
         X_WO = state.poses[name] if way is ABOVE else Pose.of(q=(way.upright @ state.poses[name]).q)
-        width, widest = grip_width(self.twin.item_at(name, X_WO)), max(openings)
+        width, widest = grasp_width(solid(self.twin.item_at(name, X_WO))), max(openings)
         if width <= widest + SLACK:
             return ()
         narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"

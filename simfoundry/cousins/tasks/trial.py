@@ -12,8 +12,8 @@ from simfoundry.cousins.settling import settle_layout
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.tasks.setting import Setting
 from simfoundry.cousins.twin import bare
-from simfoundry.predicates.shapes import Bodies
-from simfoundry.scene.frames import Array, Pose, rpy_from_quat
+from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, SceneObject
 from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve

@@ -10,9 +10,9 @@ import numpy as np
 
 from simfoundry.cousins.support import Support
 from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.predicates.shapes import Bodies
-from simfoundry.predicates.voxels import Cavity, cavity, outside_part
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.cavity import Cavity, cavity, outside_part
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call

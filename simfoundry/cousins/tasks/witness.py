@@ -19,8 +19,8 @@ from simfoundry.cousins.tasks.meaning import branches, objects_of
 from simfoundry.cousins.tasks.setting import Setting, numbers
 from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
 from simfoundry.cousins.tasks.ways import cavity_words, levels, places, spots, turns
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import PredicateError, Verdict
-from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.place import PlaceError
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Call, parts

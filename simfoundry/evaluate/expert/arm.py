@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, mujoco_model, read_robot
-from simfoundry.scene.frames import Array, Pose, to_xyzw  # noqa: F401
+from simfoundry.geometry.frames import Array, Pose, to_xyzw  # noqa: F401
 from simfoundry.scene.robot import Robot
 
 if TYPE_CHECKING:

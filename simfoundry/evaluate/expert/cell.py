@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.evaluate.expert.jaws import finger_positions
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import trees

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.scene.crossings import Solid, Span, bounds, crossings
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.crossings import Solid, Span, bounds, crossings
+from simfoundry.geometry.frames import Array, Pose
 
 YAWS = 12
 """Directions of closing about the direction of approach, over half a turn; each counts twice, with the hand turned."""

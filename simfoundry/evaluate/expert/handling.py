@@ -12,8 +12,8 @@ from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
-from simfoundry.scene.crossings import solid
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.object_shapes import solid
 from simfoundry.worlds.footing import center_of_mass
 
 STANDOFF = 0.09

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, mujoco_model, read_robot
-from simfoundry.scene.frames import Array, Pose, frozen_array
+from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.scene.robot import Gripper, Robot
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from simfoundry.evaluate.expert.pace import CAREFUL
 from simfoundry.evaluate.expert.places import at_state
 from simfoundry.evaluate.expert.reach import Path, Reach
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
-from simfoundry.scene.crossings import solid
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject
+from simfoundry.scene.object_shapes import solid
 from simfoundry.scene.state import SceneState
 
 WIDE = (0.94, 0.75, 0.5)

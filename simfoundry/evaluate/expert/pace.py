@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.evaluate.expert.reach import Path
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 JOINT, HAND = 1.1, 0.35
 """Greatest speeds of a joint [rad/s] and of the hand [m/s]: half of what a Panda allows."""

@@ -9,14 +9,15 @@ from itertools import islice
 
 import numpy as np
 
-from simfoundry.scene.crossings import Solid, met, solid
-from simfoundry.scene.drop import heights
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
-from simfoundry.scene.hulls import Hulls, hulls
+from simfoundry.geometry.crossings import Solid, met
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.vertical_contact import heights
+from simfoundry.geometry.walls import DIRECTIONS, WALLED, hollow
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls, solid
 from simfoundry.scene.state import SceneState
-from simfoundry.scene.walls import DIRECTIONS, WALLED, hollow
 
 TURNS = 8
 """Turns about the vertical that are tried."""

@@ -15,9 +15,9 @@ from simfoundry.evaluate.expert.plan import Skill, Step, goal_steps, steps
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
 from simfoundry.evaluate.task import Task
+from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra
-from simfoundry.scene.frames import Array
 
 CHUNK = 3
 """Actions in an answer: a fifth of a second at 15 Hz, so that a lost grasp is seen soon."""

@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.cell import Cell
 from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 Path = list[Array]
 """Postures to go through, each shape (n,) [rad or m]."""

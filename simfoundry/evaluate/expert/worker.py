@@ -13,7 +13,7 @@ from simfoundry.evaluate.expert.jaws import jaws
 from simfoundry.evaluate.expert.pace import AROUND, HAND, JOINT, paced
 from simfoundry.evaluate.expert.reach import Held, Path, Reach
 from simfoundry.evaluate.policies.base import Observation
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Scene
 
 Script = Generator[None, None, None]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.state import SceneState
 
 Image = NDArray[np.uint8]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, RobotReading
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicySpec
 
 

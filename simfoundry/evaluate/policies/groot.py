@@ -12,7 +12,7 @@ from simfoundry.evaluate.policies.groot_modality import Modality, eef_9d, modali
 from simfoundry.evaluate.policies.reading import pictures, reading
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.zmq_socket import Requests
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicySpec
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 MANY = 64
 """More keys or steps than any policy has."""

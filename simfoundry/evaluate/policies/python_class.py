@@ -16,7 +16,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 STEP = 0.1
 """How far a joint may move from where it is asked to be in one step, either way [rad or m]."""

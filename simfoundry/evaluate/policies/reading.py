@@ -10,8 +10,8 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import Image, ImageSize, Observation, PolicyError, RobotReading
 from simfoundry.evaluate.policies.images import resize_with_pad
-from simfoundry.scene.frames import Array, Pose
-from simfoundry.spec.models.policy import Gripper, PolicySpec
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.spec.models.policy import GripperConvention, PolicySpec
 
 
 def cameras_of(spec: PolicySpec) -> dict[str, ImageSize]:
@@ -41,7 +41,7 @@ def pictures(spec: PolicySpec, observation: Observation) -> dict[str, Image]:
     return found
 
 
-def reading(what: str, robots: Mapping[str, RobotReading], gripper: Gripper) -> Array:
+def reading(what: str, robots: Mapping[str, RobotReading], gripper: GripperConvention) -> Array:
     """One of the robots' senses as numbers, of all robots in order: see ``state`` of a policy document."""
     rows = []
     for robot in robots.values():

@@ -8,7 +8,7 @@ from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAns
 from simfoundry.evaluate.policies.chunk import actions_of
 from simfoundry.evaluate.policies.reading import cameras_of
 from simfoundry.evaluate.policies.record import PolicyRecord
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicySpec
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 LARGEST = 256 * 2**20
 """Bytes of the largest recording that is read."""

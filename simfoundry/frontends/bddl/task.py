@@ -17,7 +17,7 @@ from simfoundry.frontends.document_data import rounded
 from simfoundry.frontends.draft import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import rpy_from_quat
+from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
 from simfoundry.spec.models.task import TaskSpec
 

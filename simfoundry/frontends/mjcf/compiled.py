@@ -14,7 +14,7 @@ import numpy as np
 from simfoundry.backends.mjcf.custom import MARK
 from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LightDraft, LinkDraft, MeshDraft, PartDraft
 from simfoundry.frontends.mass_repair import SURFACE
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 TWIN = ":touch"
 """How the names of bodies go on after that of a link where they say how it touches some things, and nothing more."""

@@ -11,7 +11,7 @@ from simfoundry.frontends.draft import Draft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mjcf.compiled import Said
 from simfoundry.frontends.mjcf.elements import read_camera
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 SAID, MOUNT = ":robot", ":mount"
 

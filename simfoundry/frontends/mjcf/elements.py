@@ -18,7 +18,7 @@ from simfoundry.frontends.draft import (
     MimicDraft,
 )
 from simfoundry.frontends.xmltree import Element
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 Owners = dict[int, tuple[BodyDraft, str, Pose]]
 JointOwners = dict[int, tuple[BodyDraft, JointDraft]]

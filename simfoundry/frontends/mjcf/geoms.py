@@ -13,7 +13,7 @@ from simfoundry.backends.mjcf.restitution import rebound
 from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 GROUND = 20.0

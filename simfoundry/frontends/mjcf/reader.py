@@ -27,7 +27,7 @@ from simfoundry.frontends.mjcf.elements import (
 )
 from simfoundry.frontends.mjcf.geoms import Geoms
 from simfoundry.frontends.xmltree import Element, read_xml
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 FAR = 1000.0
 """Limit [m] of a slide that has none."""

@@ -17,7 +17,7 @@ from simfoundry.frontends.draft import BodyDraft, Draft, LinkDraft, MeshDraft, P
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mass_repair import make_sound
 from simfoundry.frontends.urdf import read_urdf
-from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 MAX_BYTES = 100_000_000

@@ -12,7 +12,7 @@ from simfoundry.frontends.compiled_robot import robot_draft
 from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.urdf import read_urdf
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
 _KNOWN = ("effort limit", "velocity limit", "texture laid")

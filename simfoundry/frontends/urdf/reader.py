@@ -26,7 +26,7 @@ from simfoundry.frontends.mass_repair import make_sound
 from simfoundry.frontends.meshes import mesh_draft, width
 from simfoundry.frontends.obj_groups import group_drafts
 from simfoundry.frontends.xmltree import Element, read_xml
-from simfoundry.scene.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 FAR = 1000.0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.draft import Draft, DriveDraft
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 FAR = 1000.0
 """Limit [m] of a slide that has none."""

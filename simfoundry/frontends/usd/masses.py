@@ -11,7 +11,7 @@ import numpy as np
 from simfoundry.frontends.draft import Draft, LinkDraft
 from simfoundry.frontends.mass_repair import USUAL_DENSITY, take_density
 from simfoundry.frontends.usd.geoms import Geoms
-from simfoundry.scene.frames import IDENTITY, Array, Pose
+from simfoundry.geometry.frames import IDENTITY, Array, Pose
 
 
 @dataclass

@@ -20,7 +20,7 @@ from simfoundry.frontends.usd.geoms import Geoms, is_collider
 from simfoundry.frontends.usd.joints import UsdJoint, read_joint
 from simfoundry.frontends.usd.masses import Body, weigh
 from simfoundry.frontends.usd.views import add_cameras, add_lights
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 WORLD = ""
 """The path that stands for the world among those of bodies."""

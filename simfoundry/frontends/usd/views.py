@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.draft import BodyDraft, CameraDraft, Draft, LightDraft
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 WIDTH = 640
 """Width [px] of the picture of a camera: USD gives its proportions only."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.spec.change.diff.changes import Change, diff
-from simfoundry.spec.change.diff.words import Entry, describe, summary, text
+from simfoundry.spec.change.diff.words import MemberChange, describe, summary, text
 from simfoundry.spec.change.flatten import relocated
 from simfoundry.spec.check.validate import sound_part
 from simfoundry.spec.diagnostics import Diagnostic, Severity
@@ -44,14 +44,14 @@ class Side:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class DocumentComparison:
     """Two states of the document ``name``; a side is None where there was or is no such document."""
 
     name: str
     old: Side | None
     new: Side | None
     changes: tuple[Change, ...]
-    entries: tuple[Entry, ...]
+    entries: tuple[MemberChange, ...]
     obstacle: str = ""
     """Why the two cannot be compared, where they cannot."""
 
@@ -110,25 +110,27 @@ def side(path: Path, label: str, root: Path | None = None) -> Side:
     return Side(label, loaded, spec, text_, errors)
 
 
-def compare(name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True) -> Comparison:
+def compare(
+    name: str, old: Side | None, new: Side | None, verbose: bool = False, files: bool = True
+) -> DocumentComparison:
     """Compare two states of a document, and (unless ``files`` is false) the files that both refer to."""
     present = [s for s in (old, new) if s is not None]
     unsound = [s for s in present if s.spec is None]
     if unsound:
         reason = f"nothing is sound in {' and '.join(s.label for s in unsound)}"
-        return Comparison(name, old, new, (), (), reason)
+        return DocumentComparison(name, old, new, (), (), reason)
     if old is None or new is None:
-        return Comparison(name, old, new, (), ())
+        return DocumentComparison(name, old, new, (), ())
     assert old.spec is not None and new.spec is not None
     if type(old.spec) is not type(new.spec):
         kinds = [str(s.data["simfoundry"]) for s in present]
-        return Comparison(name, old, new, (), (), f"it was `{kinds[0]}` and is `{kinds[1]}`")
+        return DocumentComparison(name, old, new, (), (), f"it was `{kinds[0]}` and is `{kinds[1]}`")
     before = _named_alike(old, new)
     changes = diff(before, new.data)
     entries = describe(before, new.data, type(new.spec), _joint_units(new), verbose, changes)
     if files:
         entries += tuple(_changed_files(old, new, verbose))
-    return Comparison(name, old, new, changes, entries)
+    return DocumentComparison(name, old, new, changes, entries)
 
 
 def _named_alike(old: Side, new: Side) -> dict[str, Any]:
@@ -184,7 +186,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
     return found
 
 
-def _changed_files(old: Side, new: Side, verbose: bool) -> list[Entry]:
+def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
     """Objects whose document says the same, but whose asset or mesh is another file than it was."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
@@ -197,7 +199,7 @@ def _changed_files(old: Side, new: Side, verbose: bool) -> list[Entry]:
                 continue
             fact = _file_change(old.loaded, new.loaded, reference, verbose)
             if fact:
-                entries.append(Entry("objects", name, "", ("changed",), (), (fact,)))
+                entries.append(MemberChange("objects", name, "", ("changed",), (), (fact,)))
     return entries
 
 

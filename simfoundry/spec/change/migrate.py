@@ -9,26 +9,26 @@ from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import Pattern
 from simfoundry.spec.yaml.text import Document, YamlError, parse
-from simfoundry.spec.yaml.tree import KIND, Tree, read_tree
+from simfoundry.spec.yaml.tree import KIND, CommentedTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 
 
 @dataclass(frozen=True)
-class Step:
+class Migration:
     """What leads from one version of a kind to a later one: ``to`` and the ``change`` of the document."""
 
     to: str
-    change: Callable[[Tree], Tree]
+    change: Callable[[CommentedTree], CommentedTree]
 
 
-STEPS: Mapping[str, Step] = {}
+STEPS: Mapping[str, Migration] = {}
 """The step from each older kind and version, as ``scene/1``.
 
 Version 1 is the first of every kind, so there is none yet: what changes the meaning of older files adds its step here.
 """
 
 
-def migrated(text: str, file: str, steps: Mapping[str, Step] = STEPS) -> str:
+def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
     """The text of a document in the newest version of its kind, canonical where a step was taken.
 
     A text that is up to date comes back as it is. Raises :class:`SpecError` for a kind that is not known.
@@ -52,7 +52,7 @@ def migrated(text: str, file: str, steps: Mapping[str, Step] = STEPS) -> str:
     return write_tree(tree, model_of(kind))
 
 
-def _kind(document: Document, steps: Mapping[str, Step]) -> str:
+def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
     """The kind that the document says; raises :class:`SpecError` for one that there never was."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
@@ -64,7 +64,7 @@ def _kind(document: Document, steps: Mapping[str, Step]) -> str:
     raise SpecError([*document.duplicates, document.finding("SF006", (KIND,), message, hint)])
 
 
-def renamed(tree: Tree, pattern: Pattern, name: str) -> Tree:
+def renamed(tree: CommentedTree, pattern: Pattern, name: str) -> CommentedTree:
     """The tree in which the key at ``pattern`` (``*`` stands for any) is called ``name``; its comments stay with it."""
     head, *rest = pattern
     value = tree.value

@@ -12,7 +12,7 @@ from simfoundry.spec.check.validate import MAX_FINDINGS
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, reachable
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.base import WORLD, Body, Material, quantity_value
+from simfoundry.spec.models.base import WORLD, BodySpec, Material, quantity_value
 from simfoundry.spec.yaml.text import Document
 
 Path_ = tuple[str | int, ...]
@@ -93,12 +93,12 @@ class Checker:
             self.loaded.uses[target] = used
         return self.loaded.uses[target]
 
-    def material(self, body: Body, path: Path_) -> None:
+    def material(self, body: BodySpec, path: Path_) -> None:
         """Whether the material of a body is defined."""
         if body.material is not None:
             self.name(body.material, self.names("materials"), (*path, "material"), "material")
 
-    def mass(self, body: Body, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
+    def mass(self, body: BodySpec, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
         """A body has a mass or a density, or else every piece of it is made of something with a density."""
         if body.model_fields_set & {"mass", "density"}:  # given, if only without a value, which is a finding itself
             return
@@ -112,7 +112,7 @@ class Checker:
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
-    def density(self, body: Body, path: Path_, solid: float | None) -> None:
+    def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
         """Whether the density that a body has, given or as its mass over the ``solid`` volume [m^3], is plausible."""
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from simfoundry.spec.check.checker import Checker, Path_
-from simfoundry.spec.models.base import Pose
+from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.positions import Written, position
 from simfoundry.spec.models.scene import Degrees
 
@@ -49,12 +49,12 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
     elif joint.mimic is not None:
         hint = "remove it, and give the position of the other"
         c.add("SF205", place, f"`{name}` follows `{joint.mimic.joint}`", hint)
-    elif joint.type in ("ball", "free") and not isinstance(written, Pose):
+    elif joint.type in ("ball", "free") and not isinstance(written, PoseSpec):
         hint = "give a rotation, as `{rpy_deg: [10, 0, 20]}`" if joint.type == "ball" else "give a pose"
         c.add("SF103", place, f"`{name}` is {joint.type}: one number does not say where it is", hint)
-    elif joint.type not in ("ball", "free") and isinstance(written, Pose):
+    elif joint.type not in ("ball", "free") and isinstance(written, PoseSpec):
         c.add("SF103", place, f"`{name}` is {joint.type}: its position is one number, not a pose")
-    elif joint.type == "ball" and isinstance(written, Pose) and any(written.xyz):
+    elif joint.type == "ball" and isinstance(written, PoseSpec) and any(written.xyz):
         c.add("SF205", place, f"`{name}` is a ball joint and cannot be moved by `xyz`", "give a rotation only")
     elif isinstance(written, Degrees) and joint.type == "prismatic":
         c.add("SF103", place, f"`{name}` is prismatic: its position is in metres, not degrees")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from simfoundry.spec.check.checker import Checker, Path_
 from simfoundry.spec.diagnostics import nearest
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.expressions import PREDICATES, ExpressionError, parse_call, texts
+from simfoundry.spec.models.expressions import ExpressionError, parse_call, texts
 from simfoundry.spec.models.place import DEPTHS, SIDES, Place
 from simfoundry.spec.models.scene import SceneSpec
 
@@ -59,7 +59,7 @@ class SceneNames:
                 f"`{things[0]}` is given for both" if things[0] == things[1] else "one of these is a part of the other"
             )
             message = f"`{call.predicate}` is about two things, and {both}"
-            c.add("SF202", path, message, f"{call.predicate}: {PREDICATES[call.predicate].meaning}")
+            c.add("SF202", path, message, f"{call.predicate}: {call.declaration.meaning}")
         for argument, kind in zip(call.args, call.kinds, strict=True):
             match kind:
                 case "robot":

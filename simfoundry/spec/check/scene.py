@@ -10,12 +10,12 @@ from simfoundry.spec.check.joints import check_joints, check_pair
 from simfoundry.spec.check.names import SceneNames
 from simfoundry.spec.check.plausible import volume
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_document, packaged_model
-from simfoundry.spec.models.base import WORLD, Body
+from simfoundry.spec.models.base import WORLD, BodySpec
 from simfoundry.spec.models.robot import ROBOTS, RobotFiles, RobotSpec
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_of
 
-OF_LINKS = ("scale", "visual", *Body.model_fields)
+OF_LINKS = ("scale", "visual", *BodySpec.model_fields)
 """Fields of an object that an asset document decides for its links."""
 
 ROBOT_SUFFIXES = {

@@ -15,9 +15,8 @@ from typing import Any
 
 from simfoundry.spec.editor.overlays import OVERLAY, loose
 from simfoundry.spec.editor.snippets import CHOICES, FIRST, MEMBERS, NAMES, WORDS, Body, predicates, robots
-from simfoundry.spec.models.aliases import ALIASES
-from simfoundry.spec.models.expressions import PREDICATES
 from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
 from simfoundry.spec.yaml.write import number
 
 Schema = dict[str, Any]
@@ -35,8 +34,12 @@ UNIONS = {
 FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 """In braces, plain YAML splits ``goal: OnTop(cup, desk)`` at its comma: the rest of the text arrives as a key."""
 
-PREDICATE = rf"^\s*({'|'.join((*PREDICATES, *ALIASES))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
-"""A predicate, or what plain YAML makes of one in brackets: its start or its end."""
+
+def _predicate_pattern() -> str:
+    """The pattern of a predicate, or what plain YAML makes of one in brackets: its start or its end."""
+    aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
+    return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
+
 
 LISTED = "Listed"
 """The part for conditions in a list: there, plain YAML makes a number of the middle of ``At(cup, 0.1, 0.2)``."""
@@ -253,8 +256,8 @@ def _options(body: Schema) -> list[Schema]:
 def _special(union: str) -> Schema:
     """What the words of a model cannot say about alternatives."""
     if union == "Condition":
-        message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES)}"
-        return {"pattern": PREDICATE, "patternErrorMessage": message, "defaultSnippets": predicates()}
+        message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
+        return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
     if union == "Shape":  # apart from its keys, because an editor offers none of them where one is the most
         return {"allOf": [{"maxProperties": 1}]}
     return {"defaultSnippets": robots()} if union == "RobotModel" else {}

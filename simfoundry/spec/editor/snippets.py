@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from simfoundry.spec.models.expressions import PREDICATES
+from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
 from simfoundry.spec.models.robot import ROBOTS
+
+
+def _sentence(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}."
+
 
 CHOICES = {
     ("auto", "hull", "decompose", "none"): (
@@ -42,7 +47,7 @@ CHOICES = {
         "Nothing holds it: it lies in or on the parent, as a lid.",
     ),
     ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"): tuple(
-        f"{PREDICATES[name].meaning[0].upper()}{PREDICATES[name].meaning[1:]}."
+        _sentence(PREDICATES.load(name).meaning)
         for name in ("LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo")
     ),
     ("procedural", "library", "model"): (
@@ -269,11 +274,11 @@ MEMBERS: dict[str, Body] = {
     "Material": "{density: ${1:700}, friction: ${2:0.5}}",
     "RobotSpec": "{model: ${1:demo_arm}, pose: {xyz: [${2:0}, ${3:0}, ${4:0}]}}",
     "LightSpec": "{type: ${1:dome}}",
-    "Part": "{shape: {box: [${1:0.1}, ${2:0.1}, ${3:0.1}]}}",
+    "PartSpec": "{shape: {box: [${1:0.1}, ${2:0.1}, ${3:0.1}]}}",
     "ResetRegion": "{x: [${1:0.35}, ${2:0.55}], y: [${3:-0.2}, ${4:0.2}]}",
     "Subtask": "{goal: ${1:Grasped(cup)}}",
     "Place": "{on: ${1:table}}",
-    "Pose": "{xyz: [${1:0}, ${2:0}, ${3:0}]}",
+    "PoseSpec": "{xyz: [${1:0}, ${2:0}, ${3:0}]}",
     "ObjectVariants": "{count: ${1:9}}",
     "ObjectSpec": OBJECT,
     "VariantSpec": "{color: [${1:0.8}, ${2:0.1}, ${3:0.1}]}",
@@ -304,11 +309,11 @@ def predicates() -> list[dict[str, str]]:
     """A snippet for each predicate."""
     words = {"thing": "object", "body": "object", "joint": "object.joint", "robot": "robot"}
     out = []
-    for name, predicate in PREDICATES.items():
+    for name, predicate in built_in_predicates().items():
         kinds = predicate.parameters[: len(predicate.parameters) - predicate.optional]
         arguments = [words.get(kind, "xyz"[k - 1]) for k, kind in enumerate(kinds)]
         holes = ", ".join(f"${{{k}:{word}}}" for k, word in enumerate(arguments, 1))
-        meaning = f"{predicate.meaning[0].upper()}{predicate.meaning[1:]}."
+        meaning = _sentence(predicate.meaning)
         out.append({"label": f"{name}({', '.join(arguments)})", "description": meaning, "body": f"{name}({holes})"})
     return out
 

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.models.base import (
-    Body,
+    BodySpec,
     Color,
     DocumentSpec,
     FileName,
@@ -18,7 +18,7 @@ from simfoundry.spec.models.base import (
     Number,
     Origin,
     Point3,
-    Pose,
+    PoseSpec,
     Positive,
     Shape,
     Vec3,
@@ -26,13 +26,13 @@ from simfoundry.spec.models.base import (
 )
 
 
-class Part(Model):
+class PartSpec(Model):
     """One piece of a link: a shape or a mesh, posed in the link."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     mesh: FileName | None = Field(None, description="A mesh file (.glb, .obj, .stl, .ply), relative to this document.")
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
-    pose: Pose = Field(Pose(), description="Pose in the link's frame.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose in the link's frame.")
     material: Name | None = Field(None, description="A name from `materials`; default: the link's.")
     color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
@@ -90,10 +90,10 @@ def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: floa
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
 
-class LinkSpec(Body):
+class LinkSpec(BodySpec):
     """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
 
-    parts: dict[Name, Part] = Field({}, description="The pieces it is made of, by name.")
+    parts: dict[Name, PartSpec] = Field({}, description="The pieces it is made of, by name.")
     inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
 
     @model_validator(mode="after")
@@ -114,7 +114,7 @@ class LinkSpec(Body):
 JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "free"]
 
 
-class Mimic(Model):
+class MimicSpec(Model):
     """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
@@ -122,7 +122,7 @@ class Mimic(Model):
     offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
 
 
-class Drive(Model):
+class DriveSpec(Model):
     """A motor that holds a position like a spring, or resists motion, up to a force.
 
     Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
@@ -146,7 +146,7 @@ class JointSpec(Model):
     type: JointKind = Field(description="How the child moves in the parent.")
     parent: Name = Field(description="The link that carries.")
     child: Name = Field(description="The link that moves.")
-    pose: Pose = Field(Pose(), description="Pose of the child's frame in the parent's at position zero.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose of the child's frame in the parent's at position zero.")
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: tuple[Number, Number] | None = Field(
         None, description="Lowest and highest position of a prismatic joint [m]."
@@ -162,8 +162,8 @@ class JointSpec(Model):
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
     armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
-    mimic: Mimic | None = Field(None, description="Another joint that it follows.")
-    drive: Drive | None = Field(None, description="A motor in it.")
+    mimic: MimicSpec | None = Field(None, description="Another joint that it follows.")
+    drive: DriveSpec | None = Field(None, description="A motor in it.")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -67,7 +67,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
     raise PydanticCustomError("sf107", "one of {listed} is needed", {"listed": listed})
 
 
-class Pose(Model):
+class PoseSpec(Model):
     """Where a frame is in its parent; the rotation is given in at most one of three ways."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
@@ -254,7 +254,7 @@ Collision = Literal["auto", "hull", "decompose", "none"]
 Solid = Literal["exact", "hull"]
 
 
-class Body(Model):
+class BodySpec(Model):
     """Fields of everything that has mass and a surface."""
 
     material: Name | None = Field(None, description="A name from `materials`.")

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Pose, Positive
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, PoseSpec, Positive
 
 
 class Intrinsics(Model):
@@ -26,7 +26,7 @@ class DepthImage(Model):
     scale: Positive = Field(0.001, description="Metres of one unit of the picture; 0.001 where it is in millimetres.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
     camera: Intrinsics | None = Field(None, description="The depth camera, where it is not the colour camera.")
-    pose: Pose | None = Field(
+    pose: PoseSpec | None = Field(
         None, description="Pose of the depth camera in the colour camera's frame (x right, y down, z forward)."
     )
 

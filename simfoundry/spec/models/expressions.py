@@ -10,51 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, create_model
 
-from simfoundry.spec.models.aliases import ours
+from simfoundry.runtime.plugins import PluginError
 from simfoundry.spec.models.base import Model
-
-
-@dataclass(frozen=True)
-class Predicate:
-    """What a predicate is about.
-
-    ``parameters`` names the kinds of its arguments: ``thing`` an object or a part of one, ``body`` that or a robot,
-    ``joint`` an object (all of its joints) or one joint of it, ``robot``, ``number``. The last ``optional`` may be left
-    out.
-    """
-
-    meaning: str
-    parameters: tuple[str, ...]
-    optional: int = 0
-
-    @property
-    def counts(self) -> str:
-        """How many arguments it takes, in words."""
-        most = len(self.parameters)
-        plural = "" if most == 1 else "s"
-        return f"{most - self.optional} or {most} arguments" if self.optional else f"{most} argument{plural}"
-
-
-PREDICATES = {
-    "OnTop": Predicate("the first rests on top of the second", ("thing", "thing")),
-    "Inside": Predicate("the first is in the cavity of the second", ("thing", "thing")),
-    "Under": Predicate("the first is below the second", ("thing", "thing")),
-    "Above": Predicate("the first is above the second, touching or not", ("thing", "thing")),
-    "NextTo": Predicate("the two stand side by side", ("thing", "thing")),
-    "Touching": Predicate("the two touch", ("body", "body")),
-    "LeftOf": Predicate("the first is left of the second, seen from the viewpoint", ("thing", "thing")),
-    "RightOf": Predicate("the first is right of the second, seen from the viewpoint", ("thing", "thing")),
-    "InFrontOf": Predicate("the first is nearer to the viewpoint than the second", ("thing", "thing")),
-    "Behind": Predicate("the first is farther from the viewpoint than the second", ("thing", "thing")),
-    "At": Predicate("the thing is at x, y and perhaps z of the world [m]", ("thing", "number", "number", "number"), 1),
-    "Open": Predicate("the joint, or every joint of the object, is open", ("joint",)),
-    "Closed": Predicate("the joint, or every joint of the object, is closed", ("joint",)),
-    "Upright": Predicate("its z axis points up", ("thing",)),
-    "Lifted": Predicate("it is off whatever it stood on", ("thing",)),
-    "Grasped": Predicate("it is held, by the named robot or by any", ("thing", "robot"), 1),
-    "Released": Predicate("no robot touches it and it is at rest", ("thing",)),
-}
-"""The predicates, by name."""
+from simfoundry.spec.models.predicate import PREDICATES, Predicate, canonical
 
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\(([^()]*)\)\s*\Z")
 _ARGUMENT = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?\Z")
@@ -77,9 +35,14 @@ class Call:
     args: tuple[str, ...]
 
     @property
+    def declaration(self) -> Predicate:
+        """The predicate that is called."""
+        return PREDICATES.load(self.predicate)
+
+    @property
     def kinds(self) -> tuple[str, ...]:
         """The kind of each argument."""
-        return PREDICATES[self.predicate].parameters[: len(self.args)]
+        return self.declaration.parameters[: len(self.args)]
 
     def __str__(self) -> str:
         return f"{self.predicate}({', '.join(self.args)})"
@@ -92,10 +55,13 @@ def parse_call(text: str) -> Call:
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
     name, inside = match.groups()
-    name, arguments = ours(name, tuple(a.strip() for a in inside.split(",")) if inside.strip() else ())
+    name, arguments = canonical(name, tuple(a.strip() for a in inside.split(",")) if inside.strip() else ())
     if name not in PREDICATES:
-        raise ExpressionError(f"`{name}` is not a predicate", name, tuple(PREDICATES))
-    predicate = PREDICATES[name]
+        raise ExpressionError(f"`{name}` is not a predicate", name, tuple(PREDICATES.names()))
+    try:
+        predicate = PREDICATES.load(name)
+    except PluginError as error:
+        raise ExpressionError(str(error)) from error
     if not len(predicate.parameters) - predicate.optional <= len(arguments) <= len(predicate.parameters):
         raise ExpressionError(f"`{name}` takes {predicate.counts}, not {len(arguments)}")
     for argument, kind in zip(arguments, predicate.parameters, strict=False):

@@ -7,7 +7,7 @@ import typing
 from collections.abc import Iterable
 from typing import Any
 
-from simfoundry.spec.models.base import Body, DocumentSpec, Model
+from simfoundry.spec.models.base import BodySpec, DocumentSpec, Model
 from simfoundry.spec.models.types import flat
 
 _FIRST = (
@@ -44,12 +44,12 @@ def field_order(model: type[Model]) -> list[str]:
 
     That is the order of the model, but for bodies and whole documents, whose models begin with what they inherit.
     """
-    if not issubclass(model, Body | DocumentSpec):
+    if not issubclass(model, BodySpec | DocumentSpec):
         return list(model.model_fields)
     return sorted(model.model_fields, key=lambda name: _RANK.get(name, 0))
 
 
-class Slot:
+class KeyOrder:
     """What may stand at a place of a document, as far as the order of its keys goes."""
 
     def __init__(self, *types_: Any) -> None:
@@ -62,28 +62,28 @@ class Slot:
         self._rank = {name: rank for rank, name in enumerate(self._fields)}
         self._others = [typing.get_args(k)[-1] for k in kinds if typing.get_origin(k) is dict]
         self._items = [t for k in kinds if typing.get_origin(k) is tuple for t in typing.get_args(k) if t is not ...]
-        self._inside: dict[str, Slot] = {}
+        self._inside: dict[str, KeyOrder] = {}
 
     def ordered(self, keys: Iterable[str]) -> list[str]:
         """Fields in their order, then other keys as they come; where there are only names, these as they come."""
         rank = self._rank
         return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
 
-    def member(self, key: str) -> Slot:
+    def member(self, key: str) -> KeyOrder:
         """What may stand under a key."""
         known = key in self._fields
         slot = self._inside.get(key if known else "")
         if slot is None:
-            slot = self._inside[key if known else ""] = Slot(*([self._fields[key]] if known else self._others))
+            slot = self._inside[key if known else ""] = KeyOrder(*([self._fields[key]] if known else self._others))
         return slot
 
     @functools.cached_property
-    def item(self) -> Slot:
+    def item(self) -> KeyOrder:
         """What may stand in a list."""
-        return Slot(*self._items)
+        return KeyOrder(*self._items)
 
 
 @functools.cache
-def slot_of(model: type[Model] | None) -> Slot:
+def key_order(model: type[Model] | None) -> KeyOrder:
     """The place of a whole document."""
-    return Slot(model)
+    return KeyOrder(model)

@@ -67,7 +67,7 @@ class CameraView(Model):
     )
 
 
-class Gripper(Model):
+class GripperConvention(Model):
     """How the policy speaks of the gripper, in what it is shown and in what it answers."""
 
     open: Number = Field(0.0, description="The number that means open.")
@@ -108,7 +108,9 @@ class PolicySpec(DocumentSpec):
     state: dict[WireKey, Reading] | None = Field(
         None, description="What the policy is told of the robot, by its own keys; default: as the robots of DROID do."
     )
-    gripper: Gripper = Field(Gripper(threshold=0.5), description="How the policy speaks of the gripper.")
+    gripper: GripperConvention = Field(
+        GripperConvention(threshold=0.5), description="How the policy speaks of the gripper."
+    )
     timeout: Positive = Field(60.0, le=86400, description="Longest wait for an answer [s].")
     warm_up: Positive = Field(
         600.0, le=86400, description="Longest wait for the first answer of a connection, while the server compiles [s]."

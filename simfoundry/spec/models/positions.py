@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from simfoundry.spec.models.base import Pose
+from simfoundry.spec.models.base import PoseSpec
 from simfoundry.spec.models.scene import Degrees
 
 if TYPE_CHECKING:
     from simfoundry.spec.models.asset import AssetSpec
 
-Written = float | Degrees | Pose
+Written = float | Degrees | PoseSpec
 """A position [m or rad], an angle in degrees, or the pose that a ball or free joint has moved to."""
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import FileName, Model, Name, Number, Pose, Positive
+from simfoundry.spec.models.base import FileName, Model, Name, Number, PoseSpec, Positive
 
 JointName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]*$", max_length=128)]
 """A joint as the robot's own model calls it."""
@@ -80,7 +80,7 @@ class RobotSpec(Model):
         Annotated[Name, Tag("name")] | Annotated[RobotFiles, Tag("files")],
         Discriminator(lambda v: "files" if isinstance(v, dict | RobotFiles) else "name"),
     ] = Field(description="A known robot, as `franka_robotiq`, or the files of another.")
-    pose: Pose = Field(Pose(), description="Pose of its base in the world.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in the world.")
     joints: Annotated[
         Annotated[Literal["home"], Tag("home")] | Annotated[dict[JointName, Number], Tag("positions")],
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),

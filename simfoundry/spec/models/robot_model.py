@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.models.base import Model, Name, Number, Pose, Positive
+from simfoundry.spec.models.base import Model, Name, Number, PoseSpec, Positive
 from simfoundry.spec.models.robot import JointName
 
 Reference = str
@@ -26,7 +26,7 @@ class FrameSpec(Model):
     """A frame by which scenes call a place of the robot: in a link of the model, at a pose in it."""
 
     link: str = Field(description="The link, as the model calls it.")
-    pose: Pose = Field(Pose(), description="Pose of the frame in the link.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose of the frame in the link.")
 
 
 class FollowSpec(Model):
@@ -52,7 +52,7 @@ class AttachSpec(Model):
 
     file: Reference | list[Reference]
     to: str = Field(description="The link that carries it.")
-    pose: Pose = Field(Pose(), description="Pose of its base in that link.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in that link.")
 
 
 class ModelSpec(Model):

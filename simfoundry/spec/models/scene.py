@@ -7,7 +7,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from simfoundry.spec.models.base import (
-    Body,
+    BodySpec,
     CameraPose,
     Color,
     DocumentSpec,
@@ -20,7 +20,7 @@ from simfoundry.spec.models.base import (
     Origin,
     PartName,
     Point3,
-    Pose,
+    PoseSpec,
     Positive,
     Shape,
     Vec3,
@@ -37,13 +37,13 @@ class Degrees(Model):
 
 
 def _position_tag(value: Any) -> str:
-    if isinstance(value, Pose) or (isinstance(value, dict) and any(key in value for key in Pose.model_fields)):
+    if isinstance(value, PoseSpec) or (isinstance(value, dict) and any(key in value for key in PoseSpec.model_fields)):
         return "pose"
     return "degrees" if isinstance(value, dict | Degrees) else "number"
 
 
 JointPosition = Annotated[
-    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[Pose, Tag("pose")],
+    Annotated[Number, Tag("number")] | Annotated[Degrees, Tag("degrees")] | Annotated[PoseSpec, Tag("pose")],
     Discriminator(_position_tag),
 ]
 """Where a joint is: a number, ``{deg: 30}``, or of a ball or free joint a pose from where it is at zero."""
@@ -57,7 +57,7 @@ DEFAULT_VARIANT = "default"
 """The variant of an object that is the object as it is written."""
 
 
-class VariantSpec(Body):
+class VariantSpec(BodySpec):
     """What differs in one variant of an object; all else is as the object has it.
 
     A new `shape` or `asset` comes without the old one's `scale` and `visual`.
@@ -81,7 +81,7 @@ class VariantSpec(Body):
         return self
 
 
-class ObjectSpec(Body):
+class ObjectSpec(BodySpec):
     """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
 
     shape: Shape | None = Field(None, description="A primitive.")
@@ -97,7 +97,7 @@ class ObjectSpec(Body):
         (), description="What it is to a vision system, the most telling first; default: its category."
     )
     fixed: bool = Field(False, description="Welded to the world.")
-    pose: Pose = Field(Pose(), description="Pose of its frame in the world.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose of its frame in the world.")
     place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
@@ -157,12 +157,12 @@ class LightSpec(Model):
         return self
 
 
-class Background(Model):
+class BackgroundSpec(Model):
     """What is seen around the scene; nothing touches it."""
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
-    pose: Pose = Field(Pose(), description="Pose in the world.")
+    pose: PoseSpec = Field(PoseSpec(), description="Pose in the world.")
     scale: Positive = Field(1.0, description="Factor from the units of the file to metres.")
 
     @model_validator(mode="after")
@@ -185,7 +185,7 @@ class SceneSpec(DocumentSpec):
     robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
     cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
-    background: Background | None = Field(None, description="What is seen around the scene.")
+    background: BackgroundSpec | None = Field(None, description="What is seen around the scene.")
     no_contact: tuple[Touching, ...] = Field(
         (),
         max_length=1000,

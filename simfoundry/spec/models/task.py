@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, Pose, Positive
+from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, Number, Origin, Point2, PoseSpec, Positive
 from simfoundry.spec.models.expressions import Condition
 from simfoundry.spec.models.place import Place
 from simfoundry.spec.models.scene import JointPosition
@@ -21,7 +21,7 @@ class Start(Model):
     """What differs from the scene at the start."""
 
     place: dict[Name, Place] = Field({}, description="Objects that stand elsewhere, by name.")
-    pose: dict[Name, Pose] = Field({}, description="Objects that have another pose, by name.")
+    pose: dict[Name, PoseSpec] = Field({}, description="Objects that have another pose, by name.")
     joints: dict[Name, dict[Name, JointPosition]] = Field(
         {}, description="Joint positions by object and joint, as in a scene."
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 from simfoundry.spec.compose import EXCLUSIVE
 from simfoundry.spec.files import is_document
-from simfoundry.spec.models.base import Body
+from simfoundry.spec.models.base import BodySpec
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec
 
 GEOMETRY = ("shape", "asset")
@@ -27,7 +27,7 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
         if any(key in changes for key in GEOMETRY):
             dropped |= {*OF_GEOMETRY, "joints"} - changes.keys()
         if over.asset is not None and is_document(over.asset):  # its links have mass and material of their own
-            dropped |= Body.model_fields.keys() - changes.keys()
+            dropped |= BodySpec.model_fields.keys() - changes.keys()
         given = {key: value for key, value in given.items() if key not in dropped} | changes
     return ObjectSpec(**given)
 

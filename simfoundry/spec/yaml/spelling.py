@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, Literal
 
-from simfoundry.spec.models.aliases import ours
+from simfoundry.spec.models.predicate import canonical
 from simfoundry.spec.yaml.text import UNPRINTABLE, YamlError, parse
 
 DIGITS = 6
@@ -72,7 +72,7 @@ def call(text: str) -> str:
     match = _CALL.match(text)
     if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
         return text
-    name, arguments = ours(match[1], tuple(a.strip() for a in match[2].split(",")))
+    name, arguments = canonical(match[1], tuple(a.strip() for a in match[2].split(",")))
     return f"{name}({', '.join(arguments)})"
 
 

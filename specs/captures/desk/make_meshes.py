@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from simfoundry.assets.prism import prism_mesh
-from simfoundry.scene.frames import frozen_array
+from simfoundry.geometry.frames import frozen_array
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.scene.model import Mesh
 
 HERE = Path(__file__).parent
 DESK = np.array([[-0.45, -0.3], [0.35, -0.3], [0.45, -0.2], [0.45, 0.3], [-0.45, 0.3]])

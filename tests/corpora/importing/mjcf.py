@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from simfoundry.frontends.importer import Report
 from simfoundry.frontends.names import plain_name
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
 from tests.corpora.importing.outcome import LIMIT, MASS, POSE, Outcome
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from simfoundry.frontends.importer import Report
 from simfoundry.frontends.xmltree import read_xml
-from simfoundry.scene.frames import Pose, from_xyzw
+from simfoundry.geometry.frames import Pose, from_xyzw
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
 from tests.corpora.importing.outcome import LIMIT, MASS, POSE, Outcome
 

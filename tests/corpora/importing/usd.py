@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.importer import Report
+from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Mesh, Scene
+from simfoundry.scene.model import Scene
 from tests.corpora.importing.outcome import LIMIT, MASS, Outcome
 
 BOUND = 1e-4

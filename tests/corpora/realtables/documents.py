@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 
 SETS = {"posecnn_demo": 5, "mosd_dev": 12, "graspnet6dof": 6, "m3t_desk": 1}
 """The sets of captures and how many of each are used; of m3t_desk only frame 200, whose truth is known."""

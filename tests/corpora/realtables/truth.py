@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from simfoundry.capture.load import load_frame
 from simfoundry.capture.segment.decompose import decompose
-from simfoundry.capture.segment.ground import find_support
+from simfoundry.capture.segment.find_support import find_support
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.tessellate import tessellate
 from simfoundry.render.raycast import raycast
-from simfoundry.scene.frames import Array, Pose
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.scene.tessellate import tessellate
 from simfoundry.spec.load import load_capture
 from tests.corpora.realtables.documents import RealCapture
 from tests.corpora.segmentation import matched_iou

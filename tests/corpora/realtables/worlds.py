@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.backends import compile_scene
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Link, Scene
 from simfoundry.worlds import open_world

@@ -10,8 +10,9 @@ import pytest
 
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import Options, import_file
+from simfoundry.geometry.shapes import Box
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, JointType
+from simfoundry.scene.model import JointType
 from tests.frontends.conftest import Importing
 
 MODEL = """<mujoco model="arm">

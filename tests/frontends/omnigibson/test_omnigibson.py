@@ -11,7 +11,7 @@ import pytest
 
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import Options, Report, import_file
-from simfoundry.scene.frames import Pose, quat_from_rpy, to_xyzw
+from simfoundry.geometry.frames import Pose, quat_from_rpy, to_xyzw
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.scene import SceneSpec

@@ -10,9 +10,10 @@ import pytest
 
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import Options, import_file
-from simfoundry.scene.frames import Pose, quat_from_rpy
+from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.geometry.shapes import Box, Cylinder, Mesh
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Cylinder, JointType, Mesh
+from simfoundry.scene.model import JointType
 from tests.cli.command import run
 from tests.frontends.conftest import Importing
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.geometry.shapes import Box, Capsule
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Box, Capsule, JointType
+from simfoundry.scene.model import JointType
 from tests.frontends.conftest import Importing
 
 CENTIMETRES = """#usda 1.0

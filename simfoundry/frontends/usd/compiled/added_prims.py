@@ -14,7 +14,7 @@ from simfoundry.frontends.usd.compiled.edits import pose_data
 from simfoundry.frontends.usd.compiled.stage import factored
 from simfoundry.frontends.usd.compiled.values import Note, as_name, short, srgb
 from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place, light_type
-from simfoundry.scene.frames import Array, Pose, quat_from_matrix
+from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 if TYPE_CHECKING:
     from pxr import Usd

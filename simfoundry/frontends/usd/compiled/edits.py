@@ -14,7 +14,7 @@ from simfoundry.frontends.usd.compiled.shapes import scaled
 from simfoundry.frontends.usd.compiled.stage import Part, fallback, links_of
 from simfoundry.frontends.usd.compiled.values import Note, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data

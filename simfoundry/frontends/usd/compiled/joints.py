@@ -10,7 +10,7 @@ import numpy as np
 
 from simfoundry.frontends.usd.compiled.stage import Part, Values, placed
 from simfoundry.frontends.usd.compiled.values import Note
-from simfoundry.scene.frames import Pose
+from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import STILL
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2

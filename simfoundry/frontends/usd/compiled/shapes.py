@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from simfoundry.frontends.usd.compiled.values import short
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 _EVEN = 1e-6
 

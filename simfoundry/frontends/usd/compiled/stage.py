@@ -12,7 +12,7 @@ import numpy as np
 
 from simfoundry.backends.usd.source import KEY, SCOPES, contact, look, observed, plain
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.frames import Array, Pose
+from simfoundry.geometry.frames import Array, Pose
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom

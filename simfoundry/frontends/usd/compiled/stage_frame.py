@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.frontends.usd.compiled.stage import StageError, factored
-from simfoundry.scene.frames import Array
+from simfoundry.geometry.frames import Array
 
 if TYPE_CHECKING:
     from pxr import Usd

@@ -12,7 +12,7 @@ from simfoundry.backends.usd.lights import FULL
 from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
 from simfoundry.frontends.usd.compiled.stage import Part
 from simfoundry.frontends.usd.compiled.values import Note, short, srgb
-from simfoundry.scene.frames import Array, Pose, look_at
+from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
 LENS = (

@@ -23,7 +23,7 @@ AXIS_DEG = 1.0
 
 
 @dataclass(frozen=True)
-class Motion:
+class PoseChange:
     """From one pose to another in one parent: a ``shift`` [m], and a turn by ``angle`` [deg] about a unit ``axis``."""
 
     shift: Vector
@@ -41,14 +41,14 @@ class Motion:
         return self.angle > STILL_DEG
 
 
-def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> Motion:
+def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
     """What takes the pose ``old`` to the pose ``new``; both as documents write them."""
     before, after = _xyz(old), _xyz(new)
     angle, axis = _turn(rotation(old), rotation(new))
-    return Motion((after[0] - before[0], after[1] - before[1], after[2] - before[2]), angle, axis)
+    return PoseChange((after[0] - before[0], after[1] - before[1], after[2] - before[2]), angle, axis)
 
 
-def words(found: Motion) -> list[str]:
+def words(found: PoseChange) -> list[str]:
     """``moved 3.2 cm (+x 3.0, +y 1.1)`` and ``turned 12.0° about z``, each where it is so."""
     out = []
     if found.moved:

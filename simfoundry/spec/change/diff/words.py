@@ -24,7 +24,7 @@ _MARKS = ("moved", "added", "removed", "renamed", "changed")
 
 
 @dataclass(frozen=True)
-class Entry:
+class MemberChange:
     """All that changed about one thing.
 
     ``section`` and ``name`` say which it is (``name`` is empty for what the document says of itself), ``was`` what it
@@ -65,7 +65,7 @@ def describe(
     joint_units: Mapping[tuple[str, str], str] | None = None,
     verbose: bool = False,
     changes: Iterable[Change] | None = None,
-) -> tuple[Entry, ...]:
+) -> tuple[MemberChange, ...]:
     """What changed between the plain data of two documents, thing by thing.
 
     ``model`` knows the units of the fields, ``joint_units`` those of the joints of objects (by object and joint, as
@@ -77,7 +77,7 @@ def describe(
     a = renamed(a, renames)
     words = Describing(a, b, model, joint_units or {}, verbose)
     was = {(*r.section, r.new): r.old for r in renames}
-    found: list[tuple[int, Entry]] = []
+    found: list[tuple[int, MemberChange]] = []
     for section in _in_order(a, b):
         rank = _RANK.get(section, _LAST.get(section, 7))
         old, new = a.get(section), b.get(section)
@@ -86,17 +86,17 @@ def describe(
         elif not same(old, new):
             facts = words.field((section,), old, new, _given(a, section), _given(b, section))
             if facts:
-                found.append((rank, Entry("", "", "", ("changed",), (), tuple(facts))))
+                found.append((rank, MemberChange("", "", "", ("changed",), (), tuple(facts))))
     found += ((r, e) for r, e in _other_renames(renames))
     return tuple(entry for _, entry in sorted(found, key=lambda item: item[0]))
 
 
-def text(entries: Iterable[Entry]) -> list[str]:
+def text(entries: Iterable[MemberChange]) -> list[str]:
     """The lines of all entries."""
     return [line for entry in entries for line in entry.lines()]
 
 
-def summary(entries: Iterable[Entry]) -> str:
+def summary(entries: Iterable[MemberChange]) -> str:
     """``2 moved, 1 removed, goal changed``; empty where nothing changed."""
     entries = tuple(entries)
     named = [e for e in entries if e.name]
@@ -111,7 +111,7 @@ def _single(sentence: str) -> str:
     return " ".join(sentence.split())
 
 
-def _topic(entry: Entry) -> str:
+def _topic(entry: MemberChange) -> str:
     return entry.facts[0].partition(" ")[0].rstrip(":")
 
 
@@ -125,33 +125,33 @@ def _given(document: Mapping[str, Any], key: str) -> bool:
 
 def _members(
     words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
-) -> Iterable[Entry]:
+) -> Iterable[MemberChange]:
     """What changed about each member of a section: those of the old document in their order, then those added."""
     for name in dict.fromkeys((*old, *new)):
         before = was.get((section, name), "")
         if name not in new:
-            yield Entry(section, name, "", ("removed",), ("removed",), ())
+            yield MemberChange(section, name, "", ("removed",), ("removed",), ())
         elif name not in old:
             about = words.summary(section, new[name])
-            yield Entry(section, name, "", ("added",), (f"added: {about}" if about else "added",), ())
+            yield MemberChange(section, name, "", ("added",), (f"added: {about}" if about else "added",), ())
         elif before or not same(old[name], new[name]):
             verbs, facts = words.member((section, name), old[name], new[name])
             marks = ["moved"] * bool(verbs.moved) + ["renamed"] * bool(before)
             marks += ["changed"] * bool(not marks or facts)
             sentences = [f"renamed to {name}"] * bool(before) + list(verbs)
             if sentences or facts:
-                yield Entry(section, name, before, tuple(marks), tuple(sentences), tuple(facts))
+                yield MemberChange(section, name, before, tuple(marks), tuple(sentences), tuple(facts))
     if words.verbose:
         kept = [name for name in old if name in new]
         if kept != [name for name in new if name in old]:
-            yield Entry("", "", "", ("changed",), (), (f"{section}: in another order",))
+            yield MemberChange("", "", "", ("changed",), (), (f"{section}: in another order",))
 
 
-def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, Entry]]:
+def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:
     """Renames of what is not a member of a section of its own: parts of links, objects that a task only names."""
     for r in renames:
         if len(r.section) > 1 or r.section[0] not in _NAMED:
             kind = r.section[-1].removesuffix("s")
             where = f" of {r.section[-2]}" if len(r.section) > 1 else ""
             fact = f"{kind} {r.old}{where} renamed to {r.new}"
-            yield 7, Entry("", "", "", ("renamed",), (), (fact,))
+            yield 7, MemberChange("", "", "", ("renamed",), (), (fact,))

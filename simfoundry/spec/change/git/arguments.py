@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.compare import Comparison, Side, compare, side
-from simfoundry.spec.change.git.history import Step, history
+from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
+from simfoundry.spec.change.git.history import HistoryEntry, history
 from simfoundry.spec.change.git.revisions import commit, differing, export, files_of, merge_base, repository
 
 
@@ -17,7 +17,7 @@ class ArgumentError(SimfoundryError):
 
 
 @dataclass(frozen=True)
-class Source:
+class DocumentState:
     """One state of a document: the file ``path``, or, of a ``commit``, ``path`` in the repository at ``root``."""
 
     path: str
@@ -31,8 +31,8 @@ class Pair:
     """Two states of the document ``name``."""
 
     name: str
-    old: Source | None
-    new: Source | None
+    old: DocumentState | None
+    new: DocumentState | None
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
     return [pair for f in files for pair in _of_file(Path(f), revisions or ["HEAD"])]
 
 
-def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[Step]:
+def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
     """The commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
@@ -73,16 +73,16 @@ def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterato
     return history(root, [f"^{old}", new], inside, verbose)
 
 
-def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> Comparison:
+def open_pair(pair: Pair, folder: Path, verbose: bool = False) -> DocumentComparison:
     """Read both states and compare them; revisions are written below ``folder``, which must be empty."""
     old, new = (_open(source, folder / k) for source, k in ((pair.old, "old"), (pair.new, "new")))
     if old is None and new is None:
-        label = (pair.new or pair.old or Source("", pair.name)).label
+        label = (pair.new or pair.old or DocumentState("", pair.name)).label
         raise ArgumentError(f"there is no document {label}")
     return compare(pair.name, old, new, verbose)
 
 
-def _open(source: Source | None, folder: Path) -> Side | None:
+def _open(source: DocumentState | None, folder: Path) -> Side | None:
     if source is None:
         return None
     if source.root is None:
@@ -108,12 +108,12 @@ def _is_file(argument: str) -> bool:
     return Path(argument).exists() or (argument.endswith(".yaml") and ":" not in argument)
 
 
-def _state(argument: str) -> Source:
+def _state(argument: str) -> DocumentState:
     if not _is_rev_path(argument):
-        return Source(argument, argument)
+        return DocumentState(argument, argument)
     revision, _, path = argument.partition(":")
     root = repository(Path.cwd())
-    return Source(path.removeprefix("./"), argument, root, commit(root, revision))
+    return DocumentState(path.removeprefix("./"), argument, root, commit(root, revision))
 
 
 def _span(root: Path, revisions: Sequence[str]) -> _Span:
@@ -161,13 +161,13 @@ def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
 
 
 def _pair(span: _Span, root: Path, old: str | None, new: str | None, name: str) -> Pair:
-    before = Source(old, f"{span.old}:{old}", root, span.commits[0]) if old is not None else None
+    before = DocumentState(old, f"{span.old}:{old}", root, span.commits[0]) if old is not None else None
     after = None
     if new is not None and span.new:
-        after = Source(new, f"{span.new}:{new}", root, span.commits[1])
+        after = DocumentState(new, f"{span.new}:{new}", root, span.commits[1])
     elif new is not None:
         shown = root / new
-        after = Source(
+        after = DocumentState(
             str(shown), str(shown.relative_to(Path.cwd())) if shown.is_relative_to(Path.cwd()) else str(shown)
         )
     return Pair(name, before, after)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from simfoundry.spec.change.compare import Comparison, Side, compare, side
+from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
 from simfoundry.spec.change.git.lookup import Blob, read_beside
 from simfoundry.spec.change.git.revisions import export, extended
 from simfoundry.spec.change.merge.conflict import ABSENT, dotted, shown
@@ -68,7 +68,7 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
         return None
 
 
-def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> Comparison | None:
+def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
     """The comparison with what both sides extend; None where it is not known what that said."""
     sides = dict[str, Side | None]()
     for name, blob in (("old", old), ("new", new)):

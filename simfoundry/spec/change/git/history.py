@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.spec.change.compare import Comparison, Side, compare, side
+from simfoundry.spec.change.compare import DocumentComparison, Side, compare, side
 from simfoundry.spec.change.git.revisions import Read, export, files_of, git, references, renamed_from
 
 _FORMAT = "%H%x00%P%x00%aI%x00%an%x00%s"
@@ -26,14 +26,14 @@ class Commit:
 
 
 @dataclass(frozen=True)
-class Step:
+class HistoryEntry:
     """What one commit changed about a document."""
 
     commit: Commit
-    comparison: Comparison
+    comparison: DocumentComparison
 
 
-def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[Step]:
+def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
     """The commits that changed the document ``path`` of the repository at ``root``, the latest first.
 
     ``revisions`` are as for `git rev-list`: commits to start from, and with ``^`` those at which to stop. Each commit
@@ -47,7 +47,7 @@ def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = Fal
             olds = [_side(root, parent, names, Path(folder) / str(k)) for k, parent in enumerate(commit.parents)]
             found = [compare(path, old, new, verbose) for old in olds or [None] if old is not None or new is not None]
         if found and all(comparison.differs for comparison in found):
-            yield Step(commit, found[0])
+            yield HistoryEntry(commit, found[0])
 
 
 def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:

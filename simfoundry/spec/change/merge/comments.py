@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.yaml.tree import CommentedTree
 
-_NONE = Tree(None)
+_NONE = CommentedTree(None)
 
 
-def commented(tree: Tree, base: Tree | None, ours: Tree, theirs: Tree) -> Tree:
+def commented(
+    tree: CommentedTree, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree
+) -> CommentedTree:
     """``tree`` with the comments directly at ``ours`` and ``theirs``: what a side changed counts."""
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
@@ -23,7 +25,7 @@ def commented(tree: Tree, base: Tree | None, ours: Tree, theirs: Tree) -> Tree:
     return replace(tree, above=above, beside=beside, end=end)
 
 
-def united(base: Tree | None, ours: Tree, theirs: Tree) -> Tree:
+def united(base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree) -> CommentedTree:
     """``ours``, which says the same as ``theirs``, with the comments of both all through it."""
     value = ours.value
     if isinstance(value, dict):
@@ -33,12 +35,12 @@ def united(base: Tree | None, ours: Tree, theirs: Tree) -> Tree:
     return commented(replace(ours, value=value), base, ours, theirs)
 
 
-def _united(base: Tree | None, ours: Tree, theirs: Tree, part: str | int) -> Tree:
+def _united(base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, part: str | int) -> CommentedTree:
     other = _inside(theirs, part)
     return united(_inside(base, part), ours, other) if other is not None else ours
 
 
-def rescued(tree: Tree, base: Tree | None, other: Tree) -> Tree:
+def rescued(tree: CommentedTree, base: CommentedTree | None, other: CommentedTree) -> CommentedTree:
     """``tree``, which takes the place of ``other``, with the comments inside ``other`` that would be lost with it."""
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
     new = tuple(text for child in _children(other) for _, text in child.comments() if text not in known)
@@ -60,17 +62,17 @@ def _lines(base: tuple[str, ...], ours: tuple[str, ...], theirs: tuple[str, ...]
     return (*ours, *(text for text in theirs if text not in ours and text not in base))
 
 
-def _inside(tree: Tree | None, part: str | int) -> Tree | None:
+def _inside(tree: CommentedTree | None, part: str | int) -> CommentedTree | None:
     value = tree.value if tree is not None else None
     if isinstance(value, dict):
         return value.get(part)
     if isinstance(value, tuple) and isinstance(part, int) and part < len(value):
-        found: Tree = value[part]
+        found: CommentedTree = value[part]
         return found
     return None
 
 
-def _children(tree: Tree) -> Iterator[Tree]:
+def _children(tree: CommentedTree) -> Iterator[CommentedTree]:
     if isinstance(tree.value, dict):
         yield from tree.value.values()
     elif isinstance(tree.value, tuple):

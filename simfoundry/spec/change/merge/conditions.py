@@ -8,7 +8,7 @@ from typing import Any
 from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
 from simfoundry.spec.change.merge.conflict import Path_
 from simfoundry.spec.yaml.spelling import call
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.yaml.tree import CommentedTree
 
 __all__ = ["is_list_of_conditions", "matched", "spelled"]
 
@@ -23,7 +23,7 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
     return all(isinstance(value, tuple) and all(map(is_item, value)) for value in values)
 
 
-def matched(items: tuple[Tree, ...], base: dict[str, Tree] | None = None) -> dict[str, Tree]:
+def matched(items: tuple[CommentedTree, ...], base: dict[str, CommentedTree] | None = None) -> dict[str, CommentedTree]:
     """The items of a list by what they say; an `all` or `any` that changed is called like the one in ``base``.
 
     Equal items are told apart by a number.
@@ -46,7 +46,7 @@ def spelled(condition: Any) -> str:
     return expression(_spelled(condition))
 
 
-def _is_condition(tree: Tree) -> bool:
+def _is_condition(tree: CommentedTree) -> bool:
     value = tree.value
     if isinstance(value, dict) and len(value) == 1:
         key, below = next(iter(value.items()))
@@ -56,7 +56,7 @@ def _is_condition(tree: Tree) -> bool:
     return isinstance(value, str)
 
 
-def _is_pair(tree: Tree) -> bool:
+def _is_pair(tree: CommentedTree) -> bool:
     items = tree.value
     return isinstance(items, tuple) and len(items) == 2 and all(isinstance(item.value, str) for item in items)
 
@@ -81,7 +81,7 @@ def _numbered(texts: list[str]) -> list[str]:
     return names
 
 
-def _kind(item: Tree) -> str:
+def _kind(item: CommentedTree) -> str:
     """``all`` or ``any`` of an item that joins others; empty for any other."""
     value = item.value
     key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""

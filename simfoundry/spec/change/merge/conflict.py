@@ -26,7 +26,7 @@ _SHOWN = 60
 
 
 @dataclass(frozen=True)
-class Conflict:
+class MergeConflict:
     """What both sides made of the value at ``path``: plain data, or :data:`ABSENT`.
 
     Where the value is a mapping whose order means something, the three may be lists of its keys: only their order is in

@@ -10,9 +10,9 @@ from simfoundry.spec.change.merge.same import same
 from simfoundry.spec.compose import EXCLUSIVE
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.yaml.tree import CommentedTree
 
-Members = Mapping[str, Tree]
+Members = Mapping[str, CommentedTree]
 
 LED = (("type", ("limits", "limits_deg")),)
 """A key, and others that mean something with its value alone."""
@@ -59,7 +59,7 @@ def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iter
         yield from (name for name in place if name in pose)
 
 
-def _several(group: tuple[str, ...], keys: Mapping[str, Tree] | frozenset[str]) -> bool:
+def _several(group: tuple[str, ...], keys: Mapping[str, CommentedTree] | frozenset[str]) -> bool:
     return sum(key in keys for key in group) > 1
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from simfoundry.spec.change.diff.renames import Rename, find_renames, renamed
-from simfoundry.spec.change.merge.conflict import Conflict, Path_
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.change.merge.conflict import MergeConflict, Path_
+from simfoundry.spec.yaml.tree import CommentedTree
 
 
 @dataclass(frozen=True)
@@ -17,14 +17,14 @@ class SameNames:
     ``edited`` are the paths of members that a side renamed and the other removed: to rename is to edit.
     """
 
-    base: Tree
-    ours: Tree
-    theirs: Tree
+    base: CommentedTree
+    ours: CommentedTree
+    theirs: CommentedTree
     edited: frozenset[Path_] = frozenset()
-    conflicts: tuple[Conflict, ...] = ()
+    conflicts: tuple[MergeConflict, ...] = ()
 
 
-def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
+def same_names(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree) -> SameNames:
     """Take over to each side what the other renamed; where both renamed one member, ours counts."""
     if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
         return SameNames(base, ours, theirs)
@@ -34,7 +34,7 @@ def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
         return SameNames(base, ours, theirs)
     for_base = list[Rename]()
     for_side: tuple[list[Rename], list[Rename]] = ([], [])
-    edited, conflicts = set[Path_](), list[Conflict]()
+    edited, conflicts = set[Path_](), list[MergeConflict]()
     for here, there in ((0, 1), (1, 0)):
         others = found[there]
         taken = {(r.section, r.new): r.old for r in others.values()}
@@ -45,7 +45,7 @@ def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
                     for_base.append(rename)
                     if twin.new != rename.new:
                         for_side[1].append(Rename(rename.section, twin.new, rename.new))
-                        conflicts.append(Conflict((*key[0], key[1]), key[1], rename.new, twin.new))
+                        conflicts.append(MergeConflict((*key[0], key[1]), key[1], rename.new, twin.new))
                 continue
             members = _members(datas[there], rename.section)
             if rename.new in members or taken.get((rename.section, rename.new), rename.old) != rename.old:
@@ -58,7 +58,7 @@ def same_names(base: Tree, ours: Tree, theirs: Tree) -> SameNames:
     return SameNames(*trees, frozenset(edited), tuple(conflicts))
 
 
-def _comes_and_goes(a: Tree, b: Tree) -> bool:
+def _comes_and_goes(a: CommentedTree, b: CommentedTree) -> bool:
     """Whether a key of some mapping is gone and another has come: it takes both for a rename."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
@@ -67,11 +67,11 @@ def _comes_and_goes(a: Tree, b: Tree) -> bool:
     return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
 
 
-def _renamed(tree: Tree, renames: list[Rename]) -> Tree:
+def _renamed(tree: CommentedTree, renames: list[Rename]) -> CommentedTree:
     return _with_names(tree, renamed(tree.data, renames)) if renames else tree
 
 
-def _with_names(tree: Tree, data: Any) -> Tree:
+def _with_names(tree: CommentedTree, data: Any) -> CommentedTree:
     """The tree with the keys and values of its own renamed data, which stand in the same order."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)

@@ -6,13 +6,13 @@ from typing import Any
 
 from simfoundry.spec.change.merge.conditions import is_list_of_conditions, matched, spelled
 from simfoundry.spec.change.merge.conflict import Path_
-from simfoundry.spec.yaml.tree import Tree
+from simfoundry.spec.yaml.tree import CommentedTree
 
 _CONDITIONS = ("goal", "not")
 """Keys of conditions."""
 
 
-def same(a: Tree | None, b: Tree | None, path: Path_ = ()) -> bool:
+def same(a: CommentedTree | None, b: CommentedTree | None, path: Path_ = ()) -> bool:
     """Whether two values at ``path`` say the same: the order of keys and conditions, and spaces in these, mean nothing.
 
     ``1`` is ``1.0`` but not ``true``.
@@ -35,7 +35,7 @@ def same(a: Tree | None, b: Tree | None, path: Path_ = ()) -> bool:
     return bool(x == y) or (x != x and y != y)
 
 
-def identical(a: Tree, b: Tree) -> bool:
+def identical(a: CommentedTree, b: CommentedTree) -> bool:
     """Whether two trees are the same to the last comment, and in the same order."""
     if a is b:
         return True

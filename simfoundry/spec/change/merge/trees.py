@@ -1,9 +1,9 @@
 """Three documents into one, by meaning.
 
 Mappings are merged key by key, ``relations``, ``no_contact`` and the lists of goals as sets, all else as a whole. Edits
-of different things never meet; equal edits are one. What cannot be united is a :class:`Conflict`: the document keeps
-ours (or, where one side removed what the other changed, what was changed), and says under ``conflicts`` what all three
-had.
+of different things never meet; equal edits are one. What cannot be united is a :class:`MergeConflict`: the document
+keeps ours (or, where one side removed what the other changed, what was changed), and says under ``conflicts`` what all
+three had.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from simfoundry.spec.change.merge.comments import commented, rescued, united
 from simfoundry.spec.change.merge.conditions import is_list_of_conditions, matched, spelled
-from simfoundry.spec.change.merge.conflict import ABSENT, Conflict, Path_, dotted, numbered
+from simfoundry.spec.change.merge.conflict import ABSENT, MergeConflict, Path_, dotted, numbered
 from simfoundry.spec.change.merge.groups import at_odds, named_twice, torn
 from simfoundry.spec.change.merge.names import same_names
 from simfoundry.spec.change.merge.order import merged_order
@@ -22,7 +22,7 @@ from simfoundry.spec.change.merge.same import identical, same
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.tree import Tree, plain_tree
+from simfoundry.spec.yaml.tree import CommentedTree, plain_tree
 
 ORDERED = (("subtasks",), ("links",), ("frames",))
 """Named mappings whose order means something."""
@@ -34,8 +34,8 @@ CONFLICTS = "conflicts"
 class Merged:
     """A merged document, its open conflicts recorded in it; ``conflicts`` are those that this merge added."""
 
-    tree: Tree
-    conflicts: tuple[Conflict, ...]
+    tree: CommentedTree
+    conflicts: tuple[MergeConflict, ...]
 
     @property
     def data(self) -> Any:
@@ -48,7 +48,7 @@ def merge(base: Any, ours: Any, theirs: Any) -> Merged:
     return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
 
 
-def merge_trees(base: Tree, ours: Tree, theirs: Tree) -> Merged:
+def merge_trees(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree) -> Merged:
     """Merge three documents with their comments."""
     named = same_names(base, ours, theirs)
     overlay = any("extends" in _mapping(tree) for tree in (base, ours, theirs))
@@ -58,17 +58,17 @@ def merge_trees(base: Tree, ours: Tree, theirs: Tree) -> Merged:
     return Merged(_recorded(tree, merging.conflicts), tuple(merging.conflicts))
 
 
-def _model(document: Tree) -> type[Model] | None:
+def _model(document: CommentedTree) -> type[Model] | None:
     kind = document.value.get("simfoundry") if isinstance(document.value, dict) else None
     return model_of(kind.value) if kind is not None and kind.value in KINDS else None
 
 
-def _recorded(tree: Tree, conflicts: list[Conflict]) -> Tree:
+def _recorded(tree: CommentedTree, conflicts: list[MergeConflict]) -> CommentedTree:
     """The document with an entry for each conflict."""
     if not conflicts or not isinstance(tree.value, dict):
         return tree
-    section = tree.value.get(CONFLICTS) or Tree({})
-    entries: dict[str, Tree] = dict(section.value) if isinstance(section.value, dict) else {}
+    section = tree.value.get(CONFLICTS) or CommentedTree({})
+    entries: dict[str, CommentedTree] = dict(section.value) if isinstance(section.value, dict) else {}
     for conflict in conflicts:
         record, path = conflict.record(), dotted(conflict.path)
         if path in entries and entries[path].data == record:
@@ -87,9 +87,11 @@ class _Merging:
     model: type[Model] | None
     edited: frozenset[Path_]
     overlay: bool
-    conflicts: list[Conflict] = field(default_factory=list)
+    conflicts: list[MergeConflict] = field(default_factory=list)
 
-    def value(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+    def value(
+        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
+    ) -> CommentedTree | None:
         """What the three make of one value; None where it is gone."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
@@ -106,13 +108,15 @@ class _Merging:
             return self.whole(base, ours, theirs, path)
         return commented(tree, base, ours, theirs)
 
-    def one_sided(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+    def one_sided(
+        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
+    ) -> CommentedTree | None:
         """A value that one side does not have: new on the other, or removed here."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
         if self.is_empty_where_absent(base, there, path):
-            nothing = Tree(type(there.value)())
+            nothing = CommentedTree(type(there.value)())
             tree = self.value(base, ours or nothing, theirs or nothing, path)
             return tree if tree is not None and tree.value else None
         if path not in self.edited and same(base, there, path):
@@ -121,14 +125,16 @@ class _Merging:
             self.clash(path, base, ours, theirs)
         return there
 
-    def is_empty_where_absent(self, base: Tree, there: Tree, path: Path_) -> bool:
+    def is_empty_where_absent(self, base: CommentedTree, there: CommentedTree, path: Path_) -> bool:
         """Whether a mapping by name, or a list of relations or pairs, is not written where it is empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
-    def whole(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+    def whole(
+        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
+    ) -> CommentedTree:
         """A value that is taken as it is, from one side."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
@@ -143,11 +149,13 @@ class _Merging:
             theirs = replace(theirs, beside=ours.beside)
         return rescued(commented(taken, base, ours, theirs), base, other)
 
-    def mapping(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+    def mapping(
+        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
+    ) -> CommentedTree:
         """A mapping, key by key."""
-        before: Mapping[str, Tree] = base.value if base is not None and isinstance(base.value, dict) else {}
+        before: Mapping[str, CommentedTree] = base.value if base is not None and isinstance(base.value, dict) else {}
         sides = (ours.value, theirs.value)
-        merged = dict[str, Tree]()
+        merged = dict[str, CommentedTree]()
         for key in dict.fromkeys([*ours.value, *theirs.value]):
             tree = self.value(before.get(key), ours.value.get(key), theirs.value.get(key), (*path, key))
             if tree is not None:
@@ -161,15 +169,17 @@ class _Merging:
             self.keep_both(before, sides, merged)
         order = merged_order(before, *sides, merged, path in ORDERED)
         if order.clash and path in ORDERED:
-            self.conflicts.append(Conflict(path, tuple(before), tuple(sides[0]), tuple(sides[1])))
+            self.conflicts.append(MergeConflict(path, tuple(before), tuple(sides[0]), tuple(sides[1])))
         rest = [key for key in merged if key not in set(order.keys)] if len(order.keys) < len(merged) else []
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
-    def conditions(self, base: Tree | None, ours: Tree, theirs: Tree, path: Path_) -> Tree:
+    def conditions(
+        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
+    ) -> CommentedTree:
         """A list of conditions as a set; where two edits of one condition clash, the list does."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
-        found, merged = len(self.conflicts), dict[str, Tree]()
+        found, merged = len(self.conflicts), dict[str, CommentedTree]()
         for name in dict.fromkeys([*sides[0], *sides[1]]):
             tree = self.condition(before.get(name), sides[0].get(name), sides[1].get(name), (*path, name))
             if tree is not None:
@@ -181,7 +191,9 @@ class _Merging:
         order = merged_order(before, *sides, merged, ours_first=False)
         return replace(ours, value=tuple([merged[name] for name in order.keys]))
 
-    def condition(self, base: Tree | None, ours: Tree | None, theirs: Tree | None, path: Path_) -> Tree | None:
+    def condition(
+        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
+    ) -> CommentedTree | None:
         """One condition of a list; however it is spaced, it is the same."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
@@ -193,17 +205,24 @@ class _Merging:
 
     # -- conflicts --------------------------------------------------------------------------------------------------
 
-    def clash(self, path: Path_, base: Tree | None, ours: Tree | None, theirs: Tree | None, comment: str = "") -> None:
+    def clash(
+        self,
+        path: Path_,
+        base: CommentedTree | None,
+        ours: CommentedTree | None,
+        theirs: CommentedTree | None,
+        comment: str = "",
+    ) -> None:
         """Note a conflict."""
         was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
-        self.conflicts.append(Conflict(path, was, here, there, comment))
+        self.conflicts.append(MergeConflict(path, was, here, there, comment))
 
     def keep_ours(
         self,
         keys: set[str],
-        base: Mapping[str, Tree],
-        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
-        merged: dict[str, Tree],
+        base: Mapping[str, CommentedTree],
+        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
+        merged: dict[str, CommentedTree],
         path: Path_,
     ) -> None:
         """Take the ``keys`` as ours has them, each that differs a conflict."""
@@ -220,9 +239,9 @@ class _Merging:
 
     def keep_ours_of_start(
         self,
-        base: Mapping[str, Tree],
-        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
-        merged: dict[str, Tree],
+        base: Mapping[str, CommentedTree],
+        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
+        merged: dict[str, CommentedTree],
         path: Path_,
     ) -> None:
         """The same for a name that has a pose by one side and a place by the other at the start of a task."""
@@ -235,9 +254,9 @@ class _Merging:
 
     def keep_both(
         self,
-        base: Mapping[str, Tree],
-        sides: tuple[Mapping[str, Tree], Mapping[str, Tree]],
-        merged: dict[str, Tree],
+        base: Mapping[str, CommentedTree],
+        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
+        merged: dict[str, CommentedTree],
     ) -> None:
         """Entries of ``conflicts`` that the sides have differently: both stay."""
         theirs = sides[1]
@@ -247,11 +266,11 @@ class _Merging:
             merged[numbered(path, {**merged, **theirs})] = theirs[path]
 
 
-def _is_whole(path: Path_, ours: Tree, theirs: Tree) -> bool:
+def _is_whole(path: Path_, ours: CommentedTree, theirs: CommentedTree) -> bool:
     """Whether mappings are one value: an estimate, whose parts mean nothing alone, or an entry of ``conflicts``."""
     estimate = path[-1:] in (("mass",), ("density",)) and ("value" in ours.value or "value" in theirs.value)
     return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
 
 
-def _mapping(tree: Tree | None) -> Mapping[str, Tree]:
+def _mapping(tree: CommentedTree | None) -> Mapping[str, CommentedTree]:
     return tree.value if tree is not None and isinstance(tree.value, dict) else {}

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simfoundry.spec.check.report.model import Report, absolute, checkout
+from simfoundry.spec.check.report.model import CheckReport, absolute, checkout
 from simfoundry.spec.diagnostics import Diagnostic
 
 
-def render(report: Report) -> str:
+def render(report: CheckReport) -> str:
     """One line for each finding; files are relative to the checkout."""
     folder = checkout()
     return "\n".join(_command(d, folder) for d in report.findings)

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import json
 
-from simfoundry.spec.check.report.model import Report
+from simfoundry.spec.check.report.model import CheckReport
 
 
-def render(report: Report) -> str:
+def render(report: CheckReport) -> str:
     """The report as one JSON object."""
     data = {
         "files": list(report.files),

@@ -12,14 +12,14 @@ from urllib.parse import quote
 
 from simfoundry import __version__
 from simfoundry.spec.check.pages import Page, pages
-from simfoundry.spec.check.report.model import Report, absolute, checkout
+from simfoundry.spec.check.report.model import CheckReport, absolute, checkout
 from simfoundry.spec.diagnostics import CODES, Diagnostic
 
 SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 _ROOT = "%SRCROOT%"
 
 
-def render(report: Report) -> str:
+def render(report: CheckReport) -> str:
     """One run with one result for each finding; files are relative to the checkout, columns count characters."""
     folder = checkout()
     rules = sorted(CODES)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from simfoundry.spec import diagnostics
-from simfoundry.spec.check.report.model import Report
+from simfoundry.spec.check.report.model import CheckReport
 from simfoundry.spec.diagnostics import Diagnostic
 
 
@@ -16,7 +16,7 @@ def findings(found: Iterable[Diagnostic], colour: bool = False) -> str:
     return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), colour)
 
 
-def summary(report: Report) -> str:
+def summary(report: CheckReport) -> str:
     """``3 errors and 1 warning in 2 of 14 documents``."""
     if not report.findings:
         return f"no findings in {_count(report.documents, 'document')}"
@@ -26,7 +26,7 @@ def summary(report: Report) -> str:
     return f"{' and '.join(counts)} in {of}"
 
 
-def render(report: Report) -> str:
+def render(report: CheckReport) -> str:
     """The findings and the summary, without colour."""
     return "\n".join(part for part in (findings(report.findings), summary(report)) if part)
 

@@ -22,7 +22,7 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckReport:
     """The documents asked for, how many were read with those that they use, and every finding once, in order."""
 
     files: tuple[str, ...]
@@ -40,7 +40,7 @@ class Report:
         return len(self.findings) - self.errors
 
 
-def gather(files: Iterable[str], checked: Iterable[Checked]) -> Report:
+def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
     """The report of documents that were checked one by one; what several of them use counts, and is reported, once."""
     files, checked = tuple(files), tuple(checked)
     seen: dict[Path, str] = {}
@@ -51,7 +51,7 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> Report:
         name = seen.setdefault(absolute(finding.document), finding.document)
         file = name + finding.file.removeprefix(finding.document)
         findings.add(finding if file == finding.file else replace(finding, file=file))
-    return Report(files, len(seen), tuple(ordered(findings)))
+    return CheckReport(files, len(seen), tuple(ordered(findings)))
 
 
 def absolute(file: str) -> Path:
@@ -64,7 +64,7 @@ def checkout() -> Path:
     return absolute(os.environ.get("GITHUB_WORKSPACE") or ".")
 
 
-def renderer(form: str) -> Callable[[Report], str]:
+def renderer(form: str) -> Callable[[CheckReport], str]:
     """What writes a report in one of the ``FORMATS``; only that one is imported."""
-    render: Callable[[Report], str] = importlib.import_module(f"simfoundry.spec.check.report.as_{form}").render
+    render: Callable[[CheckReport], str] = importlib.import_module(f"simfoundry.spec.check.report.as_{form}").render
     return render

@@ -1,0 +1,79 @@
+"""What a scene becomes: files of targets, models in memory, worlds."""
+
+from __future__ import annotations
+
+import tempfile
+import weakref
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.backends import compile_scene
+from simfoundry.backends.artifact import Artifact
+from simfoundry.errors import SimfoundryError
+from simfoundry.scene.model import Scene
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.targets.build import TARGETS, build
+from simfoundry.targets.report import report
+
+if TYPE_CHECKING:
+    import mujoco
+    from pxr import Usd
+
+    from simfoundry.worlds.base import World
+
+
+@dataclass(frozen=True)
+class Build:
+    """Compiled targets on the disk: ``folder/<target>``, and ``folder/loss.json``."""
+
+    folder: Path
+    scene: Scene
+    artifacts: tuple[Artifact, ...]
+
+    @property
+    def entries(self) -> dict[str, Path]:
+        """The file to open of each target."""
+        return {a.target: self.folder / a.target / a.entry for a in self.artifacts}
+
+    @property
+    def losses(self) -> dict[str, Any]:
+        """What each target could not keep: the content of ``loss.json``."""
+        return report(self.scene, list(self.artifacts))
+
+
+def build_scene(scene: Scene, targets: tuple[str, ...], out: Path, force: bool) -> Build:
+    """Compile a scene into a folder for each target, by default for every format."""
+    return Build(out, scene, tuple(build(scene, targets or TARGETS, out, force)))
+
+
+def mujoco_spec(scene: Scene) -> mujoco.MjSpec:
+    """Return a scene as MuJoCo's editable model."""
+    import mujoco
+
+    artifact = compile_scene(scene, "mjcf")
+    files = dict(artifact.files)
+    included = {name: data for name, data in files.items() if name.endswith(".xml") and name != artifact.entry}
+    assets = {name: data for name, data in files.items() if name.startswith("assets/")}
+    return mujoco.MjSpec.from_string(files[artifact.entry].decode(), include=included, assets=assets)
+
+
+def usd_stage(scene: Scene) -> Usd.Stage:
+    """Return a scene as a stage; a temporary folder with its layers goes when the stage does."""
+    from pxr import Usd
+
+    artifact = compile_scene(scene, "usd")
+    folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
+    artifact.write(Path(folder.name) / "usd")
+    stage = Usd.Stage.Open(str(Path(folder.name) / "usd" / artifact.entry))
+    weakref.finalize(stage, folder.cleanup)
+    return stage
+
+
+def open_engine(scene: Scene, engine: str) -> World:
+    """Return a world of a scene in a simulator; raises an error that names the simulators that there are."""
+    from simfoundry.worlds import ENGINES, open_world
+
+    if engine not in ENGINES:
+        raise SimfoundryError(f"no world runs in `{engine}`; {nearest(engine, ENGINES)}")
+    return open_world(scene, engine)

@@ -1,0 +1,200 @@
+"""A document that is edited in place: its data, the text that the edits lead to, and how it is saved."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from pydantic import TypeAdapter, ValidationError
+
+from simfoundry.api.entries import DataPath, DocumentEntry, UnknownNameError, field_type, to_plain
+from simfoundry.errors import OutputError, SimfoundryError
+from simfoundry.spec.change.diff.renames import Rename, copied, renamed
+from simfoundry.spec.change.edit_text import ABSENT, edit_text, own_data
+from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
+from simfoundry.spec.load import load, load_kind
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.base import DocumentSpec, Model
+from simfoundry.spec.models.data import to_data
+from simfoundry.spec.models.types import models_at
+from simfoundry.spec.yaml.write import to_yaml
+
+
+class EditableDocument(DocumentEntry):
+    """A document of one kind. Its values are edited in place; nothing reaches the disk before :meth:`save`.
+
+    Edits are kept as data beside the text. Whatever reads the document (``check``, ``lower``, ``save``) sees the edited
+    text, so that findings name its lines, and comments and layout stay as they are around each edit.
+    """
+
+    _model: ClassVar[type[DocumentSpec]]
+    _kind: ClassVar[str]
+
+    def __init__(self, loaded: Loaded) -> None:
+        assert isinstance(loaded.spec, self._model)
+        super().__init__(self, ())
+        self._file = loaded.path
+        self._source = loaded.document.text if loaded.document is not None else to_yaml(loaded.spec)
+        self._before: dict[str, Any] = to_data(loaded.spec)
+        self._data: dict[str, Any] = copied(self._before)
+        self._loaded = loaded
+        self._imported_from: Path | None = None
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Load a document; raises :class:`SpecError` with every finding of its text."""
+        return cls(load_kind(Path(path), cls._kind))
+
+    @property
+    def path(self) -> Path:
+        """The file of the document."""
+        return self._file
+
+    @property
+    def text(self) -> str:
+        """The text of the document with the edits in it."""
+        if self._data == self._before:
+            return self._source
+        from simfoundry.spec.yaml.text import parse, read
+
+        base: Any = ABSENT
+        if self._loaded.bases:
+            base = load(self._loaded.bases[0]).document
+            base = base.data if base is not None else read(self._loaded.bases[0]).data
+        own = own_data(parse(self._source).data, self._before, self._data, base)
+        return edit_text(self._source, own, self._model)
+
+    @property
+    def changes(self) -> list[str]:
+        """The edits since the document was loaded or saved, in words: ``mug mass 0.31 → 0.3 kg``."""
+        from simfoundry.spec.change.diff.words import describe, text
+
+        return text(describe(self._before, self._data, self._model))
+
+    def check(self, *, lints: bool = True) -> list[Diagnostic]:
+        """Return every finding of the document as it is edited; without ``lints`` those of its structure alone."""
+        loaded = self._load()
+        findings = loaded.all_findings()
+        if lints:
+            from simfoundry.lint.run import lint
+
+            findings += lint(loaded)
+        return findings
+
+    def save(self, path: str | Path | None = None) -> Path:
+        """Write the document, by default where it was loaded from; comments and layout stay around the edits.
+
+        Raises :class:`SpecError` if the edits leave an error in the document, and writes nothing then.
+        """
+        from simfoundry.runtime.files import write_atomically
+
+        target = Path(path) if path is not None else self.path
+        if path is None and self._imported_from is not None:
+            raise SimfoundryError(
+                f"this was imported from {self._imported_from}; name a document: `save('a.scene.yaml')`"
+            )
+        if not target.name.endswith(".yaml"):
+            raise SimfoundryError(f"{target} is not a YAML document; name one, as `save('desk.scene.yaml')`")
+        if target.resolve().parent != self.path.resolve().parent and any(self._files()):
+            self._take_files(target)
+        text = self.text
+        loaded = load(target, text=text)
+        if loaded.errors:
+            raise SpecError(loaded.errors)
+        write_atomically(target, text.encode())
+        self._file, self._source, self._before = target, text, copied(self._data)
+        self._imported_from = None
+        self._loaded = loaded
+        return target
+
+    def mark_imported(self, source: Path) -> None:
+        """Remember that the document, and the files that it names, lie in a folder that goes with it."""
+        self._imported_from = source
+
+    def _take_files(self, target: Path) -> None:
+        """Copy the folder of meshes of an imported document beside a new place of it."""
+        import shutil
+
+        if self._imported_from is None:
+            raise SimfoundryError(
+                f"{target} cannot be written: the document names files relative to {self.path.resolve().parent}; "
+                "save it there"
+            )
+        folder = self.path.parent / f"{self.path.name.split('.')[0]}_files"
+        if (target.parent / folder.name).exists():
+            raise OutputError(f"{target.parent / folder.name} exists; save into another folder")
+        shutil.copytree(folder, target.parent / folder.name)
+
+    def __repr__(self) -> str:
+        edited = ", edited" if self._data != self._before else ""
+        return f"<{type(self).__name__} {self._data.get('name')} of {self.path}{edited}>"
+
+    def _load(self) -> Loaded:
+        """Return the edited document, checked."""
+        return self._loaded if self._data == self._before else load(self.path, text=self.text)
+
+    def _checked(self) -> Loaded:
+        """Return the edited document without errors; raises :class:`SpecError` otherwise."""
+        loaded = self._load()
+        if loaded.errors:
+            raise SpecError(loaded.errors)
+        return loaded
+
+    def _files(self) -> list[str]:
+        """Return the files that the document names relative to its folder."""
+        from simfoundry.spec.models.types import file_patterns
+
+        found: list[str] = []
+        for pattern in file_patterns(self._model):
+            values: list[Any] = [self._data]
+            for part in pattern:
+                dicts = [v for v in values if isinstance(v, dict)]
+                values = [x for v in dicts for x in (v.values() if part == "*" else [v[part]] if part in v else [])]
+            found += [v for v in values if isinstance(v, str) and ":" not in v and not v.startswith("/")]
+        return found
+
+    # -- what entries read and write --------------------------------------------------------------------------------
+
+    def _get(self, path: DataPath) -> Any:
+        """Return the plain value at a path, or :data:`ABSENT`."""
+        value: Any = self._data
+        for part in path:
+            value = value.get(part, ABSENT) if isinstance(value, dict) else ABSENT
+        return value
+
+    def _set(self, path: DataPath, value: Any) -> None:
+        """Put a value at a path; raises :class:`SpecError` if it is none that may stand there."""
+        before, plain = copied(self._data), to_plain(value)
+        place = self._data
+        for part in path[:-1]:
+            place = place.setdefault(part, {})
+        place[path[-1]] = plain
+        try:
+            _validate(self._model, path, plain)
+        except ValidationError:
+            findings = [d for d in self._load().findings if d.severity is Severity.ERROR]
+            self._data = before
+            raise SpecError(findings) from None
+
+    def _delete(self, path: DataPath) -> None:
+        """Remove what is at a path, and the mappings that this leaves empty."""
+        place = self._get(path[:-1])
+        del place[path[-1]]
+        if not place and len(path) > 1:
+            self._delete(path[:-1])
+
+    def _rename(self, section: DataPath, old: str, new: str) -> None:
+        """Give a member another name, everywhere."""
+        self._data = renamed(self._data, [Rename(section, old, new)])
+
+
+def _validate(model: type[Model], path: DataPath, value: Any) -> None:
+    """Hold a value to the type of the field, or of the member of a section, at a path."""
+    for owner in models_at(model, path[:-1]):
+        if path[-1] in owner.model_fields and issubclass(owner, Model):
+            TypeAdapter(field_type(owner, path[-1])).validate_python(value, strict=True)
+            return
+    for kind in models_at(model, path):
+        kind.model_validate(value)
+        return
+    raise UnknownNameError(f"`{'.'.join(path)}` is no part of a document")

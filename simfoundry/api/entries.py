@@ -1,0 +1,268 @@
+"""Parts of a document that read and write like their models: entries, their fields, and mappings of entries by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, MutableSequence, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Self, TypeVar, overload
+
+from pydantic import TypeAdapter
+
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.change.diff.renames import copied
+from simfoundry.spec.change.edit_text import ABSENT
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.data import to_data
+
+if TYPE_CHECKING:
+    from simfoundry.api.document import EditableDocument
+
+Got = TypeVar("Got")
+Given = TypeVar("Given", contravariant=True)
+
+DataPath = tuple[str, ...]
+"""Where something stands in the data of a document: ``("objects", "mug")``."""
+
+
+class UnknownNameError(SimfoundryError, KeyError):
+    """A name that a document does not have; the message names those that are like it."""
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+class DocumentEntry:
+    """An entry of a document, as one object or one material. It holds no values: it reads and writes the document."""
+
+    _model: ClassVar[type[Model]]
+    _document: EditableDocument
+    _at: DataPath
+
+    def __init__(self, document: EditableDocument, path: DataPath) -> None:
+        object.__setattr__(self, "_document", document)
+        object.__setattr__(self, "_at", path)
+
+    def to_data(self) -> dict[str, Any]:
+        """Return what is written of the entry as plain data."""
+        found = self._document._get(self._at)
+        return copied(found) if isinstance(found, dict) else {}
+
+    def update(self, values: Mapping[str, object] = {}, /, **more: object) -> None:
+        """Set several fields at once, which matters where one replaces another: ``update(pose=None, place=...)``."""
+        for name, value in {**values, **more}.items():
+            self._check_field(name)
+            if value is not None:
+                self._document._set((*self._at, name), value)
+            elif self._document._get((*self._at, name)) is not ABSENT:
+                self._document._delete((*self._at, name))
+
+    def __repr__(self) -> str:
+        return f"<{'.'.join(self._at)} {self.to_data()}>"
+
+    def _check_field(self, name: str) -> None:
+        if name not in self._model.model_fields:
+            raise UnknownNameError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
+
+    if not TYPE_CHECKING:  # a checker of types knows the fields by their declarations
+
+        def __getattr__(self, name: str) -> object:
+            raise AttributeError(f"`{'.'.join(self._at)}` has no `{name}`; {nearest(name, self._model.model_fields)}")
+
+        def __setattr__(self, name: str, value: object) -> None:
+            if not name.startswith("_") and name not in self._model.model_fields:
+                self.__getattr__(name)
+            super().__setattr__(name, value)
+
+
+class ValueField(Generic[Got, Given]):
+    """A field of an entry: what is written, else its default; None and ``del`` remove what is written."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, entry: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, entry: DocumentEntry, owner: type) -> Got: ...
+    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | Got:
+        """Return the value, typed as its model has it."""
+        if entry is None:
+            return self
+        value = entry._document._get((*entry._at, self.name))
+        info = entry._model.model_fields[self.name]
+        if value is ABSENT:
+            default: Any = None if info.is_required() else info.default
+            return default  # type: ignore[no-any-return]
+        typed: Got = TypeAdapter(field_type(entry._model, self.name)).validate_python(value, strict=True)
+        return typed
+
+    def __set__(self, entry: DocumentEntry, value: Given) -> None:
+        """Write a value; raises :class:`SpecError` if it is none that may stand here."""
+        entry.update({self.name: value})
+
+    def __delete__(self, entry: DocumentEntry) -> None:
+        """Remove what is written."""
+        entry.update({self.name: None})
+
+
+E = TypeVar("E", bound=DocumentEntry)
+
+
+class EntryField(Generic[E]):
+    """A field that is an entry itself, as a pose: its own fields can be set one by one, or all by a mapping."""
+
+    def __init__(self, kind: type[E]) -> None:
+        self.kind = kind
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    @overload
+    def __get__(self, entry: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, entry: DocumentEntry, owner: type) -> E: ...
+    def __get__(self, entry: DocumentEntry | None, owner: type) -> Self | E:
+        """Return the entry."""
+        return self if entry is None else self.kind(entry._document, (*entry._at, self.name))
+
+    def __set__(self, entry: DocumentEntry, value: E | Model | Mapping[str, object] | None) -> None:
+        """Replace the whole entry."""
+        entry.update({self.name: value})
+
+    def __delete__(self, entry: DocumentEntry) -> None:
+        """Remove the entry."""
+        entry.update({self.name: None})
+
+
+class EntryMapping(MutableMapping[str, E]):
+    """The members of a section by name, as ``scene.objects``."""
+
+    def __init__(self, document: EditableDocument, path: DataPath, kind: type[E]) -> None:
+        self._document, self._at, self._kind = document, path, kind
+
+    def __getitem__(self, name: str) -> E:
+        if name not in self._names():
+            raise UnknownNameError(self._unknown(name))
+        return self._kind(self._document, (*self._at, name))
+
+    def __setitem__(self, name: str, value: E | Model | Mapping[str, object]) -> None:
+        self._document._set((*self._at, name), to_plain(value))
+
+    def __delitem__(self, name: str) -> None:
+        if name not in self._names():
+            raise UnknownNameError(self._unknown(name))
+        self._document._delete((*self._at, name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names())
+
+    def __len__(self) -> int:
+        return len(self._names())
+
+    def __repr__(self) -> str:
+        return f"<{'.'.join(self._at)}: {', '.join(self) or 'none'}>"
+
+    def add(self, name: str, /, **fields: object) -> E:
+        """Add a member with these fields: ``scene.objects.add("cup", shape={"box": [0.1, 0.1, 0.1]}, mass=0.2)``."""
+        if name in self._names():
+            raise SimfoundryError(f"there is {self._a_noun} `{name}` already; give the new one another name")
+        self[name] = fields
+        return self[name]
+
+    def rename(self, old: str, new: str) -> E:
+        """Give a member another name, also where relations, places and the like refer to it."""
+        if old not in self._names():
+            raise UnknownNameError(self._unknown(old))
+        if new in self._names():
+            raise SimfoundryError(f"there is {self._a_noun} `{new}` already; choose another name")
+        self._document._rename(self._at, old, new)
+        return self[new]
+
+    def _names(self) -> dict[str, Any]:
+        found = self._document._get(self._at)
+        return dict(found) if isinstance(found, dict) else {}
+
+    @property
+    def _noun(self) -> str:
+        return self._at[-1].removesuffix("s")
+
+    @property
+    def _a_noun(self) -> str:
+        return f"an {self._noun}" if self._noun[0] in "aeiou" else f"a {self._noun}"
+
+    def _unknown(self, name: str) -> str:
+        return f"{self._document.path} has no {self._noun} `{name}`; {nearest(name, self._names())}"
+
+
+class ExpressionList(MutableSequence[str]):
+    """A list of expressions that is edited in place, as ``scene.relations``."""
+
+    def __init__(self, document: EditableDocument, path: DataPath) -> None:
+        self._document, self._at = document, path
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[str]: ...
+    def __getitem__(self, index: int | slice) -> str | list[str]:
+        return self._texts()[index]
+
+    def __setitem__(self, index: Any, value: Any) -> None:
+        texts = self._texts()
+        texts[index] = value
+        self._write(texts)
+
+    def __delitem__(self, index: int | slice) -> None:
+        texts = self._texts()
+        del texts[index]
+        self._write(texts)
+
+    def __len__(self) -> int:
+        return len(self._texts())
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and list(self) == list(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return repr(self._texts())
+
+    def insert(self, index: int, value: str) -> None:
+        """Insert an expression before an index."""
+        texts = self._texts()
+        texts.insert(index, value)
+        self._write(texts)
+
+    def _texts(self) -> list[str]:
+        found = self._document._get(self._at)
+        return list(found) if isinstance(found, tuple) else []
+
+    def _write(self, texts: Iterable[str]) -> None:
+        given = tuple(texts)
+        if given:
+            self._document._set(self._at, given)
+        elif self._texts():
+            self._document._delete(self._at)
+
+
+def to_plain(value: Any) -> Any:
+    """Return a value as plain data: mappings, tuples and scalars."""
+    if isinstance(value, Model):
+        return to_data(value)
+    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(to_plain(item) for item in value)
+    if isinstance(value, Path):
+        return value.as_posix()
+    return value.to_data() if hasattr(value, "to_data") else value
+
+
+def field_type(model: type[Model], name: str) -> Any:
+    """Return the type of a field with what is asked of its values."""
+    info = model.model_fields[name]
+    return Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation

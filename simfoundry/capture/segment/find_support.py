@@ -1,0 +1,158 @@
+"""Find the surface that the objects stand on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.errors import CaptureError
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.capture.segment.edge_map import normals_of, tangents
+from simfoundry.capture.segment.noise import depth_sigma, valid_depth
+from simfoundry.capture.segment.outline import TopView, polygon_of, top_view
+from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
+from simfoundry.geometry.frames import Array, Pose
+
+TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor
+DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance
+CROSSING = 0.6  # cosine of the angle between a surface and a plane from which on it crosses rather than joins it
+SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
+FEWEST_POINTS = 50
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A depth picture with its points and normals in the camera frame; normals are NaN where depth is sparse."""
+
+    depth: Array
+    K: Array
+    points: Array
+    normals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    X_WC: Pose
+    inliers: Mask
+    plan: TopView
+    score: float
+
+
+def find_support(frame: Frame) -> SupportSurface:
+    """The support of the objects in ``frame``, and the world frame on it.
+
+    The origin is the centroid of the visible surface, z is the plane's normal towards the camera, x is the camera's
+    viewing direction along the plane (its up direction if it looks straight down), y is to the left.
+
+    Of all planes that could be a table top, the support is the one that has most on it and of it in view, the near
+    counting more than the far. A box that carries another loses against the table below, because the table carries
+    both; the floor loses because it is far, and the things on a table stand higher above it than objects are tall.
+    Raises :class:`CaptureError` (``no-depth``, ``depth-unit``, ``no-plane``).
+    """
+    depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
+    small = _view(depth, frame.K, step=max(1, depth.shape[1] // SURVEY_WIDTH))
+    points = small.points[np.isfinite(small.depth)]
+    planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= FEWEST_POINTS else []
+    found = [(s.score, plane, s.plan, s.X_WC) for plane in planes if (s := _survey(small, plane, 0.01)) is not None]
+    while found:
+        best = max(range(len(found)), key=lambda i: found[i][0])
+        _, plane, plan, X_WC = found.pop(best)
+        support = _measured(_view(depth, frame.K), plane, plan, X_WC)
+        if support is not None:
+            return support
+    raise CaptureError(
+        "SF503",
+        "no flat surface is seen from above that objects could stand on",
+        "show at least a hand's breadth of the table top around the objects, with the camera upright above it",
+    )
+
+
+def world_on(plane: Plane) -> Pose:
+    """``X_WC`` of a camera above ``plane``: the origin right below the camera, x along its viewing direction."""
+    z = plane.normal
+    x = np.array([0.0, 0.0, 1.0]) - z[2] * z
+    if np.linalg.norm(x) < 0.2:
+        x = np.array([0.0, -1.0, 0.0]) + z[1] * z
+    x = x / np.linalg.norm(x)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.stack([x, np.cross(z, x), z])
+    matrix[2, 3] = -plane.offset
+    return Pose.from_matrix(matrix)
+
+
+def _view(depth: Array, K: Array, step: int = 1) -> _View:
+    """Every ``step``-th pixel of a depth picture."""
+    import cv2
+
+    small, reduced = depth[::step, ::step], np.array(K, dtype=np.float64)
+    reduced[:2] /= step
+    frame = Frame(np.zeros((*small.shape, 3), np.uint8), small, reduced)
+    radius = max(2, round(small.shape[1] / 160))
+    normals = normals_of(tangents(small, radius, 1 + (radius - 1) // 2), reduced)
+    dense = cv2.blur(np.isfinite(small).astype(np.float32), (2 * radius + 1, 2 * radius + 1)) > 0.9
+    return _View(small, reduced, frame.points, np.where(dense[..., None], normals, np.nan))
+
+
+def _on_plane(view: _View, plane: Plane) -> Mask:
+    """Pixels within the noise of the plane, but for those where a surface crosses it, as a chair's back does."""
+    near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
+    return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
+
+
+def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
+    """The surface that ``plane`` has in this picture, and how much speaks for it being the support."""
+    X_WC = world_on(plane)
+    points_W = X_WC.apply(view.points)
+    inliers = _on_plane(view, plane)
+    tolerance = TOLERANCE * depth_sigma(view.depth)
+    hidden = ~np.isfinite(view.depth) | (points_W[..., 2] > tolerance)
+    plan = top_view(inliers, hidden, X_WC, view.K, points_W, finest)
+    if plan is None:
+        return None
+    above = plan.contains(points_W[..., :2])
+    inliers = inliers & above
+    if inliers.sum() < 10 or _density(inliers, view.depth) < DENSE:
+        return None
+    carried = above & (points_W[..., 2] > 2 * tolerance) & (points_W[..., 2] < TALLEST)
+    return _Surface(X_WC, inliers, plan, _score(int(carried.sum()), view.depth[inliers], plane))
+
+
+def _score(carried: int, depths: Array, plane: Plane) -> float:
+    """Score of a plane as the support, from the ``carried`` pixels above it and its own pixels' ``depths`` [m].
+
+    What it carries counts, and then its own area, if it carries something: a floor that fills the picture but has
+    nothing on it is no support. Near pixels count more: what is filmed on purpose is near.
+    """
+    area = len(depths)
+    amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area
+    return amount / float(np.median(depths)) ** 2 * (1.0 if is_level(plane) else 0.3)
+
+
+def _density(inliers: Mask, depth: Array) -> float:
+    """The mean share of inliers among the valid pixels within 2 px of an inlier."""
+    import cv2
+
+    of_plane = cv2.blur(inliers.astype(np.float32), (5, 5))[inliers]
+    valid = cv2.blur(np.isfinite(depth).astype(np.float32), (5, 5))[inliers]
+    return float(np.mean(of_plane / valid))
+
+
+def _measured(view: _View, plane: Plane, plan: TopView, X_WC: Pose) -> SupportSurface | None:
+    """Refine a plane on the pixels of its own connected surface ``plan``, and take the outline, at full resolution."""
+    on_surface = plan.contains(X_WC.apply(view.points)[..., :2])
+    for _ in range(2):
+        points = view.points[_on_plane(view, plane) & on_surface]
+        if len(points) < FEWEST_POINTS:
+            return None
+        plane = refine(plane, points[:: max(1, len(points) // 60000)])
+    surface = _survey(view, plane, finest=0.005)
+    if surface is None:
+        return None
+    points_W = surface.X_WC.apply(view.points[surface.inliers])
+    center = np.append(points_W[:, :2].mean(axis=0), 0.0)
+    residual = float(np.median(np.abs(points_W[:, 2])))
+    X_WC = Pose.of(surface.X_WC.p - center, surface.X_WC.q)
+    return SupportSurface(X_WC, polygon_of(surface.plan) - center[:2], residual, surface.inliers)

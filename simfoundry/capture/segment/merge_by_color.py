@@ -1,0 +1,186 @@
+"""Join parts of one thing that geometry alone sets apart: of one hue, and unable to stand where they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.capture.segment.merge_regions import renamed
+from simfoundry.capture.segment.regions import Border, Labels, borders
+from simfoundry.capture.segment.support_graph import (
+    RegionPart,
+    below,
+    carriers,
+    footprint_hull,
+    parts_of,
+    shared_footprint,
+)
+from simfoundry.geometry.frames import Array
+
+VIVID = 80  # of 255, the saturation from which on a pixel has a hue
+BRIGHT = 50  # of 255, likewise
+COLOURED = 0.25  # share of vivid pixels of a region that has a hue
+SAME_HUE = 8.0  # of 180 in a full turn
+VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
+ONE_HUE = 4.0  # of 180 in a full turn
+SEEN_UNDER = 0.8  # share of a lower edge that may be hidden, for the rest to tell that nothing else carries it
+NEAR = 0.03  # [m] between parts of one thing
+FLUSH = 0.02  # [m] between a lid and the rim it lies in
+CAP = 0.2  # of the other's visible area
+SLENDER = 0.35  # of the other's visible area: a handle
+
+
+@dataclass(frozen=True)
+class Hue:
+    """The commonest hue of a region, of 180 in a full turn, and the share of its pixels that are vivid."""
+
+    hue: float
+    vivid: float
+
+    def equals(self, other: Hue) -> bool:
+        """Return whether both are of one colour throughout."""
+        return self.matches(other) and min(self.vivid, other.vivid) > VIVID_THROUGHOUT and self.apart(other) <= ONE_HUE
+
+    def apart(self, other: Hue) -> float:
+        """The angle between both hues, of 180 in a full turn."""
+        turn = abs(self.hue - other.hue)
+        return min(turn, 180 - turn)
+
+    def matches(self, other: Hue) -> bool:
+        """Return whether both are coloured, and alike."""
+        return min(self.vivid, other.vivid) > COLOURED and self.apart(other) <= SAME_HUE
+
+
+def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
+    """The hue of each region 1..n of ``labels``, shape (h, w); ``color`` is RGB, shape (h, w, 3)."""
+    hue, vivid = _smooth_hsv(color)[..., 0], vivid_of(color)
+    out = {}
+    for k in range(1, int(labels.max()) + 1):
+        mask = labels == k
+        counts = np.bincount(hue[mask & vivid], minlength=180)
+        smooth = np.sum([np.roll(counts, i) for i in range(-5, 6)], axis=0)
+        out[k] = Hue(float(np.argmax(smooth)), float((mask & vivid).sum() / max(1, mask.sum())))
+    return out
+
+
+def vivid_of(color: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels, shape (h, w), that have a hue: neither grey nor dark."""
+    hsv = _smooth_hsv(color)
+    return np.asarray((hsv[..., 1] > VIVID) & (hsv[..., 2] > BRIGHT))
+
+
+def _smooth_hsv(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    import cv2
+
+    smooth = cv2.GaussianBlur(cv2.medianBlur(color, 5), (0, 0), 2)
+    return np.asarray(cv2.cvtColor(smooth, cv2.COLOR_RGB2HSV), dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Evidence for and against being one object: parts, hues, supports, hidden lower edges, and borders."""
+
+    hues: dict[int, Hue]
+    on: dict[int, int]
+    hidden: dict[int, float]
+    graph: dict[tuple[int, int], Border]
+    adjacent: frozenset[tuple[int, int]]
+
+    def are_one(self, part: RegionPart, other: RegionPart) -> bool:
+        """Return whether ``part`` belongs to ``other``: it is a cap that lost readings cut off, or else of its hue."""
+        meet = (min(part.label, other.label), max(part.label, other.label)) in self.adjacent
+        if self.on[part.label] == other.label and part.area < CAP * other.area and not meet:
+            return True
+        a, b = self.hues[part.label], self.hues[other.label]
+        if not a.matches(b):
+            return False
+        if part.is_grounded:
+            return a.equals(b) and _is_end(part, other, self.graph)
+        return (
+            _is_lid(part, other)
+            or _is_handle(part, other)
+            or (self.on[part.label] == other.label and self.hidden[part.label] < SEEN_UNDER and _is_head(part, other))
+        ) and distance(part, other) < NEAR
+
+
+def join_kin(
+    labels: Labels,
+    depth: Array,
+    K: Array,
+    points_W: Array,
+    color: NDArray[np.uint8],
+    down: tuple[float, float],
+    reach: int,
+) -> Labels:
+    """Join what is unlikely to be a thing of its own to the nearest part of its hue: lids, handles, heads and feet."""
+    while True:
+        parts = parts_of(labels, points_W, depth, K)
+        hidden, graph = below(labels, depth, down, reach), borders(labels, depth, reach)
+        family = _Family(hues_of(labels, color), carriers(parts), hidden, graph, adjacent_pairs(labels))
+        pair = _first_kin(parts, family)
+        if pair is None:
+            return labels
+        labels = renamed(labels, {max(pair): min(pair)})
+
+
+def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
+    """The smallest part that belongs to another, and that other."""
+    for part in sorted(parts, key=lambda p: (p.area, p.label)):
+        kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
+        if kin:
+            return part.label, min(kin, key=lambda other: (distance(part, other), other.label)).label
+    return None
+
+
+def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
+    """The pairs (low, high) of regions of which two pixels lie side by side."""
+    sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
+    pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return frozenset((int(a), int(b)) for a, b in pairs if a > 0)
+
+
+def _is_lid(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether ``part`` lies within the top of ``other``, flush with it."""
+    return (
+        abs(part.top - other.top) < FLUSH
+        and part.bottom > other.bottom + FLUSH
+        and part.bottom < other.top
+        and shared_footprint(part, other) > 0.5
+    )
+
+
+def _is_handle(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether ``part`` hangs beside ``other``, which is far larger."""
+    return part.area < SLENDER * other.area and other.bottom < part.bottom and part.top < other.top + FLUSH
+
+
+def _is_head(part: RegionPart, other: RegionPart) -> bool:
+    """Test whether only a neck lies right under ``part``."""
+    import cv2
+
+    neck = footprint_hull(other.points_W[other.points_W[:, 2] > other.top - FLUSH])
+    return float(cv2.contourArea(neck)) < SLENDER * float(cv2.contourArea(footprint_hull(part.points_W)))
+
+
+def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Border]) -> bool:
+    """Test whether ``part`` goes on from ``other``, far larger and as high, where the two meet."""
+    low, high = sorted((part.label, other.label))
+    border = graph.get((low, high))
+    return (
+        border is not None
+        and border.meets > 0.5
+        and part.area < SLENDER * other.area
+        and abs(part.top - other.top) < FLUSH
+    )
+
+
+def distance(one: RegionPart, other: RegionPart) -> float:
+    """The distance [m] between two parts, but for stray points between them."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(one.points_W[:: max(1, len(one.points_W) // 2000)])
+    gaps, _ = tree.query(other.points_W[:: max(1, len(other.points_W) // 1000)])
+    return float(np.sort(gaps)[min(5, len(gaps) - 1)])

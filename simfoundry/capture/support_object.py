@@ -1,0 +1,164 @@
+"""The support as an object: a slab with the seen outline, its thickness, and the picture of its top."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.prism import prism_mesh
+from simfoundry.capture.frame import Frame, SupportSurface
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Mesh
+
+if TYPE_CHECKING:
+    from shapely.geometry import Polygon
+
+DEFAULT_THICKNESS = 0.03
+"""Thickness [m] of a table top whose edge is not seen: common tops have 18 to 40 mm."""
+
+EDGE = 0.015
+"""Points this close to the outline [m], and below the top, belong to its edge."""
+
+TEXTURE_STEP = 0.002
+"""Size of a texture pixel on the top [m], unless the top is so large that the texture would exceed its limit."""
+TEXTURE_LIMIT = 1024
+
+IN_FRONT = 0.02
+"""What is measured this much nearer than the top [m] hides it, whether or not it became an object."""
+
+MARGIN = 0.01
+"""How far a support reaches beyond what stands on it [m], where its own edge is not seen there."""
+
+MOST_CORNERS = 24
+"""Corners of an outline: more than a person wants to read add nothing to a table."""
+
+
+def beneath(outline: Array, footprints: list[Array]) -> Array:
+    """The outline [m], shape (n, 2), grown so that every footprint on it lies inside: what stands is carried."""
+    import shapely
+
+    whole = shapely.Polygon(outline)
+    for footprint in footprints:
+        ground = shapely.MultiPoint(footprint).convex_hull.buffer(MARGIN, quad_segs=2)
+        if not whole.contains(ground):
+            joined = whole.union(ground)
+            # Something that stands apart from the seen surface is joined to it by the shortest way.
+            whole = joined if joined.geom_type == "Polygon" else joined.union(_bridge(whole, ground))
+    return _simplified(shapely.Polygon(whole.exterior))
+
+
+def _simplified(polygon: Polygon) -> Array:
+    """Its corners, counter-clockwise, at most :data:`MOST_CORNERS`: as coarse as that needs, no coarser."""
+    import shapely
+
+    tolerance = 0.002
+    simple = polygon.simplify(tolerance)
+    while len(simple.exterior.coords) - 1 > MOST_CORNERS:
+        tolerance *= 1.5
+        simple = polygon.simplify(tolerance)
+    return frozen_array(np.array(shapely.geometry.polygon.orient(simple).exterior.coords)[:-1])
+
+
+def _bridge(a: Polygon, b: Polygon) -> Polygon:
+    import shapely
+    from shapely.ops import nearest_points
+
+    start, end = nearest_points(a, b)
+    return shapely.LineString([start, end]).buffer(MARGIN, quad_segs=2)
+
+
+@dataclass(frozen=True)
+class Thickness:
+    """Thickness [m] of the support, and whether its edge was seen."""
+
+    value: float
+    measured: bool
+
+
+def thickness(frame: Frame, support: SupportSurface) -> Thickness:
+    """Thickness of the support, from points of its edge where the picture shows enough of them."""
+    import shapely
+
+    points = support.X_WC.apply(frame.points[np.isfinite(frame.depth)])
+    below = points[(points[:, 2] < -0.004) & (points[:, 2] > -0.12)]
+    ring = shapely.Polygon(support.outline).exterior
+    near = below[shapely.distance(ring, shapely.points(below[:, :2])) < EDGE] if len(below) else below
+    if len(near) < 300:
+        return Thickness(DEFAULT_THICKNESS, False)
+    depths = -near[:, 2]
+    counts, edges = np.histogram(depths, bins=np.arange(0.004, 0.124, 0.004))
+    dense = counts > 0.02 * len(near)
+    if not dense[0] or dense.all():
+        return Thickness(DEFAULT_THICKNESS, False)
+    end = int(np.argmin(dense))  # the edge is one band that starts at the top
+    value = float(edges[end])
+    return Thickness(value, True) if value >= 0.012 else Thickness(DEFAULT_THICKNESS, False)
+
+
+def support_mesh(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], height: float) -> Mesh:
+    """The slab, top at z = 0, with the picture warped onto it.
+
+    Texture coordinates are the position in the bounding rectangle of the outline, so the sides show their rim's colour.
+    What objects hide (``labels``, shape (h, w), above 0), and what lies outside the picture, gets the colour of the
+    nearest seen patch.
+    """
+    vertices, faces = prism_mesh(support.outline, height)
+    vertices = vertices - np.array([0.0, 0.0, height / 2])
+    low, high = support.outline.min(axis=0), support.outline.max(axis=0)
+    uv = (vertices[:, :2] - low) / (high - low)
+    return Mesh(frozen_array(vertices), faces, frozen_array(uv), _texture(frame, support, labels, low, high))
+
+
+def _texture(frame: Frame, support: SupportSurface, labels: NDArray[np.int32], low: Array, high: Array) -> bytes:
+    """PNG of the top seen from above: +x to the right, +y up."""
+    import cv2
+
+    extent = high - low
+    step = max(TEXTURE_STEP, float(extent.max()) / TEXTURE_LIMIT)
+    width, height = (max(8, round(float(e) / step)) for e in extent)
+    x = low[0] + (np.arange(width) + 0.5) / width * extent[0]
+    y = high[1] - (np.arange(height) + 0.5) / height * extent[1]
+    grid = np.stack([*np.meshgrid(x, y), np.zeros((height, width))], axis=-1)
+    in_camera = support.X_WC.inverse().apply(grid)
+    depth = np.maximum(in_camera[..., 2], 1e-6)
+    u = (in_camera[..., 0] / depth * frame.K[0, 0] + frame.K[0, 2]).astype(np.float32)
+    v = (in_camera[..., 1] / depth * frame.K[1, 1] + frame.K[1, 2]).astype(np.float32)
+    color = cv2.remap(frame.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    bare = cv2.erode((labels == 0).astype(np.uint8), np.ones((7, 7), np.uint8))
+    seen = cv2.remap(bare, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    measured = cv2.remap(frame.depth, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    with np.errstate(invalid="ignore"):
+        seen &= ~(measured < depth - IN_FRONT)  # where there is no depth, the surface is taken to be what is seen
+    return _png(_filled(color, seen & (in_camera[..., 2] > 0)))
+
+
+def _filled(color: NDArray[np.uint8], seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The picture with unseen pixels taken from a blurred copy of what is seen near them."""
+    import cv2
+
+    weight = seen.astype(np.float32)
+    values = color.astype(np.float32) * weight[..., None]
+    out = color.copy()
+    missing = ~seen
+    sigma = 4.0
+    while missing.any() and sigma < 2 * max(seen.shape):
+        blurred, mass = cv2.GaussianBlur(values, (0, 0), sigma), cv2.GaussianBlur(weight, (0, 0), sigma)
+        fill = missing & (mass > 1e-2)
+        out[fill] = np.clip(blurred[fill] / mass[fill][:, None] + 0.5, 0, 255).astype(np.uint8)
+        missing = missing & ~fill
+        sigma *= 2
+    if missing.any():
+        out[missing] = (values.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0)).astype(np.uint8)
+    return out
+
+
+def _png(picture: NDArray[np.uint8]) -> bytes:
+    import cv2
+
+    ok, data = cv2.imencode(".png", picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not ok:
+        raise ValueError("the texture could not be encoded")
+    return bytes(data)

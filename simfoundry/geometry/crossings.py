@@ -1,0 +1,164 @@
+"""What of a line lies within an object: its convex parts as half-spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.geometry.tessellate import tessellate
+
+SEGMENTS = 32
+"""Sides of round shapes."""
+
+SLIVER = 1e-9
+"""A face with a smaller share of the area of the largest is none: its normal would be rounding."""
+
+TOGETHER = 1e-3
+"""Parts that leave at most this gap on a line [m] are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Convex parts in the world: part k is where ``normals @ x <= offsets`` in the rows from ``first[k]`` on.
+
+    ``corners`` [m], shape (n, 3), are those of all parts; ``owner``, shape (n,), the part that each belongs to.
+    """
+
+    normals: Array
+    offsets: Array
+    first: NDArray[np.intp]
+    corners: Array
+    owner: NDArray[np.intp]
+
+    def rows(self, part: int) -> slice:
+        """The half-spaces of a part."""
+        return slice(int(self.first[part]), int([*self.first[1:], len(self.offsets)][part]))
+
+
+@dataclass(frozen=True, eq=False)
+class Span:
+    """What a line meets first and leaves last of one or more parts: ``start`` to ``end`` along it [m].
+
+    ``facing`` is the smaller of the cosines between the line and the surfaces at its two ends; 1 is head on.
+    """
+
+    start: float
+    end: float
+    facing: float
+
+    @property
+    def width(self) -> float:
+        """Its length [m]."""
+        return self.end - self.start
+
+
+def solid_of(shapes: Iterable[tuple[Geometry, Pose]], keep: Callable[[Array], bool] = lambda corners: True) -> Solid:
+    """The half-spaces of posed shapes; of those whose corners [m] are to ``keep``."""
+    normals, offsets, corners = [], [], []
+    for geometry, X_WG in shapes:
+        n, d, c = _half_spaces(geometry)
+        placed = X_WG.apply(c)
+        if not keep(placed):
+            continue
+        normals.append(n @ X_WG.rotation.T)
+        offsets.append(d + normals[-1] @ X_WG.p)
+        corners.append(placed)
+    first = np.cumsum([0, *(len(n) for n in normals[:-1])])
+    owner = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
+    return Solid(np.concatenate(normals), np.concatenate(offsets), first, np.concatenate(corners), owner)
+
+
+@lru_cache(maxsize=4096)
+def _half_spaces(geometry: Geometry) -> tuple[Array, Array, Array]:
+    """Outward normals, offsets and corners of a convex geometry in its own frame, from the faces of its surface."""
+    surface = tessellate(geometry, SEGMENTS)
+    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    area = np.linalg.norm(normals, axis=1)
+    faces = area > SLIVER * area.max()
+    normals = normals[faces] / area[faces, None]
+    offsets = np.einsum("ij,ij->i", normals, a[faces])
+    planes = np.unique(np.round(np.column_stack([normals, offsets]), 9) + 0.0, axis=0)
+    return planes[:, :3].copy(), planes[:, 3].copy(), surface.vertices
+
+
+def bounds(shape: Solid, axes: Array) -> tuple[Array, Array]:
+    """Lowest and highest coordinates [m] along the columns of ``axes``, shapes (3,)."""
+    along = shape.corners @ axes
+    return along.min(axis=0), along.max(axis=0)
+
+
+def crossings(shape: Solid, starts: Array, direction: Array) -> list[list[Span]]:
+    """The pieces of each line within the object, in order; ``starts`` [m], shape (n, 3), a unit ``direction``."""
+    slope = shape.normals @ direction
+    room = shape.offsets - starts @ shape.normals.T
+    entry, leave = _clipped(shape, room, np.broadcast_to(slope, room.shape))
+    return [_merged(shape, room[k], slope, entry[k], leave[k]) for k in range(len(starts))]
+
+
+def part_spans(shape: Solid, part: int, starts: Array, direction: Array) -> tuple[Array, Array]:
+    """Positions [m] at which lines enter and leave one part, shapes (lines,): first beyond last beside it.
+
+    ``starts`` [m], shape (lines, 3), share a unit ``direction``.
+    """
+    rows = shape.rows(part)
+    alone = Solid(shape.normals[rows], shape.offsets[rows], np.zeros(1, np.intp), shape.corners[:0], shape.owner[:0])
+    room = alone.offsets - starts @ alone.normals.T
+    enter, leave = _clipped(alone, room, np.broadcast_to(alone.normals @ direction, room.shape))
+    return enter[:, 0], leave[:, 0]
+
+
+def face_normal(shape: Solid, start: Array, direction: Array, part: int, at: float, sign: float) -> Array:
+    """The outward normal of the face of a part through which a line goes in (sign -1) or out (1) at ``at`` [m]."""
+    rows = shape.rows(part)
+    slope = shape.normals[rows] @ direction
+    room = shape.offsets[rows] - shape.normals[rows] @ start
+    off = np.where(sign * slope > 1e-9, np.abs(room - slope * at), np.inf)
+    return np.asarray(shape.normals[rows][off.argmin()])
+
+
+def met(shape: Solid, start: Array, directions: Array) -> NDArray[np.bool_]:
+    """Which rays from a point [m], shape (3,), meet the object; ``directions``, shape (n, 3)."""
+    slope = directions @ shape.normals.T
+    room = np.broadcast_to(shape.offsets - shape.normals @ start, slope.shape)
+    entry, leave = _clipped(shape, room, slope)
+    return np.asarray(((leave > entry) & (leave > 0)).any(axis=1))
+
+
+def _clipped(shape: Solid, room: Array, slope: Array) -> tuple[Array, Array]:
+    """Where lines enter and leave each part, shapes (lines, parts)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = room / slope
+    beside = (np.abs(slope) <= 1e-9) & (room < 0)
+    first = np.where(slope < -1e-9, at, np.where(beside, np.inf, -np.inf))
+    last = np.where(slope > 1e-9, at, np.inf)
+    return np.maximum.reduceat(first, shape.first, axis=1), np.minimum.reduceat(last, shape.first, axis=1)
+
+
+def _merged(shape: Solid, room: Array, slope: Array, entry: Array, leave: Array) -> list[Span]:
+    inside = np.flatnonzero(leave > entry)
+    spans: list[tuple[float, float, int, int]] = []
+    for k in inside[np.argsort(entry[inside], kind="stable")]:
+        if spans and entry[k] <= spans[-1][1] + TOGETHER:
+            if leave[k] > spans[-1][1]:
+                spans[-1] = (spans[-1][0], float(leave[k]), spans[-1][2], int(k))
+        else:
+            spans.append((float(entry[k]), float(leave[k]), int(k), int(k)))
+    return [
+        Span(start, end, min(_facing(shape, room, slope, a, start, -1.0), _facing(shape, room, slope, b, end, 1.0)))
+        for start, end, a, b in spans
+    ]
+
+
+def _facing(shape: Solid, room: Array, slope: Array, part: int, at: float, sign: float) -> float:
+    """How much the face of a part looks along a line that goes in (sign -1) or out (1) through it at ``at`` [m]."""
+    rows = shape.rows(part)
+    through = sign * slope[rows]
+    off = np.where(through > 1e-9, np.abs(room[rows] - slope[rows] * at), np.inf)
+    return float(through[off.argmin()])

@@ -1,0 +1,148 @@
+"""Bounds of the distance between two links in many states, and the pairs of parts that may be nearest."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.box_distance import BoxField, box_field
+from simfoundry.geometry.exact_distance import LIFT, UP, Candidates
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index, Poses, rotate
+
+
+def steepest_together(ways: Array) -> float:
+    """The greatest cosine with up of a push that is a sum of pushes along unit vectors, (k, 3)."""
+    from scipy.optimize import nnls
+
+    # The push nearest to up is the projection of up on the cone of all of them: its length is the cosine.
+    return float(np.sqrt(max(0.0, 1 - nnls(ways.T, UP)[1] ** 2)))
+
+
+class LinkPair:
+    """Two links, by name and index, in n states."""
+
+    def __init__(
+        self, a: tuple[str, int], b: tuple[str, int], one: Form, other: Form, X_WA: Poses, X_WB: Poses
+    ) -> None:
+        self.a, self.b, self.one, self.other, self.X_WA, self.X_WB = a, b, one, other, X_WA, X_WB
+
+    def at(self, index: Index) -> LinkPair:
+        """Some of the states."""
+        return LinkPair(self.a, self.b, self.one, self.other, self.X_WA.at(index), self.X_WB.at(index))
+
+
+def box_bounds(pair: LinkPair, threshold: float) -> tuple[Array, Index]:
+    """Bounds of distances [m], (n,), and the states in which they do not tell on which side of the threshold it is.
+
+    Where a link is one box, the corners of the other's hull tell nearly always.
+    """
+    if (seen := from_box(pair)) is None:
+        n = len(pair.X_WA.p)
+        return np.full(n, -np.inf), np.arange(n)
+    lower, upper = seen.lower(), seen.upper()
+    found = np.where(upper <= threshold, upper, lower).astype(np.float64)
+    return found, np.flatnonzero((lower <= threshold) & (upper > threshold))
+
+
+def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, Array, Index]:
+    """Bounds of the distance [m] and of the cosine of a support, (n,) each, and where they do not tell.
+
+    Where a link is one box, the corners of the other's hull tell nearly always that it is far, or stands on the other.
+    """
+    n = len(pair.X_WA.p)
+    if (seen := from_box(pair)) is None:
+        return np.full(n, np.inf), np.full(n, -1.0), np.arange(n)
+    lower, upper = seen.lower(), seen.upper()
+    up = (seen.lower(LIFT) - upper) / LIFT
+    stands = (upper <= limit) & (up >= steepest)
+    apart = np.where(stands, upper, np.where(lower > limit, lower, np.inf)).astype(np.float64)
+    open_ = np.flatnonzero(~stands & (lower <= limit))
+    return apart, np.where(stands, up, -1.0).astype(np.float64), open_
+
+
+class FromBox(NamedTuple):
+    """The hull of one link of a pair in the frame of the other, which is one box, in n states.
+
+    ``local`` [m], (n, m, 3), are points with a ``radius`` [m] each, which reach from ``low`` to ``high`` [m], (n, 3);
+    ``up`` is the way in which they move in that frame where the first link of the pair is raised, (n, 3).
+    """
+
+    field: BoxField
+    local: NDArray[np.float32]
+    radius: NDArray[np.float32]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    up: NDArray[np.float32]
+
+    def lower(self, raised: float = 0.0) -> Array:
+        """A lower bound of the distance [m], (n,), where the first link is raised [m]."""
+        move = np.float32(raised) * self.up
+        return self.field.lower(self.low + move, self.high + move)
+
+    def upper(self) -> Array:
+        """An upper bound of the distance [m], (n,)."""
+        return self.field.upper(self.local, self.radius)
+
+
+def from_box(pair: LinkPair) -> FromBox | None:
+    """A pair of links seen from that which is one box; None where neither is."""
+    one, other, X_WA, X_WB, sign = pair.one, pair.other, pair.X_WA, pair.X_WB, 1.0
+    if box_field(other) is None:
+        one, other, X_WA, X_WB, sign = other, one, X_WB, X_WA, -1.0
+    field = box_field(other)
+    if field is None:
+        return None
+    X_BA = X_WB.inverse() @ X_WA
+    p, turned = X_BA.p.astype(np.float32), X_BA.R.transpose(0, 2, 1).astype(np.float32)
+    points = one.points.astype(np.float32) @ turned + p[:, None]
+    up = sign * X_WB.R[:, 2].astype(np.float32) @ field.axes
+    local, radius = field.local(points), one.radius.astype(np.float32)
+    low, high = (local - radius[:, None]).min(axis=1), (local + radius[:, None]).max(axis=1)
+    return FromBox(field, local, radius, low, high, np.asarray(up, dtype=np.float32))
+
+
+def middles_apart(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
+    """A distance [m] that two links have at least, (n,): of the balls around them."""
+    (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
+    off = X_WA.p + X_WA.R @ ball_a - X_WB.p - X_WB.R @ ball_b
+    return np.asarray(np.sqrt(np.einsum("ni,ni->n", off, off)) - size_a - size_b)
+
+
+def ball_bound(X_WA: Poses, a: Form, X_WB: Poses, b: Form) -> Array:
+    """A distance [m] that two links have at least, (n,): of the ball around each from the box around the other."""
+    (ball_a, size_a), (ball_b, size_b) = a.ball, b.ball
+    middle_a, middle_b = X_WA.p + X_WA.R @ ball_a, X_WB.p + X_WB.R @ ball_b
+    b_in_a = rotate(X_WA.R.transpose(0, 2, 1), middle_b - X_WA.p)
+    a_in_b = rotate(X_WB.R.transpose(0, 2, 1), middle_a - X_WB.p)
+    first = _beyond(b_in_a, a.low[:3], a.high[:3]) - size_b
+    second = _beyond(a_in_b, b.low[:3], b.high[:3]) - size_a
+    return np.asarray(np.maximum(first, second))
+
+
+def candidates(pair: LinkPair, most: Array) -> Candidates:
+    """The parts of two links that may be nearer to each other than ``most`` [m], (n,), by state, the nearest first."""
+    X_AB = pair.X_WA.inverse() @ pair.X_WB
+    low_a, high_a, ball_a, size_a = pair.one.pieces
+    low_b, high_b, ball_b, size_b = pair.other.pieces
+    b_in_a = X_AB.p[:, None] + ball_b @ X_AB.R.transpose(0, 2, 1)
+    reach = most[:, None, None] + (size_a[:, None] + size_b)
+    square = (
+        (b_in_a**2).sum(axis=2)[:, None] + (ball_a**2).sum(axis=1)[:, None] - 2 * (ball_a @ b_in_a.transpose(0, 2, 1))
+    )
+    state, i, j = np.nonzero(square < reach**2 * (reach > 0))
+    a_in_b = (ball_a - X_AB.p[:, None]) @ X_AB.R
+    bound = _beyond(b_in_a[state, j], low_a[i], high_a[i]) - size_b[j]
+    bound = np.maximum(bound, _beyond(a_in_b[state, i], low_b[j], high_b[j]) - size_a[i])
+    kept = np.flatnonzero(bound < most[state])
+    kept = kept[np.lexsort((bound[kept], state[kept]))]
+    return Candidates(state[kept], i[kept], j[kept], bound[kept])
+
+
+def _beyond(points: Array, low: Array, high: Array) -> Array:
+    """How far points lie outside of boxes [m]."""
+    off = np.maximum(np.maximum(low - points, points - high), 0.0)
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

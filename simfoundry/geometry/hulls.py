@@ -1,0 +1,187 @@
+"""The convex parts of an object as corners, edges and triangles in the world: what placing measures on.
+
+A part is a polyhedron that may be rounded: a sphere is a corner with a radius, a capsule an edge with one. A cylinder
+counts as a prism around it whose corners stand out by at most :data:`PROUD`, and by 5 ppm of its radius where that is
+more than 10 m; everything else is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+
+Index = NDArray[np.int64]
+
+PROUD = 5e-5
+"""How far the corners of the prism around a cylinder stand out of it [m], at most."""
+
+MOST_SIDES = 1024
+"""Sides that the prism around a cylinder has at most."""
+
+FLAT = 1e-12
+"""An edge between triangles whose normals' cosine differs from 1 by less than this is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hulls:
+    """Convex parts of an object.
+
+    ``corners`` [m], shape (n, 3); ``edges`` and ``triangles`` index them, shapes (k, 2) and (m, 3); ``normals`` point
+    outward, shape (m, 3); ``beside`` names the two triangles at an edge, or -1, shape (k, 2). ``part`` gives the part
+    of each corner, shape (n,); ``radius`` [m] and ``link`` its rounding and the index of its link, shape (parts,).
+    """
+
+    corners: Array
+    edges: Index
+    triangles: Index
+    normals: Array
+    beside: Index
+    part: Index
+    radius: Array
+    link: Index
+
+    def extent(self, axis: Array) -> tuple[float, float]:
+        """The lowest and the highest coordinate along a unit vector [m]."""
+        along, radius = self.corners @ axis, self.radius[self.part]
+        return float((along - radius).min()), float((along + radius).max())
+
+    def middle(self, rotation: Array) -> Array:
+        """The centre [m] of the box around all parts along the columns of ``rotation``, shape (3,)."""
+        return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
+
+    def size(self) -> Array:
+        """Extents along the axes of the world [m], shape (3,)."""
+        return np.array([high - low for low, high in map(self.extent, np.eye(3))])
+
+    def moved(self, offset: Array) -> Hulls:
+        """The same parts elsewhere."""
+        return self._with(self.corners + offset, self.triangles, self.normals)
+
+    def flipped(self) -> Hulls:
+        """The mirror image below the plane z = 0."""
+        mirror = np.array([1.0, 1.0, -1.0])
+        return self._with(self.corners * mirror, self.triangles, self.normals * mirror)
+
+    def of_link(self, link: int) -> Hulls:
+        """The parts of one link only; the others stay counted, without any corner."""
+        kept = self.link[self.part] == link
+        number = np.cumsum(kept) - 1
+        triangles, edges = (kept[index[:, 0]] for index in (self.triangles, self.edges))
+        numbered = np.where(self.beside >= 0, (np.cumsum(triangles) - 1)[self.beside], -1)
+        return Hulls(
+            self.corners[kept],
+            number[self.edges[edges]],
+            number[self.triangles[triangles]],
+            self.normals[triangles],
+            numbered[edges],
+            self.part[kept],
+            self.radius,
+            self.link,
+        )
+
+    def _with(self, corners: Array, triangles: Index, normals: Array) -> Hulls:
+        return Hulls(corners, self.edges, triangles, normals, self.beside, self.part, self.radius, self.link)
+
+
+def hulls_of(shapes: Iterable[tuple[Geometry, Pose, int]]) -> Hulls:
+    """The convex parts of shapes, each with its pose and the index of the link that it belongs to."""
+    points, sides, rods, part = [], [], [], []
+    radii: list[float] = []
+    links: list[int] = []
+    count = 0
+    for geometry, pose, link in shapes:
+        corners, triangles, rod, radius = _core(geometry)
+        points.append(pose.apply(corners))
+        sides.append(triangles + count)
+        rods.append(rod + count)
+        part.append(np.full(len(corners), len(radii)))
+        radii.append(radius)
+        links.append(link)
+        count += len(corners)
+    corners = np.concatenate(points) if points else np.zeros((0, 3))
+    triangles = np.concatenate([np.zeros((0, 3), np.int64), *sides])
+    normals = _normals(corners, triangles)
+    edges, beside = _edges(triangles, normals)
+    rod = np.concatenate([np.zeros((0, 2), np.int64), *rods])
+    return Hulls(
+        corners,
+        np.concatenate([edges, rod]),
+        triangles,
+        normals,
+        np.concatenate([beside, np.full(rod.shape, -1)]),
+        np.concatenate([np.zeros(0, np.int64), *part]),
+        np.array(radii),
+        np.array(links, dtype=np.int64),
+    )
+
+
+Core = tuple[Array, Index, Index, float]
+"""Corners, triangles, edges without triangles, and radius of a geometry in its own frame."""
+
+NO_TRIANGLES, NO_EDGES = np.zeros((0, 3), np.int64), np.zeros((0, 2), np.int64)
+
+SIGNS = np.array([[x, y, z] for z in (-0.5, 0.5) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+BOX = np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+                (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5)])  # fmt: skip
+
+
+def _core(geometry: Geometry) -> Core:
+    match geometry:
+        case Mesh():
+            return geometry.vertices, geometry.faces.astype(np.int64), NO_EDGES, 0.0
+        case Box():
+            return SIGNS * geometry.size, BOX, NO_EDGES, 0.0
+        case Sphere():
+            return np.zeros((1, 3)), NO_TRIANGLES, NO_EDGES, geometry.radius
+        case Capsule():
+            half = geometry.height / 2
+            return np.array([[0, 0, -half], [0, 0, half]]), NO_TRIANGLES, np.array([[0, 1]]), geometry.radius
+        case Cylinder():
+            return _prism(geometry.radius, geometry.height)
+
+
+@lru_cache(maxsize=64)
+def _prism(radius: float, height: float) -> Core:
+    """The prism around a cylinder, with a multiple of four sides, so that it is exact along its x and y."""
+    half = math.acos(min(radius / (radius + PROUD), 1 - 1e-12))
+    sides = min(4 * max(3, math.ceil(math.pi / half / 4)), MOST_SIDES)
+    angle = (np.arange(sides) + 0.5) * (2 * math.pi / sides)
+    ring = np.column_stack([np.cos(angle), np.sin(angle)]) * (radius / math.cos(math.pi / sides))
+    low, high = (np.column_stack([ring, np.full(sides, z)]) for z in (-height / 2, height / 2))
+    here = np.arange(sides)
+    after = (here + 1) % sides
+    cap = np.column_stack([np.zeros(sides - 2, np.int64), here[1:-1], here[2:]])
+    walls = [np.column_stack([here, after, after + sides]), np.column_stack([here, after + sides, here + sides])]
+    return np.concatenate([low, high]), np.concatenate([cap[:, ::-1], cap + sides, *walls]), NO_EDGES, 0.0
+
+
+def _normals(corners: Array, triangles: Index) -> Array:
+    """Unit normals; a triangle without area has none and gets zeros."""
+    a, b, c = (corners[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.asarray(np.divide(normal, length, out=np.zeros_like(normal), where=length > 1e-14))
+
+
+def _edges(triangles: Index, normals: Array) -> tuple[Index, Index]:
+    """The edges that are not within a flat face, and the two triangles beside each."""
+    if not len(triangles):
+        return NO_EDGES, NO_EDGES
+    ends = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(triangles)), 3)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends, owner = ends[order], owner[order]
+    first = np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)])
+    last = np.concatenate([first[1:], [True]])
+    edges, beside = ends[first], np.column_stack([owner[first], owner[last]])
+    cosine = np.einsum("ij,ij->i", normals[beside[:, 0]], normals[beside[:, 1]])
+    bent = (cosine < 1 - FLAT) | (beside[:, 0] == beside[:, 1])
+    return edges[bent], beside[bent]

@@ -1,0 +1,78 @@
+"""Primitives as triangle meshes: watertight, vertices merged, faces counter-clockwise from outside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.assets.convex import hull
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.lathe import lathe_mesh
+from simfoundry.geometry.frames import Array, frozen_array
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+
+Faces = NDArray[np.int32]
+
+
+def tessellate(geometry: Geometry, segments: int = 48) -> Mesh:
+    """The surface of a primitive as a mesh in the primitive's own frame; a mesh is returned as it is.
+
+    ``segments`` is the number of edges around z, at least 3. Vertices lie on the true surface, so a round shape loses
+    at most ``radius * (1 - cos(pi / segments))`` [m] of its radius, and the same input gives the same bytes.
+    """
+    if segments < 3:
+        raise ValueError(f"a round shape needs at least 3 segments, got {segments}")
+    match geometry:
+        case Mesh():
+            return geometry
+        case Box():
+            return _box(geometry.size)
+        case Sphere():
+            return revolved(_arc(geometry.radius, 0.0, 0.0, math.pi, max(2, segments // 2)), segments)
+        case Cylinder():
+            r, z = geometry.radius, geometry.height / 2
+            return revolved([(0.0, z), (r, z), (r, -z), (0.0, -z)], segments)
+        case Capsule():
+            r, z, rings = geometry.radius, geometry.height / 2, max(1, segments // 4)
+            top = _arc(r, z, 0.0, math.pi / 2, rings)
+            bottom = _arc(r, -z, math.pi / 2, math.pi, rings)
+            return revolved(top + (bottom if z > 0 else bottom[1:]), segments)
+
+
+def _box(size: Array) -> Mesh:
+    corners = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)]) * np.asarray(size) / 2
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
+    return closed_mesh(corners, np.array(faces, dtype=np.int32))
+
+
+def _arc(radius: float, z: float, start: float, stop: float, steps: int) -> list[tuple[float, float]]:
+    """Points ``(r, z)`` of a circle about ``(0, z)`` from angle ``start`` to ``stop`` [rad], measured from +z."""
+    angles = [start + (stop - start) * k / steps for k in range(steps + 1)]
+    return [(radius * math.sin(a), z + radius * math.cos(a)) for a in angles]
+
+
+def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> Mesh:
+    """A profile of (radius, height) [m], shape (k, 2), turned about z, as a closed mesh.
+
+    It starts and ends on the axis, from the top down the outside to the foot.
+    """
+    return closed_mesh(*lathe_mesh(np.asarray(profile, dtype=np.float64), segments))
+
+
+def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
+    """A mesh of arrays that nobody can change any more."""
+    index = np.ascontiguousarray(faces, dtype=np.int32)
+    index.setflags(write=False)
+    return Mesh(vertices=frozen_array(vertices), faces=index)
+
+
+def hull_mesh(points: Array) -> Mesh | None:
+    """The hull of points [m], shape (n, 3), with at most 64 vertices; None where they lie in one plane."""
+    try:
+        vertices, faces = hull(points)
+    except MeshError:
+        return None
+    return closed_mesh(vertices, faces)

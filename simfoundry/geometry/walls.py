@@ -1,0 +1,110 @@
+"""What stands around a point at its own height: the walls of bowls, drawers and boxes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
+
+DIRECTIONS = 16
+"""In how many directions walls are looked for."""
+
+WALLED = 8
+"""Walls in at least this many of :data:`DIRECTIONS` make an inside."""
+
+FOOT = 5e-4
+"""How far above the lowest point of a thing its foot is [m]."""
+
+LEVELS = (0.0, 0.25, 0.5)
+"""Where walls are looked for, as shares of the height of the thing: rails may leave its foot free."""
+
+LOW = 0.25
+"""Where the middle of a hollow is measured, as a share of its depth from its floor."""
+
+
+def surrounded(thing: Hulls, container: Hulls) -> bool:
+    """Whether a thing has walls of the container on at least half its sides, around its foot or a little higher."""
+    bottom, top = thing.extent(np.array([0.0, 0.0, 1.0]))
+    lowest = thing.corners[thing.corners[:, 2] - thing.radius[thing.part] <= bottom + 1e-6].mean(axis=0)
+    angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
+    rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
+    for share in LEVELS:
+        start = np.array([lowest[0], lowest[1], bottom + FOOT + share * (top - bottom)])
+        if sum(math.isfinite(free_distance(container, start, ray)) for ray in rays) >= WALLED:
+            return True
+    return False
+
+
+def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
+    """The middle of the hollow [m] at ``middle``, between the walls along the container's axes; shape (3,).
+
+    Without walls on both sides along an axis, and where there is no hollow, it stays in the ``middle`` given.
+    """
+    top = container.extent(np.array([0.0, 0.0, 1.0]))[1]
+    floor = top - free_distance(container, np.array([*middle[:2], top + 1e-6]), np.array([0.0, 0.0, -1.0]))
+    if not math.isfinite(floor) or top - floor < 4 * FOOT:
+        return middle
+    point = np.array([*middle[:2], floor + LOW * (top - floor)])
+    for _ in range(2):
+        for axis in rotation.T[:2]:
+            level = np.array([axis[0], axis[1], 0.0])
+            length = math.hypot(*level)
+            if length < 0.5:
+                continue
+            ahead, back = (free_distance(container, point, sign * level / length) for sign in (1, -1))
+            if math.isfinite(ahead + back):
+                point = point + level / length * (ahead - back) / 2
+    return point
+
+
+def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
+    """How far a ray goes before it meets a part [m]; inf where it meets none."""
+    return min(_to_triangles(shape, start, ray), _to_rounded(shape, start, ray))
+
+
+def _to_triangles(shape: Hulls, start: Array, ray: Array) -> float:
+    a, b, c = (shape.corners[shape.triangles[:, k]] for k in range(3))
+    u, v, w = b - a, c - a, start - a
+    across = np.cross(ray, v)
+    volume = (u * across).sum(axis=1)
+    facing = np.abs(volume) > 1e-14
+    volume = np.where(facing, volume, 1.0)
+    s = (w * across).sum(axis=1) / volume
+    turned = np.cross(w, u)
+    t = (ray * turned).sum(axis=1) / volume
+    far = (v * turned).sum(axis=1) / volume
+    hit = facing & (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (far > 0)
+    return float(far[hit].min(initial=math.inf))
+
+
+def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:
+    """To spheres and capsules, whose edges are tubes between the spheres at their ends."""
+    radius = shape.radius[shape.part]
+    ball = radius > 0
+    tube = radius[shape.edges[:, 0]] > 0
+    if not ball.any():
+        return math.inf
+    foot, end = (shape.corners[shape.edges[tube, k]] for k in range(2))
+    length = np.linalg.norm(end - foot, axis=1)
+    along = (end - foot) / length[:, None]
+    from_foot = start - foot
+    aside = from_foot - (from_foot * along).sum(axis=1, keepdims=True) * along
+    far = _entry(aside, ray - (along @ ray)[:, None] * along, radius[shape.edges[tube, 0]])
+    with np.errstate(invalid="ignore"):
+        height = (from_foot * along).sum(axis=1) + far * (along @ ray)
+        on = (height >= 0) & (height <= length)
+    to_ball = _entry(start - shape.corners[ball], np.broadcast_to(ray, (int(ball.sum()), 3)), radius[ball])
+    return float(min(far[on].min(initial=math.inf), to_ball.min(initial=math.inf)))
+
+
+def _entry(offset: Array, ray: Array, radius: Array) -> Array:
+    """Where rays from ``offset`` come within ``radius`` of the origin; inf where they do not, ahead of their start."""
+    square = (ray * ray).sum(axis=1)
+    half = (offset * ray).sum(axis=1)
+    inside = half**2 - square * ((offset * offset).sum(axis=1) - radius**2)
+    met = (inside >= 0) & (square > 1e-12)
+    far = (-half - np.sqrt(np.where(met, inside, 0.0))) / np.where(met, square, 1.0)
+    return np.where(met & (far > 0), far, math.inf)

@@ -1,0 +1,138 @@
+"""What predicates measure on: the colliders of every link, prepared once, and the things that arguments name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
+from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.shapes import Geometry
+from simfoundry.scene.model import Joint, Link, Scene, SceneObject
+from simfoundry.scene.robot import Robot
+
+
+class PredicateError(SimfoundryError, ValueError):
+    """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """An object or a robot: ``item``, whose links have ``forms``; None for a link without any shape."""
+
+    item: SceneObject
+    forms: tuple[Form | None, ...]
+    robot: RobotObject | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the object or robot."""
+        return self.item.name
+
+    def index(self, link: str) -> int:
+        """The index of a link."""
+        return next(k for k, one in enumerate(self.item.links) if one.name == link)
+
+
+class Thing(NamedTuple):
+    """What an argument names: links of a body by index; the first is the one in whose frame it is boxed."""
+
+    name: str
+    owner: str
+    links: tuple[int, ...]
+    whole: bool
+
+
+class Joints(NamedTuple):
+    """Joints with limits of one object, as an argument names them."""
+
+    owner: str
+    joints: tuple[Joint, ...]
+
+
+class Bodies:
+    """The bodies of a scene by name, objects and robots, prepared once."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.objects = tuple(o.name for o in scene.objects)
+        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r))
+        self._bodies: dict[str, Body] = {}
+
+    def __getitem__(self, name: str) -> Body:
+        if name not in self._bodies:
+            made = _robot_object(self.scene.robot(name)) if name in self.robots else None
+            item = self.scene.object(name) if made is None else made.item
+            self._bodies[name] = Body(item, tuple(_form(link) for link in item.links), made)
+        return self._bodies[name]
+
+    @property
+    def items(self) -> tuple[SceneObject, ...]:
+        """All bodies as objects."""
+        return tuple(self[name].item for name in (*self.objects, *self.robots))
+
+    def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
+        """What touches of each link of all bodies, by the name of the body and the index of the link."""
+        return {
+            (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
+            for item in self.items
+            for k, link in enumerate(item.links)
+        }
+
+    def thing(self, argument: str) -> Thing:
+        """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
+        owner, _, part = argument.partition(".")
+        body = self._body(owner)
+        links = body.item.links
+        if part and body.robot is not None:
+            native = mujoco_model(self.scene.robot(owner))
+            link = part if native is None else native.frame(part).link
+            part = body.robot.links.get(link, link)
+        if part:
+            moved = {joint.name: joint.child for joint in body.item.joints}
+            name = part if any(link.name == part for link in links) else moved.get(part)
+            if name is None:
+                there = ", ".join(dict.fromkeys([*(link.name for link in links), *moved]))
+                raise PredicateError(f"`{owner}` has no link or joint `{part}`; there are: {there}")
+            chosen: tuple[int, ...] = (body.index(name),)
+        else:
+            chosen = tuple(range(len(links)))
+        if not any(body.forms[k] for k in chosen):
+            raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
+        return Thing(argument, owner, chosen, not part)
+
+    def joints(self, argument: str) -> Joints:
+        """The joints with an end that an argument names: one, or all of an object."""
+        owner, _, part = argument.partition(".")
+        item = self._body(owner).item
+        moving = [j for j in item.joints if j.has_axis and (not part or part in (j.name, j.child))]
+        if part and not moving:
+            there = ", ".join(j.name for j in item.joints if j.has_axis) or "none"
+            raise PredicateError(f"`{owner}` has no joint `{part}` that opens; there are: {there}")
+        ended = [j for j in moving if j.limits is not None and j.limits[0] < j.limits[1]]
+        if not ended or (part and len(ended) < len(moving)):
+            raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
+        return Joints(owner, tuple(ended))
+
+    def _body(self, name: str) -> Body:
+        names = (*self.objects, *self.robots)
+        if name in names:
+            return self[name]
+        if name in {r.name for r in self.scene.robots} or f"robots.{name}" in {p.path for p in self.scene.left_out}:
+            raise PredicateError(
+                f"no model of robot `{name}` is found, so its shape is unknown; `simfoundry doctor` says more"
+            )
+        raise PredicateError(f"there is no `{name}` in this scene; there are: {', '.join(names) or 'none'}")
+
+
+def _robot_object(robot: Robot) -> RobotObject | None:
+    native = mujoco_model(robot)
+    return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
+
+
+def _form(link: Link) -> Form | None:
+    shown = link.colliders or link.visuals
+    return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

@@ -1,0 +1,105 @@
+"""How deep a thing is in the cavity of another."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simfoundry.geometry.cavity import UPWARD, Cavity, cavity, cavity_upward
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index, rotate
+from simfoundry.geometry.volume_samples import volume_samples
+from simfoundry.predicates.judging.bodies import PredicateError, Thing
+from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
+from simfoundry.predicates.judging.view import View
+
+SAMPLES = 64
+"""Points of a thing whose depth is measured."""
+
+
+def hollow_links(view: View, b: Thing) -> list[tuple[int, Form]]:
+    """The links of a thing that have a cavity, by index; a :class:`PredicateError` where there is none."""
+    found = [(k, form) for k, form in view.forms(b) if cavity(form) is not None]
+    if not found:
+        raise PredicateError(f"`{b.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow")
+    return found
+
+
+def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
+    """The cavities that links of a thing have as they are turned: the index of the link, and in which states it is so.
+
+    Up is the nearest of the axes of a link.
+    """
+    found = []
+    for k, form in hollow_links(view, b):
+        up = view.link(b.owner, k).R[:, 2]
+        nearest = np.abs(up).argmax(axis=1)
+        positive = np.take_along_axis(up, nearest[:, None], axis=1)[:, 0] > 0
+        for axis, sign in UPWARD:
+            states = np.flatnonzero((nearest == axis) & (positive == (sign > 0)))
+            if len(states) and (hole := cavity_upward(form, axis, sign)) is not None:
+                found.append((k, hole, states))
+    return found
+
+
+def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
+    """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
+
+    -inf where ``b`` is turned so that it holds nothing.
+    """
+    out = np.full(view.n, -np.inf)
+    for k, hole, states in held_upward(view, b):
+        some = view if len(states) == view.n else view.at(states)
+        depth = depth_in(some, a, k, b.owner, hole)
+        if hole.out.any():
+            depth = np.minimum(depth, 10 * facing(some, k, b.owner, hole))
+        out[states] = np.maximum(out[states], depth)
+    return out
+
+
+def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
+    """How deep [m] the share :data:`ENCLOSED` of the volume of ``a`` is in a cavity at least, (n,).
+
+    Negative by how far it is outside; where all of it is far outside, by a bound of that.
+    """
+    X_WB = view.link(owner, k)
+    out = np.full(view.n, np.inf)
+    middle = X_WB.p + X_WB.R @ hole.middle
+    forms = view.forms(a)
+    for j, form in forms:  # the balls around both tell most
+        X_WA = view.link(a.owner, j)
+        centre, radius = form.ball
+        gap = np.linalg.norm(X_WA.p + X_WA.R @ centre - middle, axis=1) - radius - hole.size
+        out = np.minimum(out, gap)
+    out = -out
+    near = np.flatnonzero(out >= 0)
+    if len(near):
+        counts = _counts(view, a)
+        depths = []
+        X_BW = X_WB.at(near).inverse()
+        for (j, form), count in zip(forms, counts, strict=True):
+            if count:
+                X_BA = X_BW @ view.link(a.owner, j).at(near)
+                points = volume_samples(form, count) @ X_BA.R.transpose(0, 2, 1) + X_BA.p[:, None]
+                depths.append(hole.at(points))
+        every = np.concatenate(depths, axis=1)
+        rank = every.shape[1] - int(np.ceil(ENCLOSED * every.shape[1]))
+        out[near] = np.partition(every, rank, axis=1)[:, rank]
+    return out
+
+
+def _counts(view: View, a: Thing) -> list[int]:
+    """How many samples each link of a thing gets: by its mass."""
+    forms = view.forms(a)
+    if len(forms) == 1:
+        return [SAMPLES]
+    links = view.bodies[a.owner].item.links
+    masses = np.array([links[k].mass for k, _ in forms])
+    return [max(1, round(SAMPLES * float(m))) for m in masses / masses.sum()]
+
+
+def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
+    """How far the way out of a cavity is from being turned down too far [m], (n,), measured on its depth."""
+    X_WB = view.link(owner, k)
+    up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
+    return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))

@@ -1,0 +1,140 @@
+"""How far things are apart in many states: bounds for all of them, the exact distance where bounds do not tell."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+
+from simfoundry.geometry.distance import (
+    LinkPair,
+    ball_bound,
+    box_bounds,
+    box_support,
+    candidates,
+    middles_apart,
+    steepest_together,
+)
+from simfoundry.geometry.exact_distance import Exact
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index
+from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.thresholds import TOUCH
+from simfoundry.predicates.judging.view import View
+
+FAR = 0.05
+"""Distances beyond this [m] are bounds: no farther than the truth."""
+
+FEW = 16
+"""Of so many states the distance is always measured."""
+
+FLATTEST = math.cos(math.radians(80.0))
+"""A wall that pushes up by less than this cosine does not help to hold a thing."""
+
+
+class Distances:
+    """Distances between the bodies of one scene."""
+
+    def __init__(self, bodies: Bodies) -> None:
+        self._bodies = bodies
+
+    @cached_property
+    def _exact(self) -> Exact:
+        return Exact(self._bodies.link_shapes())
+
+    def between(self, view: View, a: Thing, b: Thing, threshold: float | None = None) -> Array:
+        """Signed distance [m] between two things, (n,), negative where they overlap; inf where one touches nothing.
+
+        Exact below :data:`FAR`; beyond, no less than that and no more than the truth. Of more than :data:`FEW` states
+        with a ``threshold`` [m] only the side of it is exact: below it, the distance is no more than what is returned;
+        above it, no less.
+        """
+        limit = threshold if threshold is not None and view.n > FEW else None
+        out = np.full(view.n, np.inf)
+        for i, one in view.forms(a):
+            for j, other in view.forms(b):
+                if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
+                    continue
+                X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
+                lower = middles_apart(X_WA, one, X_WB, other)
+                some = np.flatnonzero(lower < np.minimum(out, FAR))
+                if len(some):
+                    lower[some] = np.maximum(lower[some], ball_bound(X_WA.at(some), one, X_WB.at(some), other))
+                cut = FAR if limit is None else float(np.nextafter(limit, np.inf))
+                close = np.flatnonzero((lower < np.minimum(out, cut)) & (out > (-np.inf if limit is None else limit)))
+                out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
+                if len(close):
+                    pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+                    found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
+                    out[close] = np.minimum(out[close], found)
+        return out
+
+    def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
+        """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.
+
+        The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
+        part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is
+        that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
+        ``steepest`` are exact.
+        """
+        many = view.n > FEW
+        gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
+        cosine = np.full(view.n, -1.0)
+        pushes: list[tuple[Index, Array, Array]] = []
+        for i, one in view.forms(a):
+            for j, other in view.forms(b):
+                if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
+                    continue
+                X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
+                close = np.flatnonzero((cosine < steepest) & (middles_apart(X_WA, one, X_WB, other) <= limit))
+                close = close[ball_bound(X_WA.at(close), one, X_WB.at(close), other) <= limit]
+                if not len(close):
+                    continue
+                pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+                apart, up, open_ = box_support(pair, limit, steepest)
+                if not many:
+                    open_ = np.arange(len(close))
+                if len(open_):
+                    some = pair.at(open_)
+                    most = np.full(len(open_), np.nextafter(limit, np.inf))
+                    state, near, way = self._exact.pushes(
+                        some.a,
+                        some.b,
+                        some.X_WA,
+                        some.X_WB,
+                        candidates(some, most),
+                        limit,
+                        steepest if many else np.inf,
+                    )
+                    apart[open_], up[open_] = np.inf, -1.0
+                    np.minimum.at(apart, open_[state], near)
+                    np.maximum.at(up, open_[state], way[:, 2])
+                    pushes.append((close[open_][state], near, way))
+                gap[close] = np.minimum(gap[close], apart)
+                cosine[close] = np.maximum(cosine[close], up)
+        left = np.flatnonzero((cosine < steepest) & (gap <= limit))
+        if len(left) and pushes:
+            states, near, ways = (np.concatenate(column) for column in zip(*pushes, strict=True))
+            helps = (np.abs(near) <= TOUCH) & (
+                ways[:, 2] > FLATTEST
+            )  # of what overlaps deeply the direction is a guess
+            for k in left.tolist():
+                together = ways[helps & (states == k)]
+                if len(together) > 1:
+                    cosine[k] = max(cosine[k], steepest_together(together))
+        return gap, cosine
+
+    def _measured(self, pair: LinkPair, most: Array) -> Array:
+        """The distances [m] of two links, where they are below ``most`` [m]."""
+        return self._exact.distance(pair.a, pair.b, pair.X_WA, pair.X_WB, candidates(pair, most), most)
+
+    def _decided(self, pair: LinkPair, threshold: float) -> Array:
+        """On which side of a threshold the distances of two links are: bounds that are on the same side."""
+        found, open_ = box_bounds(pair, threshold)
+        if len(open_):
+            some = pair.at(open_)
+            most = np.full(len(open_), np.nextafter(threshold, np.inf))
+            near = candidates(some, most)
+            found[open_] = self._exact.distance(some.a, some.b, some.X_WA, some.X_WB, near, most, threshold)
+        return found

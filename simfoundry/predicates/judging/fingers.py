@@ -1,0 +1,122 @@
+"""The fingers of a robot's gripper, and whether they hold a thing between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Poses
+from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
+from simfoundry.predicates.judging.distances import FAR, Distances
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
+from simfoundry.predicates.judging.view import View
+from simfoundry.scene.robot import Gripper
+
+STILL = 0.001
+"""A link that the gripper moves by less than this [m] is no finger."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fingers:
+    """The two sides of a gripper as things; ``axis`` is the unit vector in the frame of link ``base`` along which the
+    first closes, and the second against it."""
+
+    sides: tuple[Thing, Thing]
+    base: int
+    axis: Array
+
+
+def fingers(bodies: Bodies, name: str) -> Fingers | None:
+    """The fingers of a robot by which of its links its gripper moves, and which way; None where it has no gripper."""
+    body = bodies[name]
+    native = mujoco_model(bodies.scene.robot(name))
+    if body.robot is None or native is None or native.gripper is None:
+        return None
+    opened, closed = (_links(bodies, body, _positions(body, native.gripper, k)) for k in (0, 1))
+    base = _carrier(body, native.gripper)
+    X_BW = opened[base].inverse()
+    moved = {}
+    for k, form in enumerate(body.forms):
+        if form is not None and form.solid:
+            middle = form.ball[0]
+            start, end = ((X_BW @ links[k]) for links in (opened, closed))
+            way = (end.p + end.R @ middle - start.p - start.R @ middle)[0]
+            if np.linalg.norm(way) > STILL:
+                moved[k] = way
+    if not moved:
+        return None
+    longest = max(moved.values(), key=lambda way: float(np.linalg.norm(way)))
+    first = tuple(k for k, way in moved.items() if way @ longest > 0)
+    second = tuple(k for k in moved if k not in first)
+    ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
+    axis = (ways[0] - ways[1]) / np.linalg.norm(ways[0] - ways[1])  # what both do, as reaching out, is no closing
+    sides = Thing(name, name, first, False), Thing(name, name, second or (base,), False)
+    return Fingers(sides, base, axis)  # one jaw alone closes against the palm
+
+
+def _positions(body: Body, gripper: Gripper, end: int) -> dict[str, Array]:
+    """Positions of the gripper's joints, open (0) or closed (1)."""
+    assert body.robot is not None
+    at = {joint: pair[end] for joint, pair in gripper.joints.items()}
+    for joint, follow in gripper.follow.items():
+        if follow.joint in at:
+            at.setdefault(joint, follow.multiplier * at[follow.joint] + follow.offset)
+    return {f"{body.name}.{body.robot.joints[joint]}": np.array([v]) for joint, v in at.items()}
+
+
+def _links(bodies: Bodies, body: Body, positions: dict[str, Array]) -> list[Poses]:
+    view = View(bodies, StateBatch(1, {}, robots=positions))
+    return [view.link(body.name, k) for k in range(len(body.item.links))]
+
+
+def _carrier(body: Body, gripper: Gripper) -> int:
+    """The link that the gripper's first joint hangs on."""
+    assert body.robot is not None
+    first = body.robot.joints[next(iter(gripper.joints))]
+    joint = next(j for j in body.item.joints if j.name == first)
+    return body.index(joint.parent)
+
+
+def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Thing) -> Array:
+    """The margin by which one of the hands holds a thing [m], (n,), at least -:data:`FAR`."""
+    best = np.full(view.n, -FAR)
+    for hand in hands:
+        margin = TOUCH - touching(view, distances, hand, thing)
+        near = np.flatnonzero(margin > 0)
+        if len(near):
+            margin[near] = np.minimum(margin[near], pressing(view.at(near), distances, hand, thing) - PRESS / 2)
+        best = np.maximum(best, margin)
+    return best
+
+
+def touching(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:
+    """The larger of the distances of the two sides from a thing [m], (n,), on its side of :data:`TOUCH`."""
+    return np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
+
+
+def pressing(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:
+    """By how much a side comes nearer to a thing, or deeper into it, when it is closed by :data:`PRESS` [m], (n,).
+
+    Of the two sides that which does so less. A side that lies on the thing without holding it slides along it.
+    """
+    X_WB = view.link(hand.sides[0].owner, hand.base)
+    way = X_WB.R @ hand.axis
+    least = np.full(view.n, np.inf)
+    for side, sign in zip(hand.sides, (1.0, -1.0), strict=True):
+        closer = distances.between(shifted(view, side, sign * PRESS * way), side, thing)
+        least = np.minimum(least, distances.between(view, side, thing) - closer)
+    return least
+
+
+def shifted(view: View, thing: Thing, offset: Array) -> View:
+    """The same states with the links of one thing moved by ``offset`` [m], (n, 3)."""
+    other = view.at(np.arange(view.n))
+    for k in thing.links:
+        X_WL = view.link(thing.owner, k)
+        other.place(thing.owner, k, Poses(X_WL.p + offset, X_WL.R))
+    return other

@@ -1,0 +1,103 @@
+"""Judge conditions in one state or in many at once: value, margin and explanation."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.frames import Array
+from simfoundry.predicates.judging.bodies import Bodies, PredicateError
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.terms import Context, Terms
+from simfoundry.predicates.judging.view import View
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.expressions import Call, parse_call, parts
+
+CHUNK = 4096
+"""States that are judged at once: their arrays stay in the processor's cache."""
+
+
+class Verdict(NamedTuple):
+    """Whether a condition holds; by how much, in the predicate's own unit, above 0 where it does; and why."""
+
+    value: bool
+    margin: float
+    why: str
+
+
+class Judge:
+    """Judges conditions on states of one scene; what it prepares of the scene it keeps.
+
+    A condition is a text, ``"OnTop(cup, desk)"``, or several joined by ``all``, ``any`` and ``not``, as data or as the
+    models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for what is no condition and
+    :class:`PredicateError` for what cannot be judged in this scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._context = Context(Bodies(scene))
+
+    def __call__(self, condition: Any, state: SceneState) -> Verdict:
+        """The verdict on one state."""
+        value, margin, why = self._judged(condition, View(self._context.bodies, StateBatch.of(self.scene, [state])))
+        return Verdict(bool(value[0]), float(margin[0]), why(0))
+
+    def batch(self, condition: Any, batch: StateBatch) -> tuple[NDArray[np.bool_], Array]:
+        """Values and margins in n states, shape (n,) each."""
+        values, margins = np.zeros(batch.n, bool), np.zeros(batch.n)
+        for start in range(0, batch.n, CHUNK):
+            index = np.arange(start, min(start + CHUNK, batch.n))
+            some = batch if len(index) == batch.n else batch.at(index)
+            values[index], margins[index], _ = self._judged(condition, View(self._context.bodies, some))
+        return values, margins
+
+    def _arguments(self, call: Call) -> list[Any]:
+        """The arguments as the rule takes them: things, joints and numbers by their kinds."""
+        bodies = self._context.bodies
+        read = {"joint": bodies.joints, "number": float}
+        found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
+        things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
+        for a, b in combinations(things, 2):
+            if a.owner == b.owner and set(a.links) & set(b.links):
+                raise PredicateError(f"`{call}` is about one thing twice")
+        return found
+
+    def _judged(self, condition: Any, view: View) -> _Judged:
+        tag, below = parts(condition)
+        if tag == "text":
+            call = parse_call(condition)
+            terms = Terms(self._context, view)
+            call.declaration.rule(terms, *self._arguments(call))
+            return _Judged(terms.margin > 0, terms.margin, terms.explanation)
+        if not below:
+            raise PredicateError(
+                f"`{tag}` of nothing is no condition: it would always be {'true' if tag == 'all' else 'false'}"
+            )
+        judged = [self._judged(one, view) for one in below]
+        if tag == "not":
+            return _Judged(~judged[0].value, -judged[0].margin, judged[0].why)
+        values, margins = np.stack([j.value for j in judged]), np.stack([j.margin for j in judged])
+        if tag == "all":
+            return _Judged(np.asarray(values.all(axis=0)), margins.min(axis=0), _Reasons(judged, False))
+        return _Judged(np.asarray(values.any(axis=0)), margins.max(axis=0), _Reasons(judged, True))
+
+
+class _Judged(NamedTuple):
+    value: NDArray[np.bool_]
+    margin: Array
+    why: Any
+
+
+class _Reasons(NamedTuple):
+    """Why several hold or not: those that ``decide`` if there are any, else all of them."""
+
+    judged: list[_Judged]
+    decide: bool
+
+    def __call__(self, k: int) -> str:
+        deciding = [j for j in self.judged if bool(j.value[k]) is self.decide]
+        return "; ".join(text for j in deciding or self.judged if (text := j.why(k)))

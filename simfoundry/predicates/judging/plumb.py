@@ -1,0 +1,83 @@
+"""What is over and under a thing: where the plumb line through its middle meets another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.plumb_lines import SEAM, chords_of
+from simfoundry.geometry.poses import Index, Poses
+from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.view import View
+
+
+class Meeting(NamedTuple):
+    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
+
+    Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
+    the end of the one on that line; negative where nothing is met.
+    """
+
+    over: Array
+    under: Array
+
+
+def meet(view: View, a: Thing, b: Thing) -> Meeting:
+    """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
+    points = view.boxes(a).middle
+    over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
+    found = list(_chords_of(view, points, b))
+    for state, within, _, _ in found:
+        np.maximum.at(over, state, within)
+    met = np.flatnonzero(over > 0)
+    over, under = (np.where(np.isfinite(over), over, -_beside(view, points, b)) for _ in range(2))
+    if len(met):
+        low, high = _own_ends(view.at(met), points[met], a)
+        row = np.full(view.n, -1)
+        row[met] = np.arange(len(met))
+        over[met] = under[met] = -np.inf
+        for state, within, bottom, top in found:
+            some = np.flatnonzero(row[state] >= 0)
+            at = row[state[some]]
+            np.maximum.at(over, state[some], np.minimum(within[some], top[some] - high[at]))
+            np.maximum.at(under, state[some], np.minimum(within[some], low[at] - bottom[some]))
+    return Meeting(over, under)
+
+
+def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
+    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
+    low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
+    for state, within, bottom, top in _chords_of(view, points, a):
+        met = within > 0
+        np.minimum.at(low, state[met], bottom[met])
+        np.maximum.at(high, state[met], top[met])
+    return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
+
+
+def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
+    """The chords of plumb lines in each link of a thing; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
+    for k, form in view.forms(thing):
+        found = chords_of(form, view.link(thing.owner, k), points)
+        if len(found[0]):
+            yield found
+
+
+def _beside(view: View, points: Array, b: Thing) -> Array:
+    """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
+    return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
+
+
+def centre_of_mass(view: View, a: Thing) -> Array:
+    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
+    links = view.bodies[a.owner].item.links
+    masses = [links[k].mass for k in a.links]
+    if sum(masses) <= 0:
+        return view.boxes(a).middle
+    total = np.zeros((view.n, 3))
+    for k, mass in zip(a.links, masses, strict=True):
+        X_WL: Poses = view.link(a.owner, k)
+        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
+    return total

@@ -1,0 +1,188 @@
+"""Where the things of a scene are in many states: poses, boxes and spans, each computed once and when asked for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.geometry.form import TURNED, Form
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Index, Poses, rotate, turns
+from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.scene.model import Joint, JointType
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Boxes(NamedTuple):
+    """The box around a thing in its own frame, and the one turned by 45 degrees about its z axis.
+
+    ``middle`` is the middle of the first [m] in the world, (n, 3). Of both, as two rows: ``centre`` [m] in the world,
+    (2, n, 3); ``half`` extents [m], (2, n, 3); ``R`` their axes, (2, n, 3, 3).
+    """
+
+    centre: Array
+    half: Array
+    R: Array
+
+    @property
+    def middle(self) -> Array:
+        """The middle of the first box [m], (n, 3)."""
+        return np.asarray(self.centre[0])
+
+    @property
+    def reach(self) -> Array:
+        """The distance of the corners of the first box from its middle [m], (n,)."""
+        return np.asarray(np.linalg.norm(self.half[0], axis=1))
+
+    @property
+    def size(self) -> Array:
+        """The mean of the extents of the first box [m], (n,)."""
+        return np.asarray(2 * self.half[0].mean(axis=1))
+
+
+class View:
+    """``n`` states of the bodies of a scene."""
+
+    def __init__(self, bodies: Bodies, batch: StateBatch) -> None:
+        self.bodies, self.batch, self.n = bodies, batch, batch.n
+        self._links: dict[tuple[str, int], Poses] = {}
+        self._boxes: dict[Thing, Boxes] = {}
+        self._heights: dict[Thing, tuple[Array, Array]] = {}
+
+    def at(self, index: Index) -> View:
+        """Some of the states."""
+        view = View(self.bodies, self.batch.at(index))
+        view._links = {key: poses.at(index) for key, poses in self._links.items()}
+        return view
+
+    # -- poses ------------------------------------------------------------------------------------------------------
+
+    def link(self, owner: str, k: int) -> Poses:
+        """Poses X_WL of the k-th link of a body."""
+        key = (owner, k)
+        if key not in self._links:
+            item = self.bodies[owner].item
+            if k == 0:
+                given = self.batch.poses.get(owner)
+                self._links[key] = Poses.constant(item.X_WO, self.n) if given is None else given
+            else:
+                joint = next(j for j in item.joints if j.child == item.links[k].name)
+                X_WZ = self.link(owner, self.bodies[owner].index(joint.parent)).times(joint.X_PC)
+                self._links[key] = self._moved(owner, joint, X_WZ)
+        return self._links[key]
+
+    def place(self, owner: str, k: int, X_WL: Poses) -> None:
+        """Put the k-th link of a body elsewhere; the links that hang on it stay."""
+        self._links[owner, k] = X_WL
+
+    def _moved(self, owner: str, joint: Joint, X_WZ: Poses) -> Poses:
+        name = f"{owner}.{joint.name}"
+        if joint.type in (JointType.BALL, JointType.FREE):
+            motion = self.batch.motions.get(name)
+            return X_WZ.times(joint.motion) if motion is None else X_WZ @ motion
+        if joint.type is JointType.FIXED:
+            return X_WZ
+        at = self.position(owner, joint)
+        if joint.type is JointType.PRISMATIC:
+            return Poses(X_WZ.p + rotate(X_WZ.R, at[:, None] * joint.axis), X_WZ.R)
+        return Poses(X_WZ.p, X_WZ.R @ turns(joint.axis, at))
+
+    def position(self, owner: str, joint: Joint) -> Array:
+        """Where a joint is [rad or m], (n,)."""
+        given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
+        at = given.get(f"{owner}.{joint.name}")
+        return np.full(self.n, joint.position) if at is None else at
+
+    def frame(self, thing: Thing) -> Poses:
+        """The frame of a thing: of its first link."""
+        return self.link(thing.owner, thing.links[0])
+
+    def forms(self, thing: Thing) -> list[tuple[int, Form]]:
+        """The links of a thing that have a shape, by index."""
+        forms = self.bodies[thing.owner].forms
+        return [(k, form) for k in thing.links if (form := forms[k]) is not None]
+
+    # -- extents ----------------------------------------------------------------------------------------------------
+
+    def span(self, thing: Thing, axis: Array) -> tuple[Array, Array]:
+        """Lowest and highest coordinate [m] along one unit vector (3,), or along one a state (n, 3); shape (n,)."""
+        low, high = np.full(self.n, np.inf), np.full(self.n, -np.inf)
+        for k, form in self.forms(thing):
+            X_WL = self.link(thing.owner, k)
+            along = np.broadcast_to(axis, (self.n, 3))
+            local = np.einsum("nji,nj->ni", X_WL.R, along)
+            offset = np.einsum("ni,ni->n", X_WL.p, along)
+            reach = local @ form.points.T
+            low = np.minimum(low, offset + (reach - form.radius).min(axis=1))
+            high = np.maximum(high, offset + (reach + form.radius).max(axis=1))
+        return low, high
+
+    def heights(self, thing: Thing) -> tuple[Array, Array]:
+        """Lowest and highest point over the ground [m], (n,)."""
+        if thing not in self._heights:
+            self._heights[thing] = self.span(thing, UP)
+        return self._heights[thing]
+
+    def boxes(self, thing: Thing) -> Boxes:
+        """The boxes around a thing."""
+        if thing not in self._boxes:
+            forms, X_WF = self.forms(thing), self.frame(thing)
+            if len(forms) == 1 and forms[0][0] == thing.links[0]:
+                low, high = (np.broadcast_to(v, (self.n, 5)) for v in (forms[0][1].low, forms[0][1].high))
+            else:
+                spans = [self.span(thing, X_WF.R @ u) for u in TURNED]
+                origin = np.einsum("nij,ni->nj", X_WF.R, X_WF.p) @ TURNED.T
+                low, high = (np.stack([s[k] for s in spans], axis=1) - origin for k in (0, 1))
+            self._boxes[thing] = _boxes(X_WF, low, high)
+        return self._boxes[thing]
+
+
+def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
+    """From the ends along :data:`TURNED` in the frame, (n, 5) each."""
+    centres, halves, axes = [], [], []
+    for rows in ([0, 1, 2], [3, 4, 2]):
+        basis = TURNED[rows].T
+        centres.append(X_WF.p + rotate(X_WF.R, (low + high)[:, rows] / 2 @ basis.T))
+        halves.append((high - low)[:, rows] / 2)
+        axes.append(X_WF.R @ basis)
+    return Boxes(np.stack(centres), np.stack(halves), np.stack(axes))
+
+
+def over(points: Array, boxes: Boxes) -> Array:
+    """How far inside the outline of both boxes, seen from above, points lie [m], (n,); negative beside it.
+
+    The outline of a box is a hexagon whose sides are those of its edges.
+    """
+    margin = np.full(len(points), np.inf)
+    for centre, half, axes in zip(boxes.centre, boxes.half, boxes.R, strict=True):
+        edges = half[:, :, None] * axes[:, :2, :].transpose(0, 2, 1)  # (n, edge, xy)
+        away = (points - centre)[:, :2]
+        for k in range(3):
+            length = np.linalg.norm(edges[:, k], axis=1)
+            lying = length > 1e-9
+            normal = np.stack([-edges[:, k, 1], edges[:, k, 0]], axis=1) / np.where(lying, length, 1.0)[:, None]
+            reach = np.abs(np.einsum("nej,nj->ne", edges, normal)).sum(axis=1)
+            margin = np.where(lying, np.minimum(margin, reach - np.abs((away * normal).sum(axis=1))), margin)
+    return margin
+
+
+def ground_gap(view: View, a: Thing, b: Thing) -> Array:
+    """How far two things are apart along the ground [m], (n,), negative where they overlap.
+
+    The widest gap across the edges of their boxes and along the line between their middles.
+    """
+    boxes = view.boxes(a), view.boxes(b)
+    ways = [(boxes[0].middle - boxes[1].middle)[:, :2]]
+    ways += [np.stack([-box.R[0, :, 1, k], box.R[0, :, 0, k]], axis=1) for box in boxes for k in range(3)]
+    gap = np.full(view.n, -np.inf)
+    for way in ways:
+        size = np.linalg.norm(way, axis=1)
+        lying = size > 1e-6
+        axis = np.zeros((view.n, 3))
+        axis[:, :2] = way / np.where(lying, size, 1.0)[:, None]
+        (low_a, high_a), (low_b, high_b) = view.span(a, axis), view.span(b, axis)
+        gap = np.maximum(gap, np.where(lying, np.maximum(low_a - high_b, low_b - high_a), -np.inf))
+    return gap

@@ -1,0 +1,48 @@
+"""``Lifted(a)``: higher than the scene describes it, and touching nothing but robots and what it supports."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simfoundry.predicates.judging.thresholds import TOUCH
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.terms import Terms
+
+RISE = 0.02
+"""Least rise [m] above the height in the scene: well over the sway of what is pushed or tilted, below a short lift."""
+
+
+def lifted(terms: Terms, a: Thing) -> None:
+    """Require that ``a`` is higher than at the start and touches no object but those that it supports."""
+    from functools import partial
+
+    from simfoundry.predicates.judging.support import gap_to_others
+    from simfoundry.scene.lengths import length
+
+    rise = terms.view.heights(a)[0] - terms.context.start.heights(a)[0]
+
+    def text(v: float, _: bool) -> str:
+        return f"`{a.name}` is {length(abs(v))} {'higher' if v >= 0 else 'lower'} than at the start"
+
+    terms.require(rise, rise - RISE, text)
+    terms.require_if_open(
+        partial(gap_to_others, terms.context, a),
+        lambda v: v - TOUCH,
+        lambda v, ok: f"`{a.name}` touches " + ("nothing else" if ok else "another thing"),
+    )
+
+
+PREDICATE = Predicate(
+    "Lifted",
+    "it is off whatever it stood on",
+    ("thing",),
+    lifted,
+    f"its lowest point is {RISE * 100:g} cm higher than the scene describes it, and no object is within "
+    f"{TOUCH * 1000:g} mm but what it carries",
+    effect=Effect.GRASP,
+    aliases=("lifted", "Up"),
+    before_motion=False,
+)

@@ -1,0 +1,48 @@
+"""``OnTop(a, b)``: ``b`` supports ``a``, alone or with others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simfoundry.predicates.judging.thresholds import SETTLED, SUPPORT_DEG, TOUCH
+from simfoundry.spec.models.predicate import Effect, Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.terms import Terms
+
+STEEP_SCALE = 0.01
+"""Margin [m] for a cosine of 1 more or less: of the order of the other margins of things at rest, a few millimetres."""
+
+
+def on_top(terms: Terms, a: Thing, b: Thing) -> None:
+    """Require that ``b`` touches ``a``, pushes it up and keeps it from falling, and that nothing moves or holds it."""
+    from functools import partial
+
+    from simfoundry.predicates.judging import support
+
+    terms.require_at_rest(a)
+    contact = support.Contact(terms.context, a, b)
+    terms.require_if_open(contact.gap, lambda v: TOUCH - v, lambda v, ok: terms.gap_text(a, b, v))
+    terms.require_if_open(
+        contact.push,
+        lambda v: STEEP_SCALE * (v - support.STEEPEST),
+        lambda v, ok: "" if ok else support.push_text(a, b, v),
+    )
+    balance = partial(support.balance, terms.context, a, b)
+    terms.require_if_open(balance, lambda v: v, lambda v, ok: support.balance_text(a, b, v))
+    terms.require_not_held(a)
+
+
+PREDICATE = Predicate(
+    "OnTop",
+    "the first rests on top of the second",
+    ("thing", "thing"),
+    on_top,
+    f"`b` supports `a`: it is at most {TOUCH * 1000:g} mm from it and pushes it within {SUPPORT_DEG:g} deg of straight "
+    "up; the centre of mass of `a` is over the outline of `b`, or another object touches it too; it moves no faster "
+    f"than {SETTLED * 100:g} cm/s, no robot holds it. What lies in a bowl rests on it, and so does what hangs on a "
+    "hook or leans on an edge",
+    effect=Effect.PLACE,
+    aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
+)

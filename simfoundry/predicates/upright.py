@@ -1,0 +1,34 @@
+"""``Upright(a)``: the z axis of ``a`` points up."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from simfoundry.spec.models.predicate import Predicate
+
+if TYPE_CHECKING:
+    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.terms import Terms
+
+UPRIGHT_DEG = 10.0
+"""Greatest lean [deg]: what stands leans less after settling, what has fallen over leans far more."""
+
+
+def upright(terms: Terms, a: Thing) -> None:
+    """Require that the z axis of ``a`` leans from up by no more than :data:`UPRIGHT_DEG`."""
+    import numpy as np
+
+    z = terms.view.frame(a).R[:, :, 2]
+    lean = np.degrees(np.arctan2(np.hypot(z[:, 0], z[:, 1]), z[:, 2]))
+    terms.require(lean, UPRIGHT_DEG - lean, lambda v, ok: f"`{a.name}` leans by {v:.1f} deg")
+
+
+PREDICATE = Predicate(
+    "Upright",
+    "its z axis points up",
+    ("thing",),
+    upright,
+    f"the z axis of `a` leans by at most {UPRIGHT_DEG:g} deg",
+    unit="deg",
+    aliases=("upright",),
+)

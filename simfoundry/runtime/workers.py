@@ -1,0 +1,334 @@
+"""Subprocess workers: a crash, a hang or a flood of memory in a native library becomes an error message.
+
+A :class:`Worker` calls functions of modules by name. Its process starts with the first call, serves many, and is
+started anew after it has failed. Whatever a function prints goes to a log, whose last line is quoted if it fails. A
+:class:`WorkerPool` runs several workers side by side.
+
+Unlike multiprocessing, loky and pebble, a worker needs no ``if __name__ == "__main__"`` in the caller's script, its
+timeout counts from the last sign of life, and its memory is bounded.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import IO, Any
+
+from simfoundry.errors import SimfoundryError
+
+_START = "from simfoundry.runtime.workers import serve; serve()"
+WAIT_S = 2.0
+"""Interval between two progress reports on a call that goes on [s]: short enough to show that nothing hangs."""
+
+GRACE_S = 5.0
+"""Time that a worker has to close connections and videos before it is killed [s]; a clean exit takes under 1 s."""
+
+MIN_MEMORY = 6 * 2**30
+"""Least address space of a worker [bytes]: importing MuJoCo, PyBullet and USD together maps about 4 GiB."""
+
+_LENGTH = 8
+"""Size of the length field before each message [bytes]."""
+
+
+class WorkerError(SimfoundryError):
+    """A failed call: ``how`` its process ended and, in ``doing``, the last progress that it reported."""
+
+    def __init__(self, how: str, doing: str = "") -> None:
+        super().__init__(how)
+        self.how, self.doing = how, doing
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a call: ``seconds`` without a sign of life, and bytes of address space."""
+
+    seconds: float
+    memory: int
+
+    @classmethod
+    def shared(cls, seconds: float, workers: int) -> Limits:
+        """Return limits that give each of ``workers`` its share of the machine's memory."""
+        if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+            total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+            return cls(seconds, max(MIN_MEMORY, total // workers))
+        return cls(seconds, MIN_MEMORY)
+
+
+class Worker:
+    """A process that calls functions, one at a time; usable from several threads."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self._busy = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._owner = 0
+        self._answers: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self._log: IO[bytes] | None = None
+
+    def call(
+        self,
+        function: str,
+        *arguments: Any,
+        progress: Callable[[str], object] = lambda text: None,
+        wait: Callable[[float], object] = lambda seconds: None,
+    ) -> Any:
+        """Call ``module:function`` with ``arguments`` in the process and return its result.
+
+        ``progress`` gets each text that the function passes to :func:`report_progress`. ``wait`` is called every
+        :data:`WAIT_S` seconds with the duration of the call so far [s].
+
+        Raises :class:`WorkerError` if the function raises anything, crashes, or exceeds the limits.
+        """
+        with self._busy:
+            last = ""
+            started = time.monotonic()
+            self._send(pickle.dumps((function, arguments)))
+            while True:
+                kind, content = self._receive(last, lambda: wait(time.monotonic() - started))
+                if kind == "done":
+                    return content
+                if kind == "raised":
+                    raise WorkerError(content, last)
+                last = content
+                progress(content)
+
+    def close(self, grace_s: float = 0.0) -> None:
+        """End the process, whatever it does; one that is idle has ``grace_s`` seconds to run its exit functions."""
+        process, self._process = self._process, None
+        atexit.unregister(self.close)
+        if process is not None and self._owner == os.getpid():  # else it belongs to the process that forked this one
+            assert process.stdin is not None
+            if grace_s > 0:
+                with suppress(OSError, subprocess.TimeoutExpired):
+                    process.stdin.close()
+                    process.wait(grace_s)
+            process.kill()
+            process.wait()
+            with suppress(OSError):
+                process.stdin.close()
+
+    def _send(self, message: bytes) -> None:
+        """Send a call; restart a process that has died since the last one."""
+        for attempt in (1, 2):
+            if self._process is not None and (self._owner != os.getpid() or self._process.poll() is not None):
+                self.close()
+            if self._process is None:
+                self._start()
+            assert self._process is not None and self._process.stdin is not None
+            try:
+                self._process.stdin.write(len(message).to_bytes(_LENGTH, "little") + message)
+                self._process.stdin.flush()
+                return
+            except OSError:
+                self.close()
+                if attempt == 2:
+                    raise WorkerError("ended before it could be asked") from None
+
+    def _receive(self, last: str, wait: Callable[[], object]) -> tuple[str, Any]:
+        deadline = time.monotonic() + self.limits.seconds
+        while True:
+            left = deadline - time.monotonic()
+            try:
+                message = self._answers.get(timeout=max(0.0, min(WAIT_S, left)))
+                break
+            except queue.Empty:
+                if left <= WAIT_S:
+                    self.close()
+                    raise WorkerError(f"gave no sign of life for {self.limits.seconds:g} s", last) from None
+                wait()
+        if message is not None:
+            kind, content = pickle.loads(message)
+            return kind, content
+        if self._process is None:
+            raise WorkerError("was stopped", last)
+        how = _ending(self._process.wait()) + self._last_output()
+        self.close()
+        raise WorkerError(how, last)
+
+    def _start(self) -> None:
+        path = os.pathsep.join(dict.fromkeys(str(Path(p).absolute()) for p in sys.path))  # "" is the current folder
+        limits = [str(os.getpid()), str(self.limits.memory)]
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        self._answers = queue.SimpleQueue()
+        self._owner = os.getpid()
+        started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError] = queue.SimpleQueue()
+        command = [sys.executable, "-P", "-c", _START, *limits]
+        arguments = (command, {**os.environ, "PYTHONPATH": path}, self._log, started, self._answers)
+        threading.Thread(target=_run, args=arguments, daemon=True).start()
+        process = started.get()
+        if isinstance(process, OSError):
+            raise WorkerError(f"cannot be started ({process})")
+        self._process = process
+        atexit.register(self.close)
+
+    def _last_output(self) -> str:
+        """Return the last line of the log as a clause."""
+        assert self._log is not None
+        self._log.seek(0)
+        lines = [line.strip() for line in self._log.read().decode(errors="replace").splitlines() if line.strip()]
+        return f"; it said: {lines[-1][:200]}" if lines else ""
+
+
+def _run(
+    command: list[str],
+    environment: dict[str, str],
+    log: IO[bytes],
+    started: queue.SimpleQueue[subprocess.Popen[bytes] | OSError],
+    answers: queue.SimpleQueue[bytes | None],
+) -> None:
+    """Start a process and pass on its answers; None at its end.
+
+    The thread that starts a process must live as long as the process: on Linux the process dies with it.
+    """
+    try:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment)
+    except OSError as error:
+        started.put(error)
+        return
+    started.put(process)
+    assert process.stdout is not None
+    with process.stdout as stream:
+        while len(head := stream.read(_LENGTH)) == _LENGTH:
+            message = stream.read(int.from_bytes(head, "little"))
+            answers.put(message)
+    answers.put(None)
+
+
+def _ending(code: int) -> str:
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        return f"crashed ({signal.Signals(-code).name})"
+    except ValueError:
+        return f"crashed (signal {-code})"
+
+
+_send_message: Callable[[str, Any], None] | None = None
+"""Sends a message to the calling process; None outside a worker."""
+
+_exit_functions: list[Callable[[], object]] = []
+
+
+def report_progress(text: str) -> None:
+    """Report progress to the caller of a :class:`Worker`; it counts as a sign of life. No effect outside a worker."""
+    if _send_message is not None:
+        _send_message("progress", text)
+
+
+def at_worker_exit(function: Callable[[], object]) -> None:
+    """Register a function to run when this worker's calls end, before the interpreter's own exit functions.
+
+    MuJoCo terminates the GL driver by ``atexit`` ahead of all that was registered earlier; worlds close before that.
+    """
+    if function not in _exit_functions:
+        _exit_functions.append(function)
+
+
+def serve() -> None:
+    """Answer calls from standard input until it ends: the main loop of a worker's process."""
+    global _send_message
+    parent, memory = map(int, sys.argv[1:])
+    _confine(parent, memory)
+    calls = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # libraries print to it
+
+    def send(kind: str, content: Any) -> None:
+        message = pickle.dumps((kind, content))
+        answers.write(len(message).to_bytes(_LENGTH, "little") + message)
+        answers.flush()
+
+    _send_message = send
+    while len(head := calls.read(_LENGTH)) == _LENGTH:
+        function, arguments = pickle.loads(calls.read(int.from_bytes(head, "little")))
+        try:
+            send("done", _resolve(function)(*arguments))
+        except MemoryError:
+            send("raised", f"ran out of the {memory / 2**30:.3g} GiB of memory that it may use")
+        except Exception as error:
+            send("raised", f"broke ({type(error).__name__}: {error})")
+    for at_exit in _exit_functions:
+        at_exit()
+
+
+def _resolve(function: str) -> Callable[..., Any]:
+    """Return the function that ``module:function`` names."""
+    module, name = function.split(":")
+    found: Callable[..., Any] = getattr(import_module(module), name)
+    return found
+
+
+def _confine(parent: int, memory: int) -> None:
+    """Bound the memory of this process, leave interrupts to its parent, and die with the parent (on Linux)."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform.startswith("linux"):
+        import ctypes
+
+        ctypes.CDLL(None).prctl(1, int(signal.SIGKILL))  # PR_SET_PDEATHSIG of prctl(2)
+    if os.name == "posix":
+        import resource
+
+        if os.getppid() != parent:
+            sys.exit("the parent process is gone")
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
+
+
+class WorkerPool:
+    """Several workers that call functions side by side; results come in the order in which they are done."""
+
+    def __init__(
+        self, size: int, limits: Limits, progress: Callable[[Any, str], object] = lambda key, text: None
+    ) -> None:
+        """Start ``size`` threads; ``progress`` gets the key of a call and each text it reports, in any thread."""
+        self.size, self._progress, self._closed = size, progress, False
+        self._calls: queue.SimpleQueue[tuple[Any, str, tuple[Any, ...], int] | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[tuple[Any, Any]] = queue.SimpleQueue()
+        self._workers = [Worker(limits) for _ in range(size)]
+        self._threads = [threading.Thread(target=self._serve, args=(w,), daemon=True) for w in self._workers]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, key: Any, function: str, *arguments: Any, attempts: int = 1) -> None:
+        """Queue a call of ``module:function``; a call whose process fails is made up to ``attempts`` times."""
+        self._calls.put((key, function, arguments, attempts))
+
+    def next(self) -> tuple[Any, Any]:
+        """Wait for a call to end: its key, and its result or its :class:`WorkerError`."""
+        return self._results.get()
+
+    def close(self, grace_s: float = 0.0) -> None:
+        """End the processes, also those that are busy; idle ones have ``grace_s`` seconds to run exit functions."""
+        self._closed = True  # first: a call that is cut off now is not made once more
+        for worker in self._workers:
+            self._calls.put(None)
+            worker.close(grace_s)
+        for thread in self._threads:
+            thread.join(GRACE_S)
+
+    def _serve(self, worker: Worker) -> None:
+        while (call := self._calls.get()) is not None and not self._closed:
+            key, function, arguments, attempts = call
+            self._results.put((key, self._call(worker, key, function, arguments, attempts)))
+
+    def _call(self, worker: Worker, key: Any, function: str, arguments: tuple[Any, ...], attempts: int) -> Any:
+        for attempt in range(attempts):
+            try:
+                return worker.call(function, *arguments, progress=lambda text: self._progress(key, text))
+            except WorkerError as error:
+                if attempt == attempts - 1 or self._closed:
+                    return error

@@ -1,0 +1,88 @@
+"""The shapes of an object of a scene, posed for the measures of :mod:`simfoundry.geometry`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from simfoundry.geometry.crossings import Solid, solid_of
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.hulls import Hulls, hulls_of
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.model import SceneObject
+from simfoundry.scene.state import SceneState
+
+
+def hulls(item: SceneObject) -> Hulls:
+    """The colliders of all links of an object where it stands; of a link without colliders what is seen of it."""
+    poses = link_poses(item)
+    return hulls_of(
+        (piece.geometry, item.X_WO @ poses[link.name] @ piece.X_LG, number)
+        for number, link in enumerate(item.links)
+        for piece in link.colliders or link.visuals
+    )
+
+
+def solid(
+    item: SceneObject,
+    state: SceneState | None = None,
+    links: Iterable[str] | None = None,
+    keep: Callable[[Array], bool] = lambda corners: True,
+) -> Solid:
+    """The colliders of an object, or of some of its links, in a state; those whose corners [m] are to ``keep``.
+
+    Without a state the object stands where its scene has it.
+    """
+    chosen = None if links is None else set(links)
+    X_OL = link_poses(item) if state is None else link_poses(item, state.of_object(item))
+    X_WO = item.X_WO if state is None else state.poses[item.name]
+    return solid_of(
+        (
+            (piece.geometry, X_WO @ X_OL[link.name] @ piece.X_LG)
+            for link in item.links
+            if chosen is None or link.name in chosen
+            for piece in link.colliders
+        ),
+        keep,
+    )
+
+
+def bounds(item: SceneObject) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
+    poses = link_poses(item)
+    spans = [
+        _span(part.geometry, poses[link.name] @ part.X_LG)
+        for link in item.links
+        for part in link.colliders or link.visuals
+    ]
+    if not spans:
+        return np.zeros(3), np.zeros(3)
+    return np.min([low for low, _ in spans], axis=0), np.max([high for _, high in spans], axis=0)
+
+
+def _span(geometry: Geometry, X_OG: Pose) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] of a geometry posed in a frame."""
+    axes = np.abs(X_OG.rotation)
+    match geometry:
+        case Mesh():
+            points = X_OG.apply(geometry.vertices)
+            return points.min(axis=0), points.max(axis=0)
+        case Box():
+            half = axes @ (geometry.size / 2)
+        case Sphere():
+            half = np.full(3, geometry.radius)
+        case Cylinder():
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius * np.sqrt(np.maximum(0.0, 1 - axes[:, 2] ** 2))
+        case Capsule():
+            half = axes[:, 2] * geometry.height / 2 + geometry.radius
+    return X_OG.p - half, X_OG.p + half
+
+
+def world_bounds(item: SceneObject, X_WO: Pose) -> tuple[Array, Array]:
+    """Lowest and highest corner [m] in the world of the object's own bounding box posed at ``X_WO``."""
+    low, high = bounds(item)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    moved = X_WO.apply(corners)
+    return moved.min(axis=0), moved.max(axis=0)

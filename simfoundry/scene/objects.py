@@ -1,0 +1,192 @@
+"""Objects of a scene document, lowered one by one: their links, masses, colliders and joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.assets.errors import MeshError
+from simfoundry.geometry.frames import IDENTITY
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.scene.bodies import BodyBuilder
+from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, SceneObject
+from simfoundry.scene.poses import pose
+from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.files import is_document
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models import base
+from simfoundry.spec.models.asset import AssetSpec, DriveSpec, Inertial, JointSpec
+from simfoundry.spec.models.positions import Written, position
+from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
+from simfoundry.spec.models.variants import variant_names, variant_of
+
+Progress = Callable[[str, int, int], None]
+"""Called with a name, the number of objects that are done, and the number there are."""
+
+
+@dataclass
+class ObjectLowering:
+    """Lowers the objects of a document and collects the findings in their meshes.
+
+    Without ``cuts`` no mesh is cut into convex parts: hulls stand for them. A ``draft`` does not even read meshes (see
+    :class:`~simfoundry.scene.bodies.BodyBuilder`); ``approximate`` names the objects of which it has bounds only.
+    """
+
+    loaded: Loaded
+    cache: Cache | None = None
+    progress: Progress | None = None
+    count: int = 0
+    done: int = 0
+    draft: bool = False
+    cuts: bool = True
+    findings: list[Diagnostic] = field(default_factory=list)
+    approximate: set[str] = field(default_factory=set)
+
+    def report(self, said: str) -> None:
+        """Report what is being done, and of how many objects how many are done."""
+        if self.progress is not None:
+            self.progress(said, self.done, self.count)
+
+    @contextmanager
+    def _reporting(self, source: Loaded, path: tuple[str, ...]) -> Iterator[None]:
+        """Turn a :class:`MeshError` inside into a finding at a place of a document."""
+        try:
+            yield
+        except MeshError as error:
+            self.findings.append(source.finding(error.code, path, str(error), error.hint))
+
+    def _builder(
+        self, owner: str, name: str, body: base.BodySpec, materials: dict[str, base.Material], weighed: bool
+    ) -> BodyBuilder:
+        """A builder of a link of the object ``owner``, which reports what takes long."""
+
+        def report(said: str) -> None:
+            self.report(f"{owner}: {said}")
+
+        if not self.cuts and body.collision != "none":
+            body = body.model_copy(update={"collision": "hull"})
+        return BodyBuilder(name, body, materials, self.cache, weighed, self.draft, report=report)
+
+    def lower(self, name: str, item: ObjectSpec, spec: SceneSpec) -> SceneObject | None:
+        """The object as the chosen one of its variants, with the others beside it."""
+        if not item.variants:
+            return self._one(name, item, spec, ("objects", name))
+        every = {}
+        for key in variant_names(item):
+            place = ("objects", name) if key == DEFAULT_VARIANT else ("objects", name, "variants", key)
+            every[key] = self._one(name, variant_of(item, key), spec, place)
+        chosen = every.pop(item.variant or DEFAULT_VARIANT)
+        others = tuple(replace(o, variant=key) for key, o in every.items() if o is not None)
+        return None if chosen is None else replace(chosen, variant=item.variant or DEFAULT_VARIANT, variants=others)
+
+    def _one(self, name: str, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...]) -> SceneObject | None:
+        before = len(self.findings)
+        category = item.category or name
+        joints: tuple[Joint, ...] = ()
+        silent: tuple[tuple[str, str], ...] = ()
+        if item.asset is not None and is_document(item.asset):
+            asset = self.loaded.used(item.asset)
+            assert asset is not None and isinstance(asset.spec, AssetSpec)
+            category = item.category or asset.spec.category or asset.spec.name
+            links, joints = self._articulated(asset, asset.spec, item, name)
+            silent = asset.spec.no_contact
+        else:
+            links = self._rigid(item, spec, place, name)
+        if len(self.findings) > before:
+            return None
+        return SceneObject(name, category, item.fixed, pose(item.pose), tuple(links), joints, silent, item.labels)
+
+    def _rigid(self, item: ObjectSpec, spec: SceneSpec, place: tuple[str, ...], owner: str) -> list[Link]:
+        """The one link of a primitive or of a mesh."""
+        before = len(self.findings)
+        builder = self._builder(owner, "base", item, spec.materials, False)
+        with self._reporting(self.loaded, (*place, "shape" if item.shape is not None else "asset")):
+            if item.shape is not None:
+                builder.add_shape("shape", item.shape, IDENTITY, None, show=item.visual is None)
+            else:
+                file, show = self.loaded.file(item.asset or ""), item.visual is None
+                builder.add_mesh("mesh", file, item.scale, IDENTITY, None, show=show)
+        if item.visual is not None:
+            with self._reporting(self.loaded, (*place, "visual")):
+                builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
+        return self._built(builder, None, self.loaded, place, item.fixed, before, owner)
+
+    def _articulated(
+        self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
+    ) -> tuple[list[Link], tuple[Joint, ...]]:
+        """The links of an asset document in topological order, and its joints at the positions the object asks for."""
+        links: list[Link] = []
+        for name in _topological(spec):
+            before = len(self.findings)
+            link = spec.links[name]
+            builder = self._builder(owner, name, link, spec.materials, link.weighed)
+            for part_name, part in link.parts.items():
+                with self._reporting(asset, ("links", name, "parts", part_name)):
+                    if part.shape is not None:
+                        builder.add_shape(part_name, part.shape, pose(part.pose), part)
+                    else:
+                        builder.add_mesh(part_name, asset.file(part.mesh or ""), part.scale, pose(part.pose), part)
+            links += self._built(builder, link.inertial, asset, ("links", name), False, before, owner)
+        return links, lower_joints(spec, item.joints)
+
+    def _built(
+        self, builder: BodyBuilder, inertial: Inertial | None, source: Loaded, place: tuple[str, ...], fixed: bool,
+        before: int, owner: str,
+    ) -> list[Link]:  # fmt: skip
+        """The finished link, alone in a list; empty where there are more findings than ``before`` it."""
+        if builder.is_approximate:
+            self.approximate.add(owner)
+        if len(self.findings) > before:
+            return []
+        with self._reporting(source, place):
+            return [builder.link(fixed, inertial)]
+        return []
+
+
+def _topological(spec: AssetSpec) -> Iterator[str]:
+    """Links from the root outwards, siblings in the order of their joints."""
+    todo = [next(iter(spec.links))]
+    while todo:
+        link = todo.pop(0)
+        yield link
+        todo += [j.child for j in spec.joints.values() if j.parent == link]
+
+
+def lower_joints(spec: AssetSpec, given: Mapping[str, Written]) -> tuple[Joint, ...]:
+    """The joints of an asset at the positions ``given``, by name; one that follows another is where that leads it."""
+    return tuple(
+        _joint(name, joint, position(spec, name, given), given.get(name)) for name, joint in spec.joints.items()
+    )
+
+
+def _joint(name: str, spec: JointSpec, position: float, written: Written | None) -> Joint:
+    limits = spec.limits
+    if spec.limits_deg is not None:
+        limits = (math.radians(spec.limits_deg[0]), math.radians(spec.limits_deg[1]))
+    axis = np.array(spec.axis) / np.linalg.norm(spec.axis) if any(spec.axis) else np.array([0.0, 0.0, 1.0])
+    return Joint(
+        name=name,
+        type=JointType(spec.type),
+        parent=spec.parent,
+        child=spec.child,
+        X_PC=pose(spec.pose),
+        axis=frozen(axis, (3,)),
+        limits=limits,
+        damping=spec.damping,
+        friction=spec.friction,
+        armature=spec.armature,
+        position=position,
+        motion=pose(written) if isinstance(written, base.PoseSpec) else IDENTITY,
+        mimic=None if spec.mimic is None else Mimic(spec.mimic.joint, spec.mimic.multiplier, spec.mimic.offset),
+        drive=None if spec.drive is None else _drive(spec.drive, position),
+        closed=spec.closed,
+    )
+
+
+def _drive(spec: DriveSpec, position: float) -> Drive:
+    return Drive(spec.stiffness, spec.damping, position if spec.target is None else spec.target, spec.force_limit)

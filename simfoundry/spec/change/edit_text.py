@@ -1,0 +1,376 @@
+"""Edit the text of a document: other data, and every byte that the edit does not concern stays as it was.
+
+The difference between the data of the text and the data that is wanted is applied change by change: a value is replaced
+where it stands, a member goes with the comments above it, a new one follows its neighbour in canonical form. A text in
+which a change has no such place, as where an anchor is edited that others refer to, is written anew in canonical form,
+which keeps comments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from simfoundry.spec.change.diff.changes import Add, Change, Remove, Reorder, Set, diff, members
+from simfoundry.spec.change.diff.renames import Path_, Rename, same
+from simfoundry.spec.models.base import Model
+from simfoundry.spec.models.order import KeyOrder, key_order
+from simfoundry.spec.yaml.spelling import call
+from simfoundry.spec.yaml.text import Document, YamlError, parse
+from simfoundry.spec.yaml.tree import CommentedTree, plain_tree, read_tree, with_data
+from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
+
+_BOM = "\ufeff"
+
+
+class _Absent:
+    """The value of a key that is not there."""
+
+
+ABSENT = _Absent()
+
+
+def edit_text(text: str, data: Any, model: type[Model] | None) -> str:
+    """Return ``text`` with ``data`` for its content; bytes that the difference does not concern stay.
+
+    The order of keys in ``data`` means nothing. Raises :class:`YamlError` if ``text`` cannot be read.
+    """
+    body = text.removeprefix(_BOM)
+    document = parse(body)
+    for _ in range(len(diff(document.data, data)) + 1):
+        if _same_content(document.data, data):
+            return text[: len(text) - len(text.removeprefix(_BOM))] + body
+        splices = _Round(document, data, model).splices()
+        if not splices:
+            break
+        for start, end, new in sorted(splices, reverse=True):
+            body = body[:start] + new + body[end:]
+        try:
+            document = parse(body)
+        except YamlError:
+            break
+    if _same_content(document.data, data):
+        return text[: len(text) - len(text.removeprefix(_BOM))] + body
+    return write_tree(with_data(read_tree(parse(text)), data), model)
+
+
+def own_data(own: Any, before: Any, after: Any, base: Any = ABSENT) -> Any:
+    """Return what a document must say itself so that, with what it extends, ``before`` becomes ``after``.
+
+    ``own`` is what it says now and ``base`` what it extends says, both at the same place; :data:`ABSENT` stands for
+    nothing. What the base has and ``after`` has not is removed by null.
+    """
+    if before is not ABSENT and after is not ABSENT and same(before, after):
+        return own
+    if after is ABSENT:
+        return ABSENT if base is ABSENT else None
+    if isinstance(before, dict) and isinstance(after, dict) and (isinstance(own, dict) or isinstance(base, dict)):
+        mine = own if isinstance(own, dict) else {}
+        theirs = base if isinstance(base, dict) else {}
+        pairs = {
+            key: own_data(
+                mine.get(key, ABSENT), before.get(key, ABSENT), after.get(key, ABSENT), theirs.get(key, ABSENT)
+            )
+            for key in dict.fromkeys((*mine, *before, *after))
+        }
+        kept = {key: value for key, value in pairs.items() if value is not ABSENT}
+        return kept if kept or not mine else ABSENT
+    return after
+
+
+def _same_content(a: Any, b: Any) -> bool:
+    """Return whether two values are the same but for the order of keys and the spelling of predicates."""
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same_content(a[key], b[key]) for key in a)
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        return len(a) == len(b) and all(map(_same_content, a, b))
+    if isinstance(a, str) and isinstance(b, str):
+        return call(a) == call(b)
+    return same(a, b)
+
+
+@dataclass(slots=True)
+class _Span:
+    """Where a value stands in a text: [start, end), and its key from ``key`` on (-1 without one).
+
+    ``children`` are those of a block collection or of a mapping in braces; None for what is replaced as a whole:
+    scalars, aliases, lists in brackets, and braces in which a text has a comma.
+    """
+
+    start: int
+    end: int
+    key: int = -1
+    flow: bool = False
+    children: dict[str, _Span] | list[_Span] | None = None
+
+
+def _spans(text: str) -> _Span:
+    """Find where every value of a text stands."""
+    events: Iterator[Any] = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    for event in events:
+        if not isinstance(event, yaml.StreamStartEvent | yaml.DocumentStartEvent):
+            return _span(event, events, text)
+    return _Span(0, 0)
+
+
+def _span(event: Any, events: Iterator[Any], text: str) -> _Span:
+    start, end = event.start_mark.index, event.end_mark.index
+    ends: list[int] = []
+    if isinstance(event, yaml.SequenceStartEvent):
+        items = [_span(e, events, text) for e in _until(yaml.SequenceEndEvent, events, ends)]
+        if event.flow_style:
+            return _Span(start, ends[0], flow=True)
+        return _Span(start, items[-1].end if items else end, children=items)
+    if isinstance(event, yaml.MappingStartEvent):
+        found: dict[str, _Span] = {}
+        for key in _until(yaml.MappingEndEvent, events, ends):
+            span = _span(next(events), events, text)
+            span.key = key.start_mark.index
+            span.end = max(span.end, key.end_mark.index)
+            found[str(getattr(key, "value", ""))] = span
+        if event.flow_style:
+            whole = "(" in text[start : ends[0]]
+            return _Span(start, ends[0], flow=True, children=None if whole else found)
+        return _Span(start, max((s.end for s in found.values()), default=end), children=found)
+    if getattr(event, "style", None) in ("|", ">"):
+        end = start + len(text[start:end].rstrip())
+    return _Span(start, end)
+
+
+def _until(kind: Any, events: Iterator[Any], ends: list[int]) -> Iterator[Any]:
+    """Yield events up to one of a kind, whose end goes to ``ends``."""
+    for event in events:
+        if isinstance(event, kind):
+            ends.append(event.end_mark.index)
+            return
+        yield event
+
+
+Splice = tuple[int, int, str]
+"""Replace [start, end) of a text."""
+
+
+@dataclass
+class _Round:
+    """One kind of changes of a text: names, else values, else one member that goes or comes."""
+
+    document: Document
+    data: Any
+    model: type[Model] | None
+    text: str = field(init=False)
+    root: _Span = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.text, self.root = self.document.text, _spans(self.document.text)
+        self.newline = "\r\n" if "\r\n" in self.text else "\n"
+
+    def splices(self) -> list[Splice]:
+        """Return what to replace next; nothing where the changes have no place of their own."""
+        changes: list[Change] = [*diff(self.document.data, self.data)]
+        renames = [self._key(c) for c in changes if isinstance(c, Rename)]
+        if renames:
+            return [splice for splice in renames if splice is not None]
+        values = {self._place(c.path) for c in changes if isinstance(c, Set)}
+        if values:
+            return self._without_nested([s for s in map(self._value, values) if s is not None])
+        for change in changes:
+            if isinstance(change, Remove):
+                splice = self._removal(change.path)
+                return [splice] if splice else []
+        for change in changes:
+            if isinstance(change, Add):
+                splice = self._addition(change.path, change.value)
+                return [splice] if splice else []
+        lists = [c.section for c in changes if isinstance(c, Reorder) and not isinstance(self._wanted(c.section), dict)]
+        return [splice for splice in map(self._value, map(self._place, lists)) if splice is not None]
+
+    @staticmethod
+    def _without_nested(splices: list[Splice]) -> list[Splice]:
+        """Leave out what another splice replaces already."""
+        return [s for s in splices if not any(o != s and o[0] <= s[0] and s[1] <= o[1] for o in splices)]
+
+    # -- places -----------------------------------------------------------------------------------------------------
+
+    def _steps(self, path: Path_) -> list[_Span]:
+        """Return the spans along a path, the whole text first, as far as there are some."""
+        spans, data = [self.root], self.document.data
+        for k, part in enumerate(path):
+            here, children = members(data, path[:k]), spans[-1].children
+            if here is None or children is None or part not in here:
+                break
+            if isinstance(children, list):
+                spans.append(children[list(here).index(part)])
+            elif part in children:
+                spans.append(children[part])
+            else:
+                break
+            data = here[part]
+        return spans
+
+    def _place(self, path: Path_) -> Path_:
+        """Return the longest part of a path that stands in the text."""
+        return path[: len(self._steps(path)) - 1]
+
+    def _tree(self, path: Path_) -> CommentedTree:
+        tree = read_tree(self.document)
+        for k, part in enumerate(path):
+            if isinstance(tree.value, tuple):
+                tree = tree.value[list(members(tree.data, path[:k]) or ()).index(part)]
+            else:
+                tree = tree.value[part]
+        return tree
+
+    def _wanted(self, path: Path_) -> Any:
+        data = self.data
+        for k, part in enumerate(path):
+            data = (members(data, path[:k]) or {}).get(part, ABSENT)
+        return data
+
+    def _line(self, index: int) -> int:
+        """Return where the line of a place starts."""
+        return self.text.rfind("\n", 0, index) + 1
+
+    def _line_end(self, index: int) -> int:
+        """Return where the line of a place ends, before its line break."""
+        end = self.text.find("\n", index)
+        end = len(self.text) if end < 0 else end
+        return end - (self.text[end - 1 : end] == "\r")
+
+    def _entry_end(self, span: _Span) -> int:
+        """Return where the last line of a block entry ends, with the comments below that are indented deeper."""
+        end, column = self._line_end(span.end), span.key - self._line(span.key)
+        while (start := self.text.find("\n", end) + 1) > 0:
+            line = self.text[start : self._line_end(start)]
+            if not line.lstrip().startswith("#") or len(line) - len(line.lstrip()) <= column:
+                break
+            end = self._line_end(start)
+        return end
+
+    def _above(self, path: Path_, start: int) -> int:
+        """Return where the comments above an entry start whose line starts at ``start``."""
+        for _ in self._tree(path).above:
+            above = self._line(start - 1)
+            if start == 0 or not self.text[above:start].lstrip().startswith("#"):
+                break
+            start = above
+        return start
+
+    # -- splices ----------------------------------------------------------------------------------------------------
+
+    def _key(self, rename: Rename) -> Splice | None:
+        steps = self._steps((*rename.section, rename.old))
+        if len(steps) != len(rename.section) + 2 or steps[-1].key < 0:
+            return None
+        key = steps[-1].key
+        same_text = self.text.startswith(rename.old, key)
+        return (key, key + len(rename.old), rename.new) if same_text else None
+
+    def _value(self, path: Path_) -> Splice | None:
+        """Replace the value at a path by the one that is wanted."""
+        steps, wanted = self._steps(path), self._wanted(path)
+        if not path or wanted is ABSENT:
+            return None
+        span, parent = steps[-1], steps[-2]
+        block = isinstance(span.children, dict | list) and not span.flow
+        if not block and "\n" not in self.text[span.start : span.end]:
+            flow = parent.flow or (isinstance(wanted, tuple) and self.text.startswith("[", span.start))
+            new = inline_text(wanted, path, self.model, flow)
+            before = "" if span.start > span.key + len(path[-1]) + 1 or parent.flow else " "
+            fits = self._line_end(span.end) - self._line(span.start) - (span.end - span.start) + len(new or "") <= WIDTH
+            if new is not None and (fits or parent.flow or not isinstance(wanted, dict | tuple)):
+                return span.start, span.end, before + new
+        return self._entry(path)
+
+    def _entry(self, path: Path_) -> Splice | None:
+        """Write the nearest entry of a block mapping at or above a path anew, in canonical form, with its comments."""
+        while path:
+            steps = self._steps(path)
+            span, parent = steps[-1], steps[-2]
+            if isinstance(parent.children, dict) and not parent.flow:
+                wanted = self._wanted(path)
+                tree = plain_tree(wanted) if wanted is ABSENT else with_data(self._tree(path), wanted)
+                column = span.key - self._line(span.key)
+                lines = entry_lines(tree, path, self.model, column)
+                return span.key, self._line_end(span.end), self.newline.join(lines)[column:]
+            path = path[:-1]
+        return None
+
+    def _removal(self, path: Path_) -> Splice | None:
+        steps = self._steps(path)
+        if len(steps) <= len(path):  # inside something that is replaced as a whole
+            return self._value(self._place(path))
+        span, parent = steps[-1], steps[-2]
+        siblings = list(parent.children.values() if isinstance(parent.children, dict) else parent.children or ())
+        if len(siblings) < 2:
+            return self._entry(path[:-1])
+        if parent.flow:
+            k = siblings.index(span)
+            if k + 1 < len(siblings):
+                return span.key, siblings[k + 1].key, ""
+            return siblings[k - 1].end, span.end, ""
+        start = self._line(span.key if span.key >= 0 else span.start)
+        before = self.text[start : span.key if span.key >= 0 else span.start]
+        if before.strip() not in ("", "-") or (before.strip() and span.key >= 0):
+            return self._entry(path[:-1])
+        start = self._above(path, start)
+        end = self.text.find("\n", self._entry_end(span)) + 1 or len(self.text)
+        blank_after = not self.text[end : self._line_end(end)].strip()
+        if start > 0 and blank_after and not self.text[self._line(start - 1) : start].strip():
+            start = self._line(start - 1)
+        return start, end, ""
+
+    def _addition(self, path: Path_, value: Any) -> Splice | None:
+        steps = self._steps(path[:-1])
+        parent = steps[-1]
+        if len(steps) < len(path) or not parent.children:
+            return self._value(self._place(path[:-1]))
+        if isinstance(parent.children, list):
+            last = parent.children[-1]
+            indent = self.text[self._line(last.start) : last.start]
+            if indent.strip() != "-":
+                return self._entry(path[:-1])
+            new = inline_text(value, path, self.model, False)
+            end = self._line_end(last.end)
+            return (end, end, self.newline + indent + new) if new is not None else self._entry(path[:-1])
+        before = self._neighbour(path, parent.children)
+        if parent.flow:
+            new = inline_text(value, path, self.model, True)
+            first = next(iter(parent.children.values()))
+            if new is None or "\n" in self.text[parent.start : parent.end]:
+                return self._entry(path[:-1])
+            if before is None:
+                return first.key, first.key, f"{path[-1]}: {new}, "
+            fits = self._line_end(before.end) - self._line(before.end) + len(path[-1]) + len(new) + 4 <= WIDTH
+            return (before.end, before.end, f", {path[-1]}: {new}") if fits else self._entry(path[:-1])
+        return self._new_entry(path, value, parent.children, before)
+
+    def _new_entry(self, path: Path_, value: Any, siblings: Mapping[str, _Span], before: _Span | None) -> Splice | None:
+        """Write a new entry of a block mapping behind its neighbour."""
+        anchor = before or next(iter(siblings.values()))
+        column = anchor.key - self._line(anchor.key)
+        lines = entry_lines(plain_tree(value), path, self.model, column)
+        if before is None:
+            first = next(key for key, span in siblings.items() if span is anchor)
+            start = self._above((*path[:-1], first), self._line(anchor.key))
+            if self.text[self._line(anchor.key) : anchor.key].strip():  # behind the dash of an item
+                return anchor.key, anchor.key, self.newline.join(lines)[column:] + self.newline + " " * column
+            return start, start, self.newline.join(lines) + self.newline
+        start = self._line(before.key)
+        apart = start > 0 and len(siblings) > 1 and not self.text[self._line(start - 1) : start].strip()
+        section = len(path) == 1 and len(lines) > 1
+        blank = [""] if section or (apart and len(path) > 1) else []
+        end = self._entry_end(before)
+        return end, end, self.newline + self.newline.join([*blank, *lines])
+
+    def _neighbour(self, path: Path_, siblings: Mapping[str, _Span]) -> _Span | None:
+        """Return the entry that a new one follows: the last of those that come before it in canonical order."""
+        slot: KeyOrder = key_order(self.model)
+        for part in path[:-1]:
+            slot = slot.member(part)
+        order = slot.ordered([*siblings, path[-1]])
+        earlier = set(order[: order.index(path[-1])])
+        found = [span for key, span in siblings.items() if key in earlier]
+        return found[-1] if found else None
