@@ -32,7 +32,7 @@ from simfoundry.spec.models.base import (
 )
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
-SUPPORT_NAME = "table"
+SUPPORT_NAME = "table"  # the name of the support in the scene
 
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
@@ -46,7 +46,7 @@ def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> Obje
         visual=f"meshes/{SUPPORT_NAME}.obj",
         material=SUPPORT.name,
         pose=PoseSpec(xyz=(0.0, 0.0, -slab.value / 2)),
-        origin=Origin(capture=capture, fit=metres(support.residual), note=note),
+        origin=Origin(capture=capture, fit_error=metres(support.residual), note=note),
     )
 
 
@@ -66,9 +66,9 @@ def object_spec(
         visual=f"meshes/{name}.obj" if primitive is not None else None,
         material=substance.name,
         color=_rgb(color) if mesh.texture is None else None,
-        mass=Estimate(value=kilograms[0], range=(low, high), by="material_table"),
+        mass=Estimate(value=kilograms[0], range=(low, high), source="material_table"),
         pose=pose_spec(shape.X_WO),
-        origin=Origin(capture=capture, fit=metres(shape.fit_m), confidence=round(shape.confidence, 2)),
+        origin=Origin(capture=capture, fit_error=metres(shape.fit_m), confidence=round(shape.confidence, 2)),
     )
 
 

@@ -95,7 +95,7 @@ def reconstruct(
             "sky": LightSpec(type="dome", intensity=0.7),
         },
         relations=relations,
-        origin=Origin(capture=name, fit=metres(support.residual)),
+        origin=Origin(capture=name, fit_error=metres(support.residual)),
     )
     return Reconstruction(
         spec,

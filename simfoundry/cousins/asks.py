@@ -69,7 +69,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
     if reasons:
         return ImpossibleError(tuple(reasons))
     anchor = anchor_of(twin, axis)
-    sets = {name: sets_of(words, axis.together) for name, words in axis.objects.items()}
+    sets = {name: sets_of(words, axis.relations_per_object) for name, words in axis.objects.items()}
     beside = any(word in SIDES for words in axis.objects.values() for word in words)
     support = _support(twin, anchor, axis) if beside else None
     if beside and support is None:
@@ -77,7 +77,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
         text += ", ".join(f"`{n}`" for n in twin.carried.get(anchor, ())) or "nothing"
         return ImpossibleError((Reason("no_support", text),))
     for name, words in axis.objects.items():
-        reasons += _contradiction(sets[name], name, words, axis.together)
+        reasons += _contradiction(sets[name], name, words, axis.relations_per_object)
         for word in dict.fromkeys(words):
             reasons += _never(twin, axis, anchor, support, name, word)
     if support is not None and not reasons:
@@ -236,5 +236,6 @@ def _contradiction(sets: tuple[tuple[str, ...], ...], name: str, words: tuple[st
     several = min(together, len(set(words)))
     if len(sets[0]) >= several:
         return []
-    text = f"no {several} of {', '.join(dict.fromkeys(words))} can hold for `{name}` at once, as `together` asks"
+    listed = ", ".join(dict.fromkeys(words))
+    text = f"no {several} of {listed} can hold for `{name}` at once, as `relations_per_object` asks"
     return [Reason("contradiction", text, MappingProxyType({"together": float(several)}))]

@@ -26,12 +26,12 @@ from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.cousins import Between, DistractorAxis
+from simfoundry.spec.models.cousins import Bounds, DistractorAxis
 
 VERSION = "library facts 2"
 """Changes with what is measured."""
 
-MESH_DENSITY = {"value": 500, "range": (100, 1500), "by": "library"}
+MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
 """Of a mesh that nobody has weighed [kg/m^3]: household things float or sink, the hollow ones float."""
 
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
@@ -161,7 +161,7 @@ def described(file: Path) -> Loaded:
     name = name_of(file)
     text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
     if not file.name.endswith(ASSET_SUFFIX):
-        density = f"{{value: {MESH_DENSITY['value']}, range: [100, 1500], by: library}}"
+        density = f"{{value: {MESH_DENSITY['value']}, range: [100, 1500], source: library}}"
         text = text.replace("}\n", f", density: {density}, category: {name}}}\n")
     return load(file.parent / "library.scene.yaml", text=text)
 
@@ -289,12 +289,15 @@ def _filters(
     elif own:
         yield KIND_OF_TWIN, lambda item: not _is_called(item, own)
         yield SHAPE_OF_TWIN, lambda item: not _is_nameless(item) or not _resembles(item, twin())
-    if axis.without:
-        yield f"not category {_listed(axis.without)}", lambda item: not _is_called(item, axis.without)
+    if axis.exclude_categories:
+        yield (
+            f"not category {_listed(axis.exclude_categories)}",
+            lambda item: not _is_called(item, axis.exclude_categories),
+        )
     for what, unit in (("mass", "kg"), ("volume", "m^3"), ("density", "kg/m^3")):
-        between: Between = getattr(axis, what)
-        if between.least is not None or between.most is not None:
-            yield f"{what} {_range(between)} {unit}", _within(what, between)
+        bounds: Bounds = getattr(axis, what)
+        if bounds.min is not None or bounds.max is not None:
+            yield f"{what} {_range(bounds)} {unit}", _within(what, bounds)
 
 
 def _is_called(item: Item, words: Iterable[str]) -> bool:
@@ -344,11 +347,11 @@ def _few(items: Sequence[Item], most: int = 5) -> str:
     return names if len(items) <= most else f"{names} and {len(items) - most} more"
 
 
-def _within(what: str, between: Between) -> Callable[[Item], bool]:
+def _within(what: str, bounds: Bounds) -> Callable[[Item], bool]:
     def passes(item: Item) -> bool:
         value = float(getattr(item, what))
-        over = between.most is not None and value > between.most
-        return not over and not (between.least is not None and value < between.least)
+        over = bounds.max is not None and value > bounds.max
+        return not over and not (bounds.min is not None and value < bounds.min)
 
     return passes
 
@@ -382,10 +385,10 @@ def _spread(step: Step) -> str:
     return f" (theirs {min(values):.3g} to {max(values):.3g})"
 
 
-def _range(between: Between) -> str:
-    if between.least is None:
-        return f"at most {between.most:g}"
-    return f"at least {between.least:g}" if between.most is None else f"{between.least:g} to {between.most:g}"
+def _range(bounds: Bounds) -> str:
+    if bounds.min is None:
+        return f"at most {bounds.max:g}"
+    return f"at least {bounds.min:g}" if bounds.max is None else f"{bounds.min:g} to {bounds.max:g}"
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -116,8 +116,8 @@ def named(recipe: Recipe, index: int) -> str:
 
 def origin(recipe: Recipe, index: int) -> Data:
     """Where a cousin comes from."""
-    by = f"simfoundry {simfoundry.__version__}"
-    return {"cousin": {"recipe": recipe.spec.name, "seed": recipe.seed, "index": index, "by": by}}
+    generator = f"simfoundry {simfoundry.__version__}"
+    return {"cousin": {"recipe": recipe.spec.name, "seed": recipe.seed, "index": index, "generator": generator}}
 
 
 def relative(file: Path, folder: Path) -> str:

@@ -76,7 +76,7 @@ class Recipe:
         if axis is None:
             return (), ()
         folders = [] if axis.library is None else [located(axis.library, self.loaded.path)]
-        folders += [default_folder()] if axis.shipped else []
+        folders += [default_folder()] if axis.builtin_library else []
         library = united([read_library(folder) for folder in folders])
         items, steps = filtered(library, axis, self.kinds, lambda: self._lowered)
         return items, remarks(library, items, steps)

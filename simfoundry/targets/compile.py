@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss
-from simfoundry.backends.features import FEATURES, feature_of
+from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.features import FEATURES, Fidelity
+from simfoundry.backends.losses import Loss
 from simfoundry.scene.model import Scene
 from simfoundry.targets.find import Target
 
@@ -42,7 +43,7 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
     combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
     told = profile.restores.keys() | combined | profile.gaps.keys()
     for loss in artifact.losses:
-        if loss.path in absent or feature_of(loss, scene) not in told:
+        if loss.element in absent or loss.feature not in told:
             yield loss
 
 
@@ -53,4 +54,4 @@ def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
     yield from pair_losses(scene, profile.combines, profile.name)
     for name, gap in profile.gaps.items():
         if any(FEATURES[name].users(scene)):
-            yield Loss(name, Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})", name)
+            yield Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")

@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simfoundry.backends import BACKENDS, backend_of
+from simfoundry.backends import BACKENDS
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import plugins
@@ -80,7 +80,7 @@ def _own_folders() -> Mapping[str, Path]:
 
 def target_names() -> list[str]:
     """Every name that ``-t`` takes: the plain backends, then the simulators, then those of installed packages."""
-    return list(dict.fromkeys((*BACKENDS, *_own_folders(), *plugins(GROUP))))
+    return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
 def find_target(name: str) -> Target:
@@ -147,7 +147,7 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     if spec.name != own_name:
         place = f"its folder `{own_name}`" if whole else f"its file `{path.name}`"
         yield document.finding("SF106", ("name",), f"the profile is called `{spec.name}`, and {place}", f"`{own_name}`")
-    yield from known(spec.backend, BACKENDS, ("backend",), "backend")
+    yield from known(spec.backend, BACKENDS.names(), ("backend",), "backend")
     if spec.backend in BACKENDS:
         options = backend_options(spec.backend)
         for name, value in spec.options.items():
@@ -177,5 +177,5 @@ _KINDS = {float: "a number", bool: "`true` or `false`", str: "a text"}
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
     """The options of a backend by name, with their defaults."""
-    parameters = list(inspect.signature(backend_of(backend)).parameters.values())
+    parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}

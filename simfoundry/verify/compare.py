@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.backends.artifact import Fidelity, Loss
-from simfoundry.backends.features import feature_of
-from simfoundry.backends.pybullet import SKIN
-from simfoundry.backends.pybullet.inset import inset_hull
+from simfoundry.backends.features import Fidelity
+from simfoundry.backends.losses import Loss
+from simfoundry.backends.pybullet.inset import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
@@ -141,7 +140,7 @@ def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: It
             covered.append(Difference(**{**asdict(difference), "covered": reason}))
         else:
             mismatches.append(difference)
-    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, scene, engine, checker)]
+    stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, engine, checker)]
     return ReadbackComparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
 
 
@@ -339,6 +338,7 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
     keys = {item, name, f"{item}.{quantity}", f"{name}.{quantity}"}
     if part:
         keys |= {f"{name}.{part}", f"{name}.{part}.{quantity}", f"{item}.colliders", f"{name}.colliders"}
+        keys |= {f"{name}.{part}.colliders"}
         if quantity != "bounds" and quantity in _SURFACE:
             keys -= {f"{item}.colliders", f"{name}.colliders"}
     return frozenset(keys)
@@ -386,7 +386,7 @@ def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
     return bool(values) and min(values) - TOLERANCE <= float(difference.got) <= max(values) + TOLERANCE
 
 
-def _should_show(loss: Loss, scene: Scene, engine: VerifyEngine, checker: _Checker) -> bool:
+def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
     """Whether a loss is of something that was compared here, so that it should have been seen."""
     seen = loss.path in checker.checked and loss.path not in checker.untold
-    return "." in loss.path and seen and feature_of(loss, scene) not in engine.restored
+    return "." in loss.path and seen and loss.feature not in engine.restored

@@ -8,7 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
-from simfoundry.backends.urdf import capsule_parts
+from simfoundry.backends.urdf.elements import capsule_parts
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses

@@ -83,7 +83,7 @@ def test_the_true_mass_lies_in_the_range_given(desk: Desk) -> None:
         mass = objects[c.recovered].mass
         assert mass is not None and not isinstance(mass, float)
         low, high = mass.range or (0.0, 0.0)
-        assert low <= mass.value <= high and mass.by == "material_table"
+        assert low <= mass.value <= high and mass.source == "material_table"
         # the truth's densities were written without a look at the table: within a factor of two of its range
         assert low / 2 <= c.mass_true <= 2 * high, c
 

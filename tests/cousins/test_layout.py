@@ -26,7 +26,9 @@ SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
 
 
 def axis(anchor: str, together: int = 1, gap: tuple[float, float] = (0.02, 0.2), **objects: Any) -> SceneAxis:
-    return SceneAxis.model_validate({"anchor": anchor, "objects": objects, "together": together, "gap": gap})
+    return SceneAxis.model_validate(
+        {"anchor": anchor, "objects": objects, "relations_per_object": together, "gap": gap}
+    )
 
 
 def proposed(twin: Twin, asked: SceneAxis, k: int) -> Layout:

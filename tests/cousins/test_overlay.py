@@ -54,7 +54,7 @@ scene:
   anchor: post
   objects: {{brick: [LeftOf, RightOf], can: [InFrontOf, Behind]}}
   gap: [0.02, 0.15]
-distractors: {{count: [1, 2], library: things, shipped: false}}
+distractors: {{count: [1, 2], library: things, builtin_library: false}}
 """
 
 
@@ -243,7 +243,7 @@ twin: cup.task.yaml
 seed: 2
 scene: {anchor: bowl, objects: {cup: [LeftOf, RightOf, InFrontOf, Behind]}, gap: [0.02, 0.15]}
 object: {objects: {cup: {count: 2}}}
-distractors: {count: [1, 2], library: things, shipped: false}
+distractors: {count: [1, 2], library: things, builtin_library: false}
 task: {count: 3}
 """
 DESK = """\

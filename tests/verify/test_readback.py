@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.losses import drop
 from simfoundry.scene.model import Scene
 from simfoundry.verify.compare import compare
 from simfoundry.verify.engines import find_engine
@@ -184,9 +184,9 @@ def test_a_loss_covers_its_own_quantity_and_no_other(scene: Scene) -> None:
     wanted = expected_readback(scene, "mjcf")
     slide = dataclasses.replace(wanted.joints["cabinet.slide"], armature=0.0, damping=9.0)
     told = dataclasses.replace(wanted, joints={**wanted.joints, "cabinet.slide": slide})
-    lost = [Loss("cabinet.slide.armature", Fidelity.DROPPED, "there is none"),
-            Loss("cabinet.hinge.damping", Fidelity.DROPPED, "of another joint"),
-            Loss("cabinet.friction", Fidelity.DROPPED, "of its surfaces")]  # fmt: skip
+    lost = [drop("armature", "cabinet.slide", "there is none"),
+            drop("joint_damping", "cabinet.hinge", "of another joint"),
+            drop("friction", "cabinet", "of its surfaces")]  # fmt: skip
     found = compare(scene, told, engine, lost)
     assert [(d.name, d.quantity) for d in found.mismatches] == [("cabinet.slide", "damping")]
     assert [(d.quantity, d.covered) for d in found.covered] == [("armature", "there is none")]

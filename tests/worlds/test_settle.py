@@ -237,7 +237,7 @@ objects:
   box:
     category: carton
     shape: {box: [0.1, 0.08, 0.06]}
-    mass: {value: 0.3, range: [0.2, 0.4], by: scale}
+    mass: {value: 0.3, range: [0.2, 0.4], source: scale}
     color: [0.8, 0.2, 0.1]
     pose: {xyz: [0.1, 0.05, 0.034], yaw_deg: 33}
   lidded:

@@ -90,10 +90,10 @@ def _places(call: Call, base: SceneObject) -> Iterator[Place]:
     sides = (0.0, 0.25, -0.25) if not inside else (0.0,)
     for y in sides:
         for turn in TURNS if inside else TURNS[:2]:
-            at = None if y == 0 else (0.0, round(y * float(high[1] - low[1]), 4))
+            local_xy = None if y == 0 else (0.0, round(y * float(high[1] - low[1]), 4))
             rpy = turn if any(turn) else None
             place = Place(inside=call.args[1], rpy_deg=rpy) if inside else Place(on=call.args[1], rpy_deg=rpy)
-            yield place if at is None else place.model_copy(update={"at": at})
+            yield place if local_xy is None else place.model_copy(update={"local_xy": local_xy})
 
 
 def _let_go(call: Call, a: SceneObject, b: SceneObject) -> Outcome:
@@ -174,7 +174,7 @@ def _opened(item: SceneObject) -> SceneObject:
 def _on_table(item: SceneObject) -> SceneObject | Outcome:
     free = replace(item, fixed=False, variants=())
     try:
-        X_WO = solve(free, Place(on=TABLE, at=(0.0, 0.0)), {TABLE: _table()}, None)
+        X_WO = solve(free, Place(on=TABLE, local_xy=(0.0, 0.0)), {TABLE: _table()}, None)
     except PlaceError as error:
         return Outcome(False, error.message)
     return replace(free, X_WO=X_WO)

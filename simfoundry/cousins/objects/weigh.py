@@ -36,11 +36,11 @@ def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], befo
             continue
         if own is not None and given is not None:
             share = _mass(link, spec, volumes, 0) / _mass(own, twin, before, 0)
-            value, low, high, by = given * share, given * share * (1 - DOUBT), given * share * (1 + DOUBT), GIVEN
+            value, low, high, source = given * share, given * share * (1 - DOUBT), given * share * (1 + DOUBT), GIVEN
         else:
             value, low, high = (_mass(link, spec, volumes, side) for side in (0, -1, 1))
-            by = BY
-        estimate = Estimate(value=_short(value), range=(_short(low), _short(high)), by=by)
+            source = BY
+        estimate = Estimate(value=_short(value), range=(_short(low), _short(high)), source=source)
         links[name] = link.model_copy(update={"mass": estimate, "inertial": None})
     return spec.model_copy(update={"links": links})
 
