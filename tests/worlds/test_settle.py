@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.settling import settle_layout
-from simfoundry.cousins.twin import bare
+from simfoundry.cousins.layout.acceptance import settle_layout
+from simfoundry.cousins.layout.twin import bare
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
