@@ -8,31 +8,31 @@ from typing import TypeVar
 from simfoundry.reports.render import render
 from simfoundry.verify import tables
 from simfoundry.verify.behaviours import Behaviour
-from simfoundry.verify.engines import Found
-from simfoundry.verify.rest import Rested
-from simfoundry.verify.run import Measured, Reading, Verdict
+from simfoundry.verify.engines import InstalledEngine
+from simfoundry.verify.rest import RestResult
+from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
 
 _LEGEND = {
-    Verdict.OK: "ok",
-    Verdict.KNOWN: "not kept, and said so",
-    Verdict.MISMATCH: "differs",
-    Verdict.FAILED: "failed",
+    ProofStatus.OK: "ok",
+    ProofStatus.KNOWN: "not kept, and said so",
+    ProofStatus.MISMATCH: "differs",
+    ProofStatus.FAILED: "failed",
 }
 
 
-C = TypeVar("C", Measured, Reading, Rested)
+C = TypeVar("C", BehaviourResult, ReadbackResult, RestResult)
 
 
 def page(
-    readings: Sequence[Reading],
-    results: Sequence[Measured],
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
     behaviours: Sequence[Behaviour],
-    engines: Mapping[str, Found | None],
+    engines: Mapping[str, InstalledEngine | None],
     pictures: Mapping[str, bytes],
-    rested: Sequence[Rested] = (),
+    rested: Sequence[RestResult] = (),
 ) -> str:
     """Return the whole page; ``pictures`` are PNGs by the name of the scene."""
-    stepping = {name: found for name, found in engines.items() if found is None or found.engine.steps}
+    stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
     rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
     by_name = _rows(((m.behaviour, m) for m in results), stepping)
     rows = [
@@ -71,18 +71,20 @@ def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, d
     return rows
 
 
-def summary(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested] = ()) -> str:
+def summary(
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult] = ()
+) -> str:
     """Return one sentence: how much was compared, and how much is wrong."""
     compared = sum(r.comparison.compared for r in readings if r.comparison)
     wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
     lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
-    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
-    failed = sum(o.verdict is Verdict.FAILED for o in outcomes)
-    off = sum(m.verdict is Verdict.MISMATCH for m in results)
+    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
+    failed = sum(o.verdict is ProofStatus.FAILED for o in outcomes)
+    off = sum(m.verdict is ProofStatus.MISMATCH for m in results)
     text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
     if results:
         text += f"; {len(results)} behaviours measured, {off} are off without a reason"
     if rested:
-        apart = sum(r.verdict is Verdict.MISMATCH for r in rested)
+        apart = sum(r.verdict is ProofStatus.MISMATCH for r in rested)
         text += f"; {len(rested)} scenes left alone, {apart} end elsewhere than in other engines"
     return text + (f"; {failed} failed" if failed else "") + "."

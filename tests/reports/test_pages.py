@@ -12,7 +12,7 @@ from simfoundry.evaluate.correlate import Agreement
 from simfoundry.reports import comparison, correlation, evaluation, gallery, verification
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import compare, side
-from simfoundry.verify.run import Reading
+from simfoundry.verify.run import ReadbackResult
 
 EVIL = "<script>alert('x')</script>\"'&<b>"
 
@@ -59,7 +59,9 @@ def _evaluation(_: Path) -> str:
 
 
 def _verification(_: Path) -> str:
-    return verification.page([Reading(EVIL, "mujoco", None, EVIL, 0.1)], [], [], {"mujoco": None}, {EVIL: b"png"})
+    return verification.page(
+        [ReadbackResult(EVIL, "mujoco", None, EVIL, 0.1)], [], [], {"mujoco": None}, {EVIL: b"png"}
+    )
 
 
 def _correlation(_: Path) -> str:
