@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
     from simfoundry.cousins.tasks.context import Setting
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
               help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
 @click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
-@click.option("--engine", "engines", type=click.Choice(["mujoco", "pybullet"]), multiple=True, default=("mujoco",),
+@click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
               help="Where what a task asks for lasts, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
 @json_option

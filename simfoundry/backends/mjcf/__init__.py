@@ -16,7 +16,6 @@ that a scene can name are sites: ``arm.hand``.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, number, numbers
 from simfoundry.backends.backend import Backend
@@ -37,12 +36,13 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_models.robot_urdf import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
-_LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
+_LOADER = shipped("targets/mjcf") / "load.py"
 
 
 def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0) -> Artifact:

@@ -20,6 +20,7 @@ from simfoundry.cousins.objects.appearance import same_kind, sort_of
 from simfoundry.cousins.objects.retrieval import Likeness, likeness
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
@@ -33,8 +34,6 @@ VERSION = "library facts 2"
 MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
 """Of a mesh that nobody has weighed [kg/m^3]: household things float or sink, the hollow ones float."""
 
-_PACKAGED = Path(__file__).parents[1] / "assets"
-_CHECKOUT = Path(__file__).parents[3] / "specs" / "assets"
 _NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
 """Stems of files that say nothing: the folder has the name."""
 
@@ -78,8 +77,8 @@ class Library:
 
 
 def default_folder() -> Path:
-    """Where the things are that come with the project: in the package, or in the checkout that it is run from."""
-    return _PACKAGED if _PACKAGED.is_dir() else _CHECKOUT
+    """Return the folder of the assets that come with the project."""
+    return shipped("specs/assets")
 
 
 def read_library(folder: Path, cache: Cache | None = None) -> Library:
