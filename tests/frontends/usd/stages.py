@@ -43,9 +43,9 @@ objects:
     shape: {cylinder: {radius: 0.1, height: 0.02}}
     material: ceramic
     # weighed by eye
-    mass: {value: 0.45, range: [0.3, 0.6], by: vlm}
+    mass: {value: 0.45, range: [0.3, 0.6], source: vlm}
     place: {on: desk, xy: [0.45, 0.1]}
-    origin: {capture: monday, fit: 0.002}
+    origin: {capture: monday, fit_error: 0.002}
   cup:
     shape: {cylinder: {radius: 0.04, height: 0.1}}
     material: ceramic

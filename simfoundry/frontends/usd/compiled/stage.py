@@ -13,6 +13,8 @@ import numpy as np
 from simfoundry.backends.usd.source import KEY, SCOPES, contact, look, observed, plain
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.types import with_present_keys
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
@@ -110,7 +112,7 @@ def carrier(stage: Usd.Stage) -> Usd.Prim | None:
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
     """The file that a document came from, in its project, and its data without what its parts hold."""
     entries = _entries(prim)
-    return str(entries.get("file", "")), _json(prim, "document", _checked_sections)
+    return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
 def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
@@ -212,7 +214,7 @@ def _part(prim: Usd.Prim, world: StageFrame) -> StageMember:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
-    spec = _json(prim, "spec")
+    spec = with_present_keys(SceneSpec.model_fields[section].annotation, {name: _json(prim, "spec")})[name]
     if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
         return StageMember(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
     built = _json(prim, "built", _checked_values)
