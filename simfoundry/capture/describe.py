@@ -32,7 +32,7 @@ from simfoundry.spec.models.base import (
 )
 from simfoundry.spec.models.scene import CameraSpec, ObjectSpec
 
-SUPPORT_NAME = "table"
+SUPPORT_NAME = "table"  # the name of the support in the scene
 
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:

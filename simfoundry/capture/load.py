@@ -19,6 +19,7 @@ from simfoundry.spec.models.capture import CaptureSpec, Intrinsics, Shot
 NEAR, FAR = 0.1, 5.0
 """Depth that a table capture may use [m]; nearer and farther values count as no measurement."""
 
+# Common units of depth pictures by their scale to metres, for a hint where depth is implausible.
 UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
 
 NUMBERS_MAX = 178_956_970

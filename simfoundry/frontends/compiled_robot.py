@@ -1,4 +1,4 @@
-"""Robots in files that SimFoundry compiled, see :mod:`simfoundry.backends.robot_models.robot_fields`."""
+"""Robots in files that SimFoundry compiled: read back as robots of a scene, not as machines of links."""
 
 from __future__ import annotations
 

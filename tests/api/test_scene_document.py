@@ -34,7 +34,7 @@ objects:
   mug:                                  # the one with a chip
     shape: {cylinder: {radius: 0.04, height: 0.095}}
     material: ceramic
-    mass: {value: 0.31, range: [0.2, 0.45], by: table}   # weigh it
+    mass: {value: 0.31, range: [0.2, 0.45], source: table}   # weigh it
     pose: {xyz: [0.42,0.12,0.0475], yaw_deg: 30}
 
 relations: [OnTop(mug, desk)]
@@ -66,7 +66,7 @@ def test_ten_lines_load_edit_save_compile_step_and_judge(tmp_path: Path) -> None
     assert len(SCRIPT.splitlines()) <= 10
     run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["build/mujoco/scene.xml", "True"]
-    edited = TEXT.replace("{value: 0.31, range: [0.2, 0.45], by: table}", "0.3")
+    edited = TEXT.replace("{value: 0.31, range: [0.2, 0.45], source: table}", "0.3")
     assert (tmp_path / "desk.scene.yaml").read_text() == edited.replace("[0.42,0.12,0.0475]", "[0.4, 0.1, 0.0475]")
 
 

@@ -69,7 +69,7 @@ def main() -> int:
     """Prove all specs; returns the exit code."""
     failures: list[str] = []
     simulators = "".join(f"{engine:>18}" for engine in ENGINES)
-    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{simulators}  losses {' '.join(BACKENDS)}")
+    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{simulators}  losses {' '.join(BACKENDS.names())}")
     for path in SCENES:
         _scene(path, failures)
     print(f"\n{'task':<28}{'steps':>6}{'starts at rest':>16}{'end: mujoco':>18}{'end: pybullet':>18}")
@@ -85,7 +85,7 @@ def _scene(path: Path, failures: list[str]) -> None:
     scene = lowered(path)
     rests = [_rest(scene, engine) for engine in ENGINES]
     failures += [f"{path.name} in {e}: {p}" for e, r in zip(ENGINES, rests, strict=True) for p in _faults(r)]
-    losses = " ".join(f"{len(compile_scene(scene, target).losses):>{len(target)}}" for target in BACKENDS)
+    losses = " ".join(f"{len(compile_scene(scene, target).losses):>{len(target)}}" for target in BACKENDS.names())
     free = [o for o in scene.objects if not o.fixed]
     mass = sum(link.mass for o in free for link in o.links)
     joints = sum(len(o.joints) for o in scene.objects)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simfoundry.cousins.asks import asks_of
-from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose, scatter
-from simfoundry.cousins.reasons import ImpossibleError, Rejected
-from simfoundry.cousins.support import Support
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.acceptance import examine
+from simfoundry.cousins.layout.constraints import asks_of
+from simfoundry.cousins.layout.propose import Layout, propose, scatter
+from simfoundry.cousins.layout.supports import Support
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Rejected
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load
 from simfoundry.spec.models.cousins import SceneAxis

@@ -31,7 +31,7 @@ FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it float
 FRAGMENT = 1.2e-3  # [m²] of visible area, below which what shows behind something else is too little of a thing
 GLIMPSE = 0.3  # of a thing's height; where only less than this is seen, above what hides the rest, nobody knows it
 SMALLEST = 4e-4  # [m²] of visible area
-FEWEST_PIXELS = 60
+MIN_PIXELS = 60  # pixels of an object: 8 x 8, the least that a tangent plane and its edges take
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurfac
     for k in np.unique(instances[instances > 0]):
         mask = instances == k
         measured = mask & np.isfinite(points_W[..., 2])
-        if measured.sum() < FEWEST_PIXELS or on_it[measured].mean() < 0.5:
+        if measured.sum() < MIN_PIXELS or on_it[measured].mean() < 0.5:
             continue
         if np.quantile(points_W[..., 2][measured], 0.9) < LOWEST / 2:
             continue
@@ -137,7 +137,7 @@ def _scene(frame: Frame, points_W: Array, support: SupportSurface) -> _Scene | N
     height = points_W[..., 2]
     near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
     high = _standing(depth, points_W, support.outline)
-    if high.sum() < FEWEST_PIXELS:
+    if high.sum() < MIN_PIXELS:
         return None
     rows, columns = np.nonzero(high.any(axis=1))[0], np.nonzero(high.any(axis=0))[0]
     window = (_padded(rows, depth.shape[0]), _padded(columns, depth.shape[1]))
@@ -205,7 +205,7 @@ def _without_specks(labels: Labels, scene: _Scene) -> Labels:
     count = int(labels.max()) + 1
     pixels = np.bincount(labels.ravel(), minlength=count)
     areas = np.bincount(labels[labels > 0], pixel_area[labels > 0], minlength=count)
-    keep = (pixels >= FEWEST_PIXELS) & (areas >= SMALLEST)
+    keep = (pixels >= MIN_PIXELS) & (areas >= SMALLEST)
     keep[0] = False
     touching = np.zeros(count, bool)
     for border in borders(labels, scene.depth, scene.relief.reach).values():

@@ -19,7 +19,7 @@ TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables
 DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance
 CROSSING = 0.6  # cosine of the angle between a surface and a plane from which on it crosses rather than joins it
 SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
-FEWEST_POINTS = 50
+MIN_POINTS = 50  # pixels of a plane worth considering
 Mask = NDArray[np.bool_]
 
 
@@ -55,7 +55,7 @@ def find_support(frame: Frame) -> SupportSurface:
     depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
     small = _view(depth, frame.K, step=max(1, depth.shape[1] // SURVEY_WIDTH))
     points = small.points[np.isfinite(small.depth)]
-    planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= FEWEST_POINTS else []
+    planes = candidate_planes(points, np.random.default_rng(0)) if len(points) >= MIN_POINTS else []
     found = [(s.score, plane, s.plan, s.X_WC) for plane in planes if (s := _survey(small, plane, 0.01)) is not None]
     while found:
         best = max(range(len(found)), key=lambda i: found[i][0])
@@ -145,7 +145,7 @@ def _measured(view: _View, plane: Plane, plan: TopView, X_WC: Pose) -> SupportSu
     on_surface = plan.contains(X_WC.apply(view.points)[..., :2])
     for _ in range(2):
         points = view.points[_on_plane(view, plane) & on_surface]
-        if len(points) < FEWEST_POINTS:
+        if len(points) < MIN_POINTS:
             return None
         plane = refine(plane, points[:: max(1, len(points) // 60000)])
     surface = _survey(view, plane, finest=0.005)

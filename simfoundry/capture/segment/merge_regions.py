@@ -15,7 +15,7 @@ from simfoundry.geometry.frames import Array
 EDGE = 0.8  # edge of a border from which it separates two objects
 TOUCHING = 3.0  # jump along a border up to which two regions may touch
 SMALL_PART = 0.2  # of its neighbour's pixels
-SMALL_PART_PATIENCE = 1.5
+SMALL_PART_PATIENCE = 1.5  # factor on the edge that separates such a part
 FEW_PAIRS = 60  # a shorter border says nothing
 
 

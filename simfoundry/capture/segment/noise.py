@@ -9,7 +9,7 @@ from simfoundry.capture.errors import CaptureError
 from simfoundry.geometry.frames import Array
 
 NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
-FEWEST_PIXELS = 200
+MIN_PIXELS = 200  # pixels with depth: fewer show no plane
 
 
 def depth_sigma(depth: Array) -> Array:
@@ -33,11 +33,11 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
     valid = finite & (depth >= NEAREST) & (depth <= FARTHEST)
     if not valid.any():
         raise _wrong_unit(float(np.median(depth[finite])))
-    if int(valid.sum()) < FEWEST_PIXELS:
+    if int(valid.sum()) < MIN_PIXELS:
         raise CaptureError(
             "SF502",
             f"only {int(valid.sum())} of {depth.size} depth pixels lie between {NEAREST} and {FARTHEST} m",
-            f"at least {FEWEST_PIXELS} are needed; check the sensor's range and the declared invalid values",
+            f"at least {MIN_PIXELS} are needed; check the sensor's range and the declared invalid values",
         )
     return np.asarray(valid)
 

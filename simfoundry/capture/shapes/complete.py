@@ -23,11 +23,11 @@ from simfoundry.capture.shapes.solids import hull_margin, loft_mesh
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Mesh
 
-LEVELS, SIDES, COLUMNS = 18, 40, 32
+LEVELS, SIDES, COLUMNS = 18, 40, 32  # slices, their corners and columns: 5 to 10 mm on household objects
 FOOT_MARGIN = 0.15  # of the foot's radius, that the centre of mass must keep from the edge of the foot
-_THINNEST = 0.003
-_STEPS = 48
-_MIN_IN_SLICE = 12
+_THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a metre
+_STEPS = 48  # samples of free space behind a column: 2 to 5 mm apart
+_MIN_IN_SLICE = 12  # points that a slice needs for two percentiles to mean anything
 _PAD = 0.0025  # height of the pad under a solid that would tip over [m]
 _SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
 

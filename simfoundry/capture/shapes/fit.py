@@ -20,10 +20,10 @@ from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.geometry.tessellate import revolved
 
-MIN_POINTS = 12
+MIN_POINTS = 12  # points: twice the parameters of a box
 PROFILE_STEP = 0.0007  # half the depth noise of a good sensor at half a metre [m]
-FEW_POINTS = 50
-LATHE_SIDES = 32
+FEW_POINTS = 50  # points: fewer do not tell a curved side from noise
+LATHE_SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
 OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
 
 # What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
