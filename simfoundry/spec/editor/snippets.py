@@ -22,18 +22,20 @@ def _texts() -> dict[str, Any]:
 
 def first_value(model: str, key: str) -> Body | None:
     """Return the first value that an editor offers for a key of a model."""
-    first = _texts()["first"]
+    first: dict[str, Body] = _texts()["first"]
     return first.get(f"{model}.{key}", first.get(key))
 
 
 def first_member(model: str) -> Body | None:
     """Return the first value that an editor offers for a member of a mapping by name."""
-    return _texts()["members"].get(model)
+    members: dict[str, Body] = _texts()["members"]
+    return members.get(model)
 
 
 def description(model: str, key: str) -> str | None:
     """Return the description of a key whose model has none."""
-    return _texts()["descriptions"].get(f"{model}.{key}")
+    found: dict[str, str] = _texts()["descriptions"]
+    return found.get(f"{model}.{key}")
 
 
 def meanings(words: list[str]) -> list[str]:
