@@ -75,8 +75,8 @@ def _position(
     """Where the frame of a thing goes in the plane [m]; ``upright`` has it at the origin."""
     if place.xy is not None:
         return place.xy
-    if place.at is not None:
-        x, y, _ = carrier.limb_frame(link).apply((*place.at, 0.0))
+    if place.local_xy is not None:
+        x, y, _ = carrier.limb_frame(link).apply((*place.local_xy, 0.0))
         return x, y
     own = _middle(upright.hulls, upright.X_WO)
     words = [(word, getattr(place, word)) for word in SIDES if getattr(place, word) is not None]

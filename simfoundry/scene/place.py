@@ -184,8 +184,8 @@ def _position(
     """Where the frame of the thing goes in the plane [m], shape (2,); ``shape`` has it at the origin."""
     if place.xy is not None:
         return np.array(place.xy)
-    if place.at is not None:
-        return np.asarray(carrier.X_WC.apply(np.array([*place.at, 0.0]))[:2])
+    if place.local_xy is not None:
+        return np.asarray(carrier.X_WC.apply(np.array([*place.local_xy, 0.0]))[:2])
     own = shape.middle(upright.rotation)[:2]
     words = [(word, getattr(place, word)) for word in RELATIONS if getattr(place, word) is not None]
     if not words:

@@ -103,7 +103,7 @@ def test_two_words_fix_one_direction_each() -> None:
 
 
 def test_a_thing_whose_frame_is_not_in_its_middle_is_put_by_its_middle() -> None:
-    """Only `xy` and `at` speak of frames."""
+    """Only `xy` and `local_xy` speak of frames."""
     wedge = solid("wedge", CUBE, pose(0, 0, 0))
     link = wedge.links[0]
     shifted = replace(link.colliders[0], X_LG=pose(0.2, 0.1, 0.3), geometry=box(0.1, 0.06, 0.04))
@@ -132,7 +132,7 @@ def test_a_whole_scene_may_be_moved_and_turned(
     tilted, desk = solid("under", carrier, pose(0.1, 0.2, 0.3, 0.2, -0.4, 0.5)), DESK
     item, viewer = solid("thing", thing, pose(0, 0, 0)), pose(0, 0, 0, yaw=0.3)
     turned = {"rpy_deg": (rpy[0], rpy[1], rpy[2] + turn)}
-    for words in ({"on": "under", "at": (0.003, -0.002)}, {"on": "under"}, {"on": "desk", "left_of": "under"}):
+    for words in ({"on": "under", "local_xy": (0.003, -0.002)}, {"on": "under"}, {"on": "desk", "left_of": "under"}):
         here = put(item, Place.model_validate({**words, "rpy_deg": rpy}), tilted, desk, viewer=viewer)
         moved = [replace(other, X_WO=X_WV @ other.X_WO) for other in (tilted, desk)]
         there = put(item, Place.model_validate({**words, **turned}), *moved, viewer=X_WV @ viewer)

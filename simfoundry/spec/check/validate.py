@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from simfoundry.spec.diagnostics import Diagnostic, nearest
 from simfoundry.spec.models.base import SHAPE_KEYS, WIRE_KEY, Model
-from simfoundry.spec.models.types import models_at
+from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
 from simfoundry.spec.yaml.text import Document, Path_
 
@@ -178,6 +178,9 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
             names = _JOINED
         if last in SHAPE_KEYS and "shape" in names:
             return f"unknown key `{last}`", f"write `shape: {{{last}: ...}}`"
+        former = {old: new for m in models_at(model, loc[:-1]) for old, new in former_keys(m).items()}
+        if last in former:
+            return f"the key `{last}` is called `{former[last]}` now", "run `simfoundry migrate` on the file"
         return f"unknown key `{last}`", nearest(str(last), names)
     if kind == "missing" and isinstance(last, int):
         return f"values are missing: the list has {len(error['input'])}", description

@@ -42,7 +42,7 @@ objects:
   cup:
     shape: {cylinder: {radius: 0.04, height: 0.1}}
     material: ceramic
-    mass: {value: 0.31, range: [0.25, 0.4], by: category_table}
+    mass: {value: 0.31, range: [0.25, 0.4], source: category_table}
     pose: {xyz: [0.4, 0.1, 0.05]}
   saucer:
     shape: {cylinder: {radius: 0.07, height: 0.012}}
@@ -132,7 +132,7 @@ scene:
   anchor: saucer
   objects:
     cup: [LeftOf, RightOf, InFrontOf, Behind]
-distractors: {count: [1, 3], mass: {most: 0.5}}
+distractors: {count: [1, 3], mass: {max: 0.5}}
 """,
     "policy/1": """\
 simfoundry: policy/1

@@ -48,6 +48,13 @@ class Reference:
 FileName = Annotated[str, Reference()]
 
 
+@dataclass(frozen=True)
+class FormerKey:
+    """Marks a field by the key that it had before; `check` names the new one, and `migrate` writes it."""
+
+    key: str
+
+
 class Model(BaseModel):
     """A part of a document: immutable, strict, no unknown keys."""
 
@@ -111,7 +118,7 @@ class Estimate(Model):
     range: tuple[Positive, Positive] | None = Field(
         None, description="The lowest and highest plausible value [kg, or kg/m^3]."
     )
-    by: str = Field("unknown", max_length=64, description="Who or what estimated it.")
+    source: Annotated[str, FormerKey("by")] = Field("unknown", max_length=64, description="Who or what estimated it.")
 
     @model_validator(mode="after")
     def _inside(self) -> Self:
@@ -218,14 +225,18 @@ class CousinOf(Model):
     recipe: Name = Field(description="The recipe by name.")
     seed: Annotated[int, Field(ge=0)] = Field(description="What the recipe's random choices started from.")
     index: Annotated[int, Field(ge=1)] = Field(description="Which of the recipe's candidates it is, from 1 on.")
-    by: str = Field("simfoundry", max_length=64, description="The program that made it.")
+    generator: Annotated[str, FormerKey("by")] = Field(
+        "simfoundry", max_length=64, description="The program that made it."
+    )
 
 
 class Origin(Model):
     """Where a description comes from, and how well it fits what was seen."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
-    fit: NonNegative | None = Field(None, description="Median distance of the seen points from the fitted surface [m].")
+    fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
+        None, description="Median distance of the observed points from the fitted surface [m]."
+    )
     confidence: Fraction | None = Field(None, description="How far to trust it, 0 to 1.")
     note: str | None = Field(None, max_length=200, description="What was assumed.")
     cousin: CousinOf | None = Field(None, description="Which cousin it is, where a recipe made it.")
