@@ -13,7 +13,7 @@ from simfoundry.scene.robot import FILES_ONLY, Attached, Follow, Gripper, LinkFr
 from simfoundry.scene.robot_files import digest, find_model, model_files
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.spec.models.robot import RobotSpec
-from simfoundry.spec.models.robot_model import ModelSpec, RobotModelsSpec, read_models
+from simfoundry.spec.models.robot_file import ModelSpec, RobotModelsSpec, read_models
 
 OWN_MODELS = "SIMFOUNDRY_ROBOTS"
 """The environment variable that names a folder of one's own robot files, `franka_robotiq.yaml` and so on."""

@@ -19,7 +19,7 @@ from simfoundry.scene.robot_files import find_model, model_files
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.spec.models.robot import ROBOTS
-from simfoundry.spec.models.robot_model import read_models
+from simfoundry.spec.models.robot_file import read_models
 from tests.cli.command import run
 from tests.conftest import PACKAGE, REPOSITORY
 

@@ -146,7 +146,7 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
     """Whether a robot file is one, which is read as the language is: without any model."""
     if key == "file":
-        from simfoundry.spec.models.robot_model import read_models
+        from simfoundry.spec.models.robot_file import read_models
 
         file = c.loaded.file(reference)
         try:
