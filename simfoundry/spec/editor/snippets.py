@@ -64,11 +64,6 @@ CHOICES = {
         "Which parts it has, and how many.",
         "Colour and material.",
     ),
-    ("openpi", "roboarena", "groot"): (
-        "The websocket of openpi, and of `serve_lerobot`.",
-        "The websocket of RoboArena and DreamZero.",
-        "The ZeroMQ socket of GR00T.",
-    ),
     ("joint_position", "joint_velocity"): (
         "Where the joints shall be [rad or m].",
         "How fast the joints shall move.",
