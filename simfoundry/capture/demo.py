@@ -1,4 +1,4 @@
-"""The whole flow on one capture: reconstruct, settle, compile for every target, run, compare with the truth."""
+"""The demo: reconstruct one capture, settle it, compile it for every target, run it, and compare it with the truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Demo:
     picture: Path
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a JSON-ready mapping."""
         return {
             "scene": str(self.run.scene_file),
             "picture": str(self.picture),
@@ -53,7 +53,7 @@ def own_capture() -> Path:
 def run_demo(
     capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None, force: bool = False
 ) -> Demo:
-    """Run the whole flow into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for a capture that cannot."""
+    """Run the demo into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for an unusable capture."""
     report = progress or (lambda stage, share: None)
     cache = Cache.default()
     run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), cache, force)
@@ -77,7 +77,7 @@ def _motions(scene: Scene, engine: str) -> list[ObjectMotion] | str:
 
 
 def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """The comparison with the true scene, where the capture names one and it has the camera of the frame."""
+    """Compare with the true scene, if the capture names one that has the camera of the frame."""
     loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:

@@ -131,8 +131,9 @@ def _write(
     progress: Callable[[str, float], None],
 ) -> None:
     """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
-    from simfoundry.cousins.run.report import write_gallery, write_manifest
+    from simfoundry.cousins.run.report import write_manifest
     from simfoundry.cousins.run.run import finish
+    from simfoundry.reports.gallery import write_gallery
 
     write_manifest(plan, ledger)
     if pictures:

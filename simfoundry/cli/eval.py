@@ -170,10 +170,10 @@ def _interruptible(out: Path) -> Iterator[None]:
 def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
     import json
 
-    from simfoundry.evaluate.page import page
     from simfoundry.evaluate.records import read_all
     from simfoundry.evaluate.results import cells, results
     from simfoundry.evaluate.run import pending
+    from simfoundry.reports.evaluation import page
     from simfoundry.runtime.files import write_atomically
 
     records = [record for _, record in read_all(plan.folder)]

@@ -182,9 +182,9 @@ def _write_page(
     found: Mapping[str, InstalledEngine | None],
     subjects: Sequence[SceneBuilds],
 ) -> None:
+    from simfoundry.reports.verification import page
     from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviours import BEHAVIOURS
-    from simfoundry.verify.page import page
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
@@ -237,9 +237,9 @@ def _print(
     found: Mapping[str, InstalledEngine | None],
     wanted: Mapping[str, VerifyEngine],
 ) -> None:
+    from simfoundry.reports.verification import summary
     from simfoundry.verify import tables
     from simfoundry.verify.behaviours import BEHAVIOURS
-    from simfoundry.verify.page import summary
 
     if readings:
         click.echo(tables.readings_table(readings, found) + "\n")

@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simfoundry.review.labels import place_labels
-from simfoundry.review.page import COLORS
-from simfoundry.review.pictures import Tag, tints_of
+from simfoundry.reports.comparison import COLORS
+from simfoundry.reports.labels import place_labels
+from simfoundry.reports.pictures import Tag, tints_of
 from simfoundry.spec.change.git.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY

@@ -16,11 +16,11 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from simfoundry.reports.verification import summary
 from simfoundry.scene.lower import lower_file
 from simfoundry.verify import tables
 from simfoundry.verify.behaviours import BEHAVIOURS
 from simfoundry.verify.engines import VerifyEngine, all_engines, find_installed, interpreters
-from simfoundry.verify.page import summary
 from simfoundry.verify.rest import RestResult, settle_subjects
 from simfoundry.verify.run import (
     BehaviourResult,

@@ -7,10 +7,8 @@ processes: the same run gives the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from html import escape
-from itertools import islice
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -18,8 +16,7 @@ from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Reader
 from simfoundry.cousins.run.run import MANIFEST, Ledger, Plan
 from simfoundry.errors import OutputError
-from simfoundry.review.style import STYLE
-from simfoundry.runtime.files import write_atomically, writing_atomically
+from simfoundry.runtime.files import writing_atomically
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
@@ -107,47 +104,8 @@ def examples(ledger: Ledger) -> dict[str, str]:
     return {code: found[code] for code, _ in ledger.totals.most_common() if code in found}
 
 
-PAGE = "gallery.html"
-PICTURES = "pictures"
 WIDTH = 384
 """Of a picture [px]."""
-
-_OWN = """
-.all { display: grid; grid-template-columns: repeat(auto-fill, minmax(260px, 1fr)); gap: 18px; margin: 18px 0 }
-.all img { display: block; width: 100%; height: auto; border-radius: 6px; background: var(--line) }
-table { border-collapse: collapse } td, th { padding: 3px 14px 3px 0; text-align: left; vertical-align: top }
-td:first-child { font-variant-numeric: tabular-nums; text-align: right }
-"""
-
-
-def write_gallery(plan: Plan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
-    """Write the page, and the pictures that are not there yet, of at most ``most`` cousins."""
-    with Reader() as reader:
-        places = islice((place for place in ledger.counted() if place.accepted), most)
-        shown = [reader.candidate(place) for place in places]
-    pictures = {}
-    for k, candidate in enumerate(shown):
-        if progress is not None:
-            progress(k, len(shown))
-        path = _picture(plan.out, candidate)
-        if path is not None:
-            pictures[candidate.index] = path.relative_to(plan.out).as_posix()
-    path, texts = plan.out / PAGE, [str(count) for count in plan.variants]
-    write_atomically(path, page(summary(plan, ledger), shown, pictures, examples(ledger), texts).encode())
-    return path
-
-
-def _picture(out: Path, candidate: Candidate) -> Path | None:
-    """The picture of a cousin's scene, drawn unless it is there; None where there is no scene of its own, or camera."""
-    if "scene" not in candidate.documents:
-        return None
-    path = out / PICTURES / f"{candidate.index:06d}.png"
-    if not path.is_file():
-        image = draw(out / candidate.files()["scene"])
-        if image is None:
-            return None
-        write_atomically(path, image)
-    return path
 
 
 def draw(file: Path) -> bytes | None:
@@ -176,54 +134,3 @@ def view(scene: Scene, spec: SceneSpec) -> Camera | None:
     height = max(1, round(camera.height * scale))
     cx, cy = scale * (camera.cx + 0.5) - 0.5, scale * (camera.cy + 0.5) - 0.5
     return replace(camera, width=WIDTH, height=height, fx=camera.fx * scale, fy=camera.fy * scale, cx=cx, cy=cy)
-
-
-def page(
-    facts: Mapping[str, Any],
-    shown: Sequence[Candidate],
-    pictures: Mapping[int, str],
-    reasons: Mapping[str, str],
-    variants: Sequence[str] = (),
-) -> str:
-    """The whole page; ``pictures`` by index, ``reasons`` an example of each, ``variants`` what came of each object.
-
-    Every text is escaped.
-    """
-    title = f"Cousins: {facts['recipe']}"
-    rest = facts["accepted"] - len(shown)
-    return "\n".join(
-        [
-            "<!doctype html>\n<html lang='en'><head><meta charset='utf-8'>",
-            "<meta name='viewport' content='width=device-width,initial-scale=1'>",
-            f"<title>{escape(title)}</title><style>{STYLE}{_OWN}</style></head><body><article>",
-            f"<h1>{escape(title)}</h1>",
-            f"<p class='sides'>{facts['accepted']} of {facts['asked']} cousins, seed {facts['seed']}; "
-            f"{facts['examined']} candidates examined, {facts['acceptance_rate']:.1%} accepted "
-            f"({escape(facts['end'])})</p>",
-            "".join(f"<p class='sides'>{escape(text)}</p>" for text in variants),
-            f"<div class='all'>{''.join(_figure(c, pictures.get(c.index)) for c in shown)}</div>",
-            f"<p>{rest} more are in <a href='{FILE}'>{FILE}</a>.</p>" if rest > 0 else "",
-            _table(facts, reasons),
-            "</article></body></html>\n",
-        ]
-    )
-
-
-def _figure(candidate: Candidate, picture: str | None) -> str:
-    links = " ".join(f"<a href='{name}'>{name}</a>" for name in candidate.files().values())
-    image = "<div class='none'>the scene of the twin</div>"
-    if picture is not None:
-        image = f"<img src='{escape(picture, quote=True)}' loading='lazy' alt='cousin {candidate.index}'>"
-    asked = "<br>".join(f"<code>{escape(text)}</code>" for text in (*candidate.asked, *filter(None, [candidate.goal])))
-    return f"<figure>{image}<figcaption>{links}<br>{asked}</figcaption></figure>"
-
-
-def _table(facts: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
-    if not facts["reasons"]:
-        return ""
-    rows = "".join(
-        f"<tr><td>{count}</td><td><code>{escape(code)}</code></td><td>{escape(reasons.get(code, ''))}</td></tr>"
-        for code, count in facts["reasons"].items()
-    )
-    head = "<tr><th>candidates</th><th>reason</th><th>for example</th></tr>"
-    return f"<h2>Rejected</h2><table>{head}{rows}</table>"

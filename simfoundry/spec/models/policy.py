@@ -12,12 +12,10 @@ from pydantic_core import PydanticCustomError
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import Registry
-from simfoundry.spec.models.base import NAME, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
+from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 """A key of the messages that the policy takes: ``observation/wrist_image_left``."""
-
-VARIABLE = r"^[A-Z_][A-Z0-9_]*$"
 
 
 def _variable(text: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simfoundry.review.pictures import Tag
+    from simfoundry.reports.pictures import Tag
 
 FONT = 0.024
 """The size of the letters as a share of the picture's width: 15 px where two pictures share a wide page."""

@@ -6,16 +6,13 @@ the same documents give the same bytes.
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from simfoundry.review.labels import Label, place_labels
-from simfoundry.review.style import STYLE
-from simfoundry.runtime.outputs import MARK
+from simfoundry.reports.labels import Label, place_labels
+from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import DocumentComparison, Side
 from simfoundry.spec.change.diff.poses import motion, words
 from simfoundry.spec.change.diff.words import MemberChange, summary
@@ -23,7 +20,7 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 
 if TYPE_CHECKING:
-    from simfoundry.review.pictures import Picture, Tint
+    from simfoundry.reports.pictures import Picture, Tint
     from simfoundry.scene.model import Camera, Scene
 
 COLORS = {
@@ -38,34 +35,12 @@ SEEN_M, SEEN_DEG = 5e-4, 0.1
 """A move along with something else counts from half a millimetre and a tenth of a degree on: less is how a thing lies
 on a surface that is reckoned anew."""
 
-_MEANING = {"moved": "moved or turned", "changed": "changed or renamed", "added": "added", "removed": "removed"}
-
 
 def page(comparisons: Sequence[DocumentComparison]) -> str:
-    """The page of some documents."""
+    """Return the page of some documents."""
+    documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
     title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
-    colors = "".join(f".{mark}{{--mark:#{r:02x}{g:02x}{b:02x}}}" for mark, (r, g, b) in COLORS.items())
-    lowered = [_lowered_sides(c) for c in comparisons]
-    comparisons = [_with_moves(c, scenes) for c, scenes in zip(comparisons, lowered, strict=True)]
-    body = "\n".join("\n".join(_document(c, lowered[k], f"d{k}")) for k, c in enumerate(comparisons))
-    empty = "<article><p>No document differs.</p></article>"
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="generator" content="{MARK}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<title>{escape(title)}</title>
-<style>
-{STYLE}{colors}
-{"".join(_hover(c, f"d{k}") for k, c in enumerate(comparisons))}</style>
-</head>
-<body>
-{body or empty}
-</body>
-</html>
-"""
+    return render("comparison.html.j2", title=title, sources="", colors=COLORS, documents=documents)
 
 
 def mark_of(entry: MemberChange) -> str:
@@ -73,27 +48,30 @@ def mark_of(entry: MemberChange) -> str:
     return next((mark for mark in ("added", "removed", "moved") if mark in entry.marks), "changed")
 
 
-def _hover(comparison: DocumentComparison, key: str) -> str:
-    """Rules by which an entry and its tags in the pictures light up together."""
-    named = [k for k, entry in enumerate(comparison.entries) if entry.name]
-    return "".join(f"body:has(.{key}-{k}:hover) .{key}-{k}{{outline:2px solid var(--mark)}}\n" for k in named)
-
-
-def _document(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
-    yield "<article>"
-    yield f"<h1>{escape(comparison.name)}</h1>"
-    yield f'<p class="sides"><code>{_label(comparison.old)}</code> → <code>{_label(comparison.new)}</code></p>'
-    if comparison.entries:
-        yield f'<p class="summary">{escape(summary(comparison.entries))}</p>'
-    yield from _pictures(comparison, lowered, key)
-    if comparison.entries:
-        yield '<ul class="changes">'
-        yield from (_entry(entry, f"{key}-{k}") for k, entry in enumerate(comparison.entries))
-        yield "</ul>"
-    else:
-        yield from (f"<p>{escape(line)}</p>" for line in comparison.lines())
-    yield from _findings(comparison)
-    yield "</article>"
+def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
+    """What the page says of one document."""
+    lowered = _lowered_sides(comparison)
+    comparison = _with_moves(comparison, lowered)
+    return {
+        "name": comparison.name,
+        "old": _label(comparison.old),
+        "new": _label(comparison.new),
+        "summary": summary(comparison.entries),
+        "sides": _pictures(comparison, lowered, key) if lowered else [],
+        "entries": [
+            {
+                "key": f"{key}-{k}",
+                "name": entry.name,
+                "subject": entry.subject if entry.name else "",
+                "mark": mark_of(entry),
+                "verbs": entry.verbs,
+                "facts": entry.facts,
+            }
+            for k, entry in enumerate(comparison.entries)
+        ],
+        "lines": comparison.lines() if not comparison.entries else [],
+        "findings": comparison.findings,
+    }
 
 
 def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
@@ -122,26 +100,7 @@ def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) 
 
 
 def _label(side: Side | None) -> str:
-    return escape(side.label) if side is not None else "nothing"
-
-
-def _entry(entry: MemberChange, key: str) -> str:
-    verbs = f" {escape(', '.join(entry.verbs))}" if entry.verbs else ""
-    facts = [escape(fact) for fact in entry.facts]
-    if not entry.name:
-        return f'<li class="{mark_of(entry)}">{"; ".join(facts)}</li>'
-    tail = f"<ul>{''.join(f'<li>{fact}</li>' for fact in facts)}</ul>" if facts else ""
-    return f'<li class="{mark_of(entry)} {key}"><b>{escape(entry.subject)}</b>{verbs}{tail}</li>'
-
-
-def _findings(comparison: DocumentComparison) -> Iterator[str]:
-    if comparison.findings:
-        yield "<h2>Errors</h2>"
-        yield '<ul class="findings">'
-        for d in comparison.findings:
-            place = f"{d.file}:{d.line}:{d.column}" if d.line else d.file
-            yield f"<li><code>{escape(place)}</code> {escape(d.code)} {escape(d.message)}</li>"
-        yield "</ul>"
+    return side.label if side is not None else "nothing"
 
 
 # -- pictures -------------------------------------------------------------------------------------------------------
@@ -155,34 +114,30 @@ def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
     return tuple(_lowered(side) for side in sides)
 
 
-def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> Iterator[str]:
-    """Both scenes side by side, or the reason why one is not shown; nothing for documents of other kinds."""
-    if not lowered:
-        return
+def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
+    """Both scenes side by side, each as a picture or as the reason why there is none."""
     sides = (comparison.old, comparison.new)
     scenes = [scene for scene in lowered if not isinstance(scene, str)]
-    yield '<div class="pair">'
+    shown: list[Picture | str] = [str(scene) for scene in lowered]
     if scenes:
-        from simfoundry.review.pictures import common_camera, picture
+        from simfoundry.reports.pictures import common_camera, picture
 
         views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
         camera = common_camera(scenes, reversed(views))  # as the new document sees it
         tints = _tints(comparison, lowered)
-        for side, scene, tint, new in zip(sides, lowered, tints, (False, True), strict=True):
-            shown = scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
-            yield _figure(side, shown, _keys(comparison, key, new), "after" if new else "before")
-    else:
-        for side, scene, name in zip(sides, lowered, ("before", "after"), strict=True):
-            yield _figure(side, str(scene), {}, name)
-    yield "</div>"
-    if scenes and comparison.entries:
-        swatches = (f'<span class="{mark}">{meaning}</span>' for mark, meaning in _MEANING.items())
-        yield f'<p class="legend">{"".join(swatches)}</p>'
+        shown = [
+            scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
+            for scene, tint, new in zip(lowered, tints, (False, True), strict=True)
+        ]
+    return [
+        _side(side, one, _keys(comparison, key, new), "after" if new else "before")
+        for side, one, new in zip(sides, shown, (False, True), strict=True)
+    ]
 
 
 def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
     """The tints of both scenes; an object has one tint, also under a new name."""
-    from simfoundry.review.pictures import tints_of
+    from simfoundry.reports.pictures import tints_of
 
     was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
     now = {old: new for new, old in was.items()}
@@ -231,23 +186,24 @@ def _colors(comparison: DocumentComparison, new: bool) -> dict[str, tuple[int, i
     return {name: COLORS[mark_of(entry)] for name, (_, entry) in _keys(comparison, "", new).items()}
 
 
-def _figure(side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, MemberChange]], caption: str) -> str:
-    label = f"{caption}: <code>{_label(side)}</code>"
+def _side(
+    side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, MemberChange]], caption: str
+) -> dict[str, Any]:
+    about = {"caption": caption, "label": _label(side)}
     if isinstance(shown, str):
-        return f'<figure><div class="none">{escape(shown)}</div><figcaption>{label}</figcaption></figure>'
-    data = base64.b64encode(shown.png).decode()
-    tags = "".join(_tag(label, *keys[label.name]) for label in place_labels(shown.tags, shown.width / shown.height))
-    image = f'<img src="data:image/png;base64,{data}" width="{shown.width}" height="{shown.height}" alt="{caption}">'
-    return f'<figure><div class="view">{image}{tags}</div><figcaption>{label}</figcaption></figure>'
+        return {**about, "picture": None, "reason": shown}
+    labels = [_tag(label, *keys[label.name]) for label in place_labels(shown.tags, shown.width / shown.height)]
+    return {**about, "picture": shown, "labels": labels}
 
 
-def _tag(label: Label, key: str, entry: MemberChange) -> str:
-    """A label, and the line from it to what it names."""
-    mark = mark_of(entry)
-    top, height = min(label.y, label.thing_y), abs(label.thing_y - label.y)
-    stem = f"left:{100 * label.thing_x:.2f}%;top:{100 * top:.2f}%;height:{100 * height:.2f}%"
-    place = f"left:{100 * label.x:.2f}%;top:{100 * label.y:.2f}%"
-    return (
-        f'<span class="stem {mark}" style="{stem}"></span>'
-        f'<span class="tag {mark} {key}" style="{place}" title="{escape(label.name)}">{escape(label.text)}</span>'
-    )
+def _tag(label: Label, key: str, entry: MemberChange) -> dict[str, str]:
+    """A label, and the line from it to what it names, in percent of the picture."""
+    places = {
+        "x": label.x,
+        "y": label.y,
+        "stem_x": label.thing_x,
+        "stem_top": min(label.y, label.thing_y),
+        "stem_height": abs(label.thing_y - label.y),
+    }
+    percents = {name: f"{100 * share:.2f}" for name, share in places.items()}
+    return {**percents, "mark": mark_of(entry), "key": key, "name": label.name, "text": label.text}
