@@ -243,7 +243,7 @@ def _filled(body: Any) -> Any:
     """What a person gets who takes a first value as it is."""
     if isinstance(body, dict):
         return {str(_filled(key)): _filled(value) for key, value in body.items()}
-    if isinstance(body, list):
+    if isinstance(body, list | tuple):
         return [_filled(item) for item in body]
     return json.loads(json.dumps(parse(re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", body)).data))
 
