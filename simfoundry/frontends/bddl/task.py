@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.bddl.conditions import Condition, ConditionReader
-from simfoundry.frontends.bddl.expressions import BddlGroup
-from simfoundry.frontends.bddl.problem import BddlProblem, BddlRegion, read_problem
+from simfoundry.frontends.bddl.problem import BddlGroup, BddlProblem, BddlRegion, read_problem
 from simfoundry.frontends.document_data import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
