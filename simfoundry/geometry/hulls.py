@@ -61,6 +61,10 @@ class Hulls:
         """Extents along the axes of the world [m], shape (3,)."""
         return np.array([high - low for low, high in map(self.extent, np.eye(3))])
 
+    def posed(self, X_AB: Pose) -> Hulls:
+        """The same parts in another frame."""
+        return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
+
     def moved(self, offset: Array) -> Hulls:
         """The same parts elsewhere."""
         return self._with(self.corners + offset, self.triangles, self.normals)
