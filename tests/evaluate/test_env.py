@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.starts import Start
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.render.gl import Engine, choose_engine
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")

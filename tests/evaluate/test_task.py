@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import physics_steps
-from simfoundry.evaluate.task import Task, load_task, need_robots
+from simfoundry.evaluate.rollouts.control import physics_steps
+from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
 from simfoundry.scene.robots import OWN_MODELS
 from simfoundry.spec.diagnostics import SpecError
 from tests.conftest import REPOSITORY

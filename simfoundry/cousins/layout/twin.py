@@ -16,8 +16,8 @@ from simfoundry.cousins.layout.colliders import Solids
 from simfoundry.cousins.layout.supports import Outline, Support, edges_of, support_of, supports_of
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.place import rounded
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.resets.placement import rounded
+from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.shapes import Cylinder

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
