@@ -17,10 +17,11 @@ import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.spec.editor.reference import EXAMPLES, reference
+from simfoundry.spec.editor.reference import reference
 from simfoundry.spec.files import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
+from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse
 from tests.conftest import of_the_checkout
@@ -72,7 +73,7 @@ def test_documents_in_the_pages_are_without_findings(page: Path, tmp_path: Path)
 def test_the_pages_show_documents_of_every_kind() -> None:
     kinds = {str(d["simfoundry"]) for d in documents(ROOT / "README.md")}
     assert kinds == {"scene/1", "capture/1"}
-    assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(EXAMPLES)
+    assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(KINDS)
 
 
 @of_the_checkout

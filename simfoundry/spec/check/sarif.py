@@ -12,24 +12,24 @@ from urllib.parse import quote
 
 from simfoundry import __version__
 from simfoundry.spec.check.pages import Page, pages
-from simfoundry.spec.check.report.model import CheckReport, absolute, checkout
-from simfoundry.spec.diagnostics import CODES, Diagnostic
+from simfoundry.spec.check.report import CheckReport, absolute, checkout
+from simfoundry.spec.diagnostics import Diagnostic
 
 SCHEMA = "https://docs.oasis-open.org/sarif/sarif/v2.1.0/errata01/os/schemas/sarif-schema-2.1.0.json"
 _ROOT = "%SRCROOT%"
 
 
-def render(report: CheckReport) -> str:
+def render_sarif(report: CheckReport) -> str:
     """One run with one result for each finding; files are relative to the checkout, columns count characters."""
     folder = checkout()
-    rules = sorted(CODES)
-    explained = {p.code: p for p in pages()}
+    explained = pages()
+    rules = [page.code for page in explained]
     run = {
         "tool": {
             "driver": {
                 "name": "SimFoundry",
                 "semanticVersion": __version__,
-                "rules": [_rule(code, explained.get(code)) for code in rules],
+                "rules": [_rule(page) for page in explained],
             }
         },
         "columnKind": "unicodeCodePoints",
@@ -39,14 +39,13 @@ def render(report: CheckReport) -> str:
     return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
 
 
-def _rule(code: str, page: Page | None) -> dict[str, Any]:
-    body = page.body if page is not None else CODES[code]
+def _rule(page: Page) -> dict[str, Any]:
     return {
-        "id": code,
-        "shortDescription": {"text": CODES[code]},
-        "fullDescription": {"text": _plain(body.partition("\n\n")[0].replace("\n", " "))},
-        "help": {"text": _plain(body), "markdown": body},
-        "defaultConfiguration": {"level": "warning" if code.startswith("SF4") else "error"},
+        "id": page.code,
+        "shortDescription": {"text": page.title},
+        "fullDescription": {"text": _plain(page.body.partition("\n\n")[0].replace("\n", " "))},
+        "help": {"text": _plain(page.body), "markdown": page.body},
+        "defaultConfiguration": {"level": "warning" if page.code.startswith("SF4") else "error"},
     }
 
 
