@@ -28,7 +28,7 @@ class Evaluation:
     @property
     def success(self) -> dict[tuple[str, str], float]:
         """The rate of success by task and policy; those without a result are left out."""
-        from simfoundry.evaluate.results import cells
+        from simfoundry.evaluate.statistics.results import cells
 
         return {(cell.title, cell.policy): cell.success.share for cell in cells(self.records) if cell.success.of}
 
@@ -83,9 +83,9 @@ def run_plan(plan: Plan, jobs: int, progress: Callable[[str, float], None] = lam
 
 
 def _reported(plan: Plan, troubles: Iterable[str]) -> Evaluation:
-    from simfoundry.evaluate.records import read_all
-    from simfoundry.evaluate.results import results
     from simfoundry.evaluate.run import pending
+    from simfoundry.evaluate.statistics.records import read_all
+    from simfoundry.evaluate.statistics.results import results
     from simfoundry.reports.evaluation import page
     from simfoundry.runtime.files import write_atomically
 

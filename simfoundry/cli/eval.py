@@ -155,7 +155,7 @@ def _interruptible(out: Path) -> Iterator[None]:
 
 
 def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
-    from simfoundry.evaluate.results import cells
+    from simfoundry.evaluate.statistics.results import cells
 
     missing, troubles = evaluation.missing, evaluation.troubles
     low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
@@ -181,7 +181,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -206,8 +206,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.engines import compare_engines
-    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
+    from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+    from simfoundry.evaluate.statistics.pools import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:
