@@ -134,10 +134,6 @@ def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -
     return all(free_distance(shape, point, way) > ROOM for shape in obstacles for point in points)
 
 
-PAYLOADS = MappingProxyType({"demo_arm": 2.0, "franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
-"""The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; our own is as strong;
-of the YAM our guess."""
-
 PAYLOAD = 1.0
 """That of a robot of which nothing is known [kg]."""
 
@@ -299,7 +295,11 @@ def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
         reach = robot.reach or (known.reach if known is not None else None)
         opening = robot.opening or (known.opening if known is not None else None)
         x, y, _ = frame_of(robot.pose).p
-        found.append(Hand(name, (x, y), reach, opening, payload or PAYLOADS.get(kind, PAYLOAD), kind))
+        found.append(
+            Hand(
+                name, (x, y), reach, opening, payload or (known.payload if known is not None else None) or PAYLOAD, kind
+            )
+        )
     return tuple(found)
 
 
