@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
-from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
+
+if TYPE_CHECKING:
+    from simfoundry.backends.robot_models.robot_object import RobotObject
 
 
 class PredicateError(SimfoundryError, ValueError):
     """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
+
+
+class NoCavityError(PredicateError):
+    """Something is asked to be inside of what cannot hold anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +64,7 @@ class Bodies:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
-        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r))
+        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r) is not None)
         self._bodies: dict[str, Body] = {}
 
     def __getitem__(self, name: str) -> Body:
@@ -129,6 +134,9 @@ class Bodies:
 
 
 def _robot_object(robot: Robot) -> RobotObject | None:
+    from simfoundry.backends.robot_models.mujoco_robot import read_robot
+    from simfoundry.backends.robot_models.robot_object import as_object
+
     native = mujoco_model(robot)
     return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 

@@ -9,7 +9,7 @@ from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, rotate
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.judging.bodies import PredicateError, Thing
+from simfoundry.predicates.judging.bodies import NoCavityError, Thing
 from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
 
@@ -18,10 +18,10 @@ SAMPLES = 64
 
 
 def hollow_links(view: View, b: Thing) -> list[tuple[int, Form]]:
-    """The links of a thing that have a cavity, by index; a :class:`PredicateError` where there is none."""
+    """The links of a thing that have a cavity, by index; a :class:`NoCavityError` where there is none."""
     found = [(k, form) for k, form in view.forms(b) if cavity(form) is not None]
     if not found:
-        raise PredicateError(f"`{b.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow")
+        raise NoCavityError(f"`{b.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow")
     return found
 
 
