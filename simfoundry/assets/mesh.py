@@ -95,13 +95,13 @@ def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> M
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(path.name, mesh)
     if rgba is not None and y_up:  # glTF writes its colours linear, everything else means sRGB
-        rgba = (_srgb(rgba[0]), _srgb(rgba[1]), _srgb(rgba[2]), rgba[3])
+        rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
     return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
 
 
-def _srgb(linear: float) -> float:
-    """An sRGB colour value of a linear one, both in [0, 1] (IEC 61966-2-1)."""
+def srgb_of_linear(linear: float) -> float:
+    """Return the sRGB value of a linear colour value, both in [0, 1] (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 

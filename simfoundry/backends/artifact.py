@@ -1,4 +1,4 @@
-"""What a backend returns: the files of one target and the losses on the way, and how they reach the disk."""
+"""The result of a backend: the files of one target with the losses on the way, and the text formats of numbers."""
 
 from __future__ import annotations
 
@@ -7,39 +7,19 @@ import json
 import json.encoder
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from simfoundry.backends.losses import Loss
 from simfoundry.geometry.frames import Array
 from simfoundry.runtime.files import staged, write_file
 
 
-class Fidelity(StrEnum):
-    """What became of a field of the scene in a target."""
-
-    APPROXIMATED = "approximated"
-    DROPPED = "dropped"
-
-
-@dataclass(frozen=True)
-class Loss:
-    """One field that a target cannot hold exactly: which (``cup.restitution``), what became of it, and why.
-
-    ``feature`` is the row of the support matrix that it belongs to, where the path does not say it already.
-    """
-
-    path: str
-    fidelity: Fidelity
-    reason: str
-    feature: str = ""
-
-
 @dataclass(frozen=True)
 class Artifact:
-    """The files of one target by relative POSIX path, its entry file, and what it could not keep."""
+    """The files of one target by relative POSIX path, its entry file, and the losses of its scene."""
 
     target: str
     entry: str
@@ -60,7 +40,7 @@ class Artifact:
 
 
 def json_text(data: Mapping[str, object]) -> bytes:
-    """A JSON file with a line for each key, and for each key of the mappings below it."""
+    """Return a JSON file with a line for each key, and for each key of the mappings below it."""
     return ("{\n" + ",\n".join([f"  {_entry(key, value)}" for key, value in data.items()]) + "\n}\n").encode()
 
 
@@ -72,35 +52,40 @@ def _entry(key: str, value: object) -> str:
 
 
 json_string: Callable[[str], str] = json.encoder.encode_basestring
-"""A text as JSON."""
+"""Encodes a text as JSON."""
 
 
 def json_line(value: object) -> str:
-    """Plain data as JSON on one line."""
+    """Return plain data as JSON on one line."""
     return "".join(_chunks(value, 0))
 
 
 _chunks: Callable[[object, int], Iterable[str]] = json.encoder.c_make_encoder(  # type: ignore[attr-defined]
     None, None, json_string, None, ": ", ", ", False, False, True
 )
-"""What ``json.JSONEncoder(ensure_ascii=False)`` makes for each call anew, which takes longer than to encode a line."""
+"""The encoder that ``json.JSONEncoder(ensure_ascii=False)`` makes anew for each call, at more cost than a line."""
 
 
 @lru_cache(maxsize=16384)  # a scene has few numbers, and each target writes them all
 def number(value: float) -> str:
-    """A number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
+    """Return a number for a text format: twelve significant digits, so that the last bits of a CPU do not show.
 
-    What is smaller than any quantity of ours is zero: readers refuse the denormal numbers that rounding leaves.
+    Below 1e-100, far below any quantity of a scene, it is zero: readers refuse the denormal numbers of rounding.
     """
     return f"{value:.12g}" if abs(value) > 1e-100 else "0"
 
 
 @lru_cache(maxsize=16384)
 def rounded(value: float) -> float:
-    """What :func:`number` writes, as a number: the last bits of a double differ between CPUs."""
+    """Return the number that :func:`number` writes: the last bits of a double differ between CPUs."""
     return float(number(value))
 
 
 def numbers(values: Array | Iterable[float]) -> str:
-    """Space-separated :func:`number` of each value, those of an array row by row."""
+    """Return the space-separated :func:`number` of each value, those of an array row by row."""
     return " ".join(map(number, values.ravel().tolist() if isinstance(values, np.ndarray) else values))
+
+
+def rounded_list(values: Array) -> list[float]:
+    """Return the :func:`rounded` values of an array, row by row."""
+    return [rounded(v) for v in np.asarray(values).ravel().tolist()]

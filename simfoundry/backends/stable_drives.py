@@ -1,30 +1,31 @@
-"""Drives that an engine with explicit springs can step: gains too stiff for its step are written lower."""
+"""Drives that an engine with explicit springs can step: gains too stiff for its step are lowered."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
-from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.backends.artifact import number
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.inertia import felt_inertias
 from simfoundry.scene.model import Drive, Scene, SceneObject
 from simfoundry.scene.trees import trees
 
 
 def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) -> dict[str, Drive]:
-    """The drives of an object by joint, such that steps of ``timestep`` [s] do not diverge.
+    """Return the drives of an object by joint, such that steps of ``timestep`` [s] do not diverge.
 
     A spring alone diverges at a stiffness of 4 m / dt^2, where m is what it moves, and explicit damping at 2 m / dt; at
     a quarter of each, both together are still stable.
     """
     if not any(joint.drive is not None for joint in item.joints):
         return {}
-    felt = {name: inertia for tree in trees(item) for name, inertia in felt_inertias(tree).items()}
+    effective = {name: inertia for tree in trees(item) for name, inertia in felt_inertias(tree).items()}
     found = {}
     for joint in item.joints:
         if joint.drive is not None:
-            stiffest = felt[joint.name] / timestep**2
-            dampest = float("inf") if implicit_damping else felt[joint.name] / (2 * timestep)
+            stiffest = effective[joint.name] / timestep**2
+            dampest = float("inf") if implicit_damping else effective[joint.name] / (2 * timestep)
             found[joint.name] = replace(
                 joint.drive,
                 stiffness=min(joint.drive.stiffness, stiffest),
@@ -34,14 +35,13 @@ def stable_drives(item: SceneObject, timestep: float, implicit_damping: bool) ->
 
 
 def stiffness_losses(scene: Scene, timestep: float, implicit_damping: bool) -> Iterator[Loss]:
-    """One loss for each gain that is written lower."""
+    """Yield one loss for each gain that is lowered."""
     for item in scene.objects:
         stable = stable_drives(item, timestep, implicit_damping)
         for joint in item.joints:
             for field in ("stiffness", "damping") if joint.drive is not None else ():
                 wanted, written = getattr(joint.drive, field), getattr(stable[joint.name], field)
                 if written < wanted:
-                    reason = (
-                        f"steps of {number(1000 * timestep)} ms would diverge: {written:.4g} stands for {wanted:.4g}"
-                    )
-                    yield Loss(f"{item.name}.{joint.name}.drive.{field}", Fidelity.APPROXIMATED, reason)
+                    reason = f"Its {field} is {written:.4g} instead of {wanted:.4g}: steps of "
+                    reason += f"{number(1000 * timestep)} ms would diverge."
+                    yield approximate("drive", f"{item.name}.{joint.name}", reason, 100 * (1 - written / wanted), "%")

@@ -36,6 +36,7 @@ class MaterialPrior:
     friction: float
 
 
+# Densities: the range of YCB objects of the kind (see above); frictions: estimates for such surfaces on wood.
 TABLE = {
     ShapeKind.BOX: MaterialPrior("carton", 400, 150, 750, 0.4),
     ShapeKind.CAN: MaterialPrior("can", 700, 300, 1050, 0.35),
@@ -45,6 +46,7 @@ TABLE = {
 }
 SUPPORT = MaterialPrior("table_top", 700, 500, 900, 0.5)
 
+# Upper limits of hue [deg] of the English colour words, read off the HSV circle.
 _HUES = ((15, "red"), (40, "orange"), (68, "yellow"), (165, "green"), (195, "cyan"), (260, "blue"), (320, "purple"))
 
 
@@ -76,7 +78,7 @@ def color_word(rgb: tuple[float, float, float]) -> str:
 
 
 def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Return the names with ``_2``, ``_3`` … appended where one occurs again."""
+    """Return the names with ``_2``, ``_3`` … appended to repeated ones."""
     used = set(taken)
     out = []
     for base in wanted:

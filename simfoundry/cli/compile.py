@@ -103,7 +103,7 @@ def _failed(failures: Mapping[str, str]) -> list[str]:
 
 
 def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
-    """A line for each reason for which something is not there at all: ``no robots.arm: robots are ...``."""
+    """Return a line for each reason for a dropped element: ``gravity is not written: URDF has no world settings``."""
     by_reason: dict[str, list[str]] = {}
     for loss in losses:
         if loss["fidelity"] == "dropped":
@@ -111,5 +111,6 @@ def dropped(losses: Sequence[Mapping[str, str]]) -> list[str]:
     lines = []
     for reason, paths in by_reason.items():
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
-        lines.append(f"no {', '.join(paths[:3])}{more}: {reason}")
+        verb = "are" if len(paths) > 1 else "is"
+        lines.append(f"{', '.join(paths[:3])}{more} {verb} not written: {reason}")
     return lines

@@ -61,7 +61,7 @@ def command(
     missing = {name: left_out(truth, table) for name, table in tables.items()}
     said = {name: reservations([*truth, *table]) for name, table in tables.items()}
     if svg is not None:
-        from simfoundry.evaluate.scatter import scatter
+        from simfoundry.reports.correlation import scatter
         from simfoundry.runtime.files import write_atomically
 
         write_atomically(svg, scatter(found).encode())

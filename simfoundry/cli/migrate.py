@@ -12,11 +12,11 @@ from simfoundry.cli.output import CANNOT, DONE, FINDINGS, json_option, print_fin
 
 @click.command()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Write nothing; exit code 1 where a document is of an older version.")
+@click.option("--check", is_flag=True, help="Write nothing; exit code 1 if a document is out of date.")
 @json_option
 @reporting
 def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
-    """Bring documents of older versions up to date, in place; comments stay.
+    """Bring older documents up to date, in place: their version, and keys that were renamed. Comments stay.
 
     PATHS are files, or folders with documents below them (default: here). A document's first key names its version.
     """
@@ -50,5 +50,5 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
         if findings:
             print_findings(findings)
         count = f"{len(files)} document{'s' if len(files) != 1 else ''}"
-        click.echo(f"{count}: {len(newer) or 'none'} of an older version")
+        click.echo(f"{count}: {len(newer) or 'none'} out of date")
     return CANNOT if findings else FINDINGS if check and newer else DONE

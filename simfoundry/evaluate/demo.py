@@ -21,8 +21,7 @@ from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.control import Controller, physics_steps
-from simfoundry.evaluate.expert.grasps import down, grasps
-from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.grasps import down, grasps, jaws
 from simfoundry.evaluate.expert.places import places
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ActionSpace, Image

@@ -113,7 +113,7 @@ def _object(item: SceneObject, spec: SceneSpec, on: str | None) -> dict[str, Any
         "fixed": item.fixed,
         "mass": math.fsum(link.mass for link in item.links),
         "mass_range": list(estimate.range) if estimate is not None and estimate.range is not None else None,
-        "mass_by": estimate.by if estimate is not None else None,
+        "mass_by": estimate.source if estimate is not None else None,
         "xyz": [round(float(v), 4) for v in item.X_WO.p],
         "colliders": len(colliders),
         "collider_shapes": sorted({_shape(c.geometry) for c in colliders}),

@@ -20,7 +20,7 @@ from simfoundry.targets.compile import compile_target
 from simfoundry.targets.find import Target, find_target
 from simfoundry.targets.report import report
 
-TARGETS = tuple(sorted(BACKENDS))
+TARGETS = tuple(sorted(BACKENDS.names()))
 """The targets of a build where nobody says which: the plain backends."""
 
 LOSSES = "loss.json"

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterator
 from itertools import combinations
 
-from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.backends.artifact import number
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Combines
 
@@ -27,8 +28,8 @@ def pair_losses(scene: Scene, combines: Combines, simulator: str) -> Iterator[Lo
         if worst is not None:
             a, b, meant, got = (number(float(format(v, ".3g"))) for v in worst)
             words = RULES[rule][0]
-            reason = f"{simulator} takes {words} of a pair: {got} for {a} and {b}, where {meant} is meant"
-            yield Loss(field, Fidelity.APPROXIMATED, reason, field)
+            reason = f"{simulator} takes {words} of a pair: {got} for {a} and {b}, where the scene has {meant}."
+            yield approximate(field, "", reason, abs(worst[3] - worst[2]))
 
 
 def _worst(scene: Scene, field: str, rule: Callable[[float, float], float]) -> tuple[float, float, float, float] | None:

@@ -7,8 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss
-from simfoundry.backends.features import FEATURES, feature_of
+from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.features import FEATURES, Fidelity
+from simfoundry.backends.losses import Loss
 from simfoundry.scene.model import Scene
 from simfoundry.targets.find import Target
 
@@ -18,19 +19,22 @@ if TYPE_CHECKING:
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
     """Compile ``scene`` for ``target``; the losses are those of its backend and of its simulator."""
+    artifact, profile = target_files(scene, target), target.profile
+    return replace(artifact, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+
+
+def target_files(scene: Scene, target: Target) -> Artifact:
+    """Compile the files of ``target``, with the losses of its backend alone."""
     artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
-    profile = target.profile
-    if profile is None:
-        return artifact
     files = dict(artifact.files)
     if target.loader is not None:
         files = {path: data for path, data in files.items() if not path.startswith("load_")}
-        files["load.py"] = target.loader
-    for name in profile.writes:
+        files["load.py"] = target.loader.read_bytes()
+    for name in target.profile.writes:
         from simfoundry.targets.writers import WRITERS
 
         files |= WRITERS[name](scene)
-    return replace(artifact, files=files, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+    return replace(artifact, files=files)
 
 
 def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
@@ -39,7 +43,7 @@ def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Los
     combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
     told = profile.restores.keys() | combined | profile.gaps.keys()
     for loss in artifact.losses:
-        if loss.path in absent or feature_of(loss, scene) not in told:
+        if loss.element in absent or loss.feature not in told:
             yield loss
 
 
@@ -50,4 +54,4 @@ def _own(scene: Scene, profile: TargetSpec) -> Iterator[Loss]:
     yield from pair_losses(scene, profile.combines, profile.name)
     for name, gap in profile.gaps.items():
         if any(FEATURES[name].users(scene)):
-            yield Loss(name, Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})", name)
+            yield Loss(name, "", Fidelity(gap.fidelity), f"{gap.reason} ({gap.kind})")

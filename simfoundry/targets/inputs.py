@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.robot_files import companions
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.scene.robots import OWN_MODELS, lower_robot
@@ -71,7 +72,8 @@ def software() -> dict[str, str]:
     """
     found = {"simfoundry": simfoundry.__version__}
     if (_PACKAGE.parent / "pyproject.toml").is_file():
-        files = sorted(p for p in _PACKAGE.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        folders = (_PACKAGE, shipped("targets"))
+        files = [p for f in folders for p in sorted(f.rglob("*")) if p.is_file() and "__pycache__" not in p.parts]
         total = hashlib.sha256(b"".join(hashlib.sha256(p.read_bytes()).digest() for p in files))
         found["simfoundry"] += f"+{total.hexdigest()[:16]}"
     for name in LIBRARIES:
@@ -136,9 +138,8 @@ def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
 
 
 def _of_target(target: Target) -> str:
-    profile = None if target.profile is None else target.profile.model_dump(mode="json")
-    loader = None if target.loader is None else hashlib.sha256(target.loader).hexdigest()
-    return _hash([target.name, target.backend, dict(target.options), loader, profile])
+    loader = None if target.loader is None else _of_file(target.loader)
+    return _hash([loader, target.profile.model_dump(mode="json")])
 
 
 def _hash(data: object) -> str:

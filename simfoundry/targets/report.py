@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from simfoundry.backends.artifact import Artifact
-from simfoundry.backends.features import fates, feature_of
+from simfoundry.backends.losses import Loss, count_fates
 from simfoundry.scene.model import Scene
 
 Fates = Mapping[str, Mapping[str, int]]
@@ -15,25 +15,28 @@ Fates = Mapping[str, Mapping[str, int]]
 def report(scene: Scene, artifacts: Iterable[Artifact]) -> dict[str, Any]:
     """What ``loss.json`` holds, by target.
 
-    ``fields``: of each feature that the scene uses, how many things keep it, have it approximated, lost it. ``losses``:
-    the path, the feature, what became of it, and why, for each that is not kept.
+    ``features`` counts, for each feature that the scene uses, the elements that keep it, have it approximated, lose
+    it. ``losses`` lists every :class:`~simfoundry.backends.losses.Loss` with its fields.
     """
     return {
-        artifact.target: {"fields": fates(scene, artifact.losses), "losses": _losses(scene, artifact)}
+        artifact.target: {
+            "features": count_fates(scene, artifact.losses),
+            "losses": [_loss(loss) for loss in artifact.losses],
+        }
         for artifact in artifacts
     }
 
 
-def _losses(scene: Scene, artifact: Artifact) -> list[dict[str, str]]:
-    return [
-        {
-            "path": loss.path,
-            "field": feature_of(loss, scene),
-            "fidelity": loss.fidelity.value,
-            "reason": loss.reason,
-        }
-        for loss in artifact.losses
-    ]
+def _loss(loss: Loss) -> dict[str, Any]:
+    size = None if loss.size is None else {"value": loss.size.value, "unit": loss.size.unit}
+    return {
+        "path": loss.path,
+        "feature": loss.feature,
+        "element": loss.element,
+        "fidelity": loss.fidelity.value,
+        "size": size,
+        "reason": loss.reason,
+    }
 
 
 def table(data: Mapping[str, Any]) -> list[str]:
@@ -41,11 +44,11 @@ def table(data: Mapping[str, Any]) -> list[str]:
 
     What every target keeps is counted in the last line.
     """
-    fields: dict[str, Fates] = {target: entry["fields"] for target, entry in data.items()}
+    fields: dict[str, Fates] = {target: entry["features"] for target, entry in data.items()}
     names = list(dict.fromkeys(name for found in fields.values() for name in found))
     lossy = [name for name in names if any(set(found.get(name, ())) - {"kept"} for found in fields.values())]
     kept = len(names) - len(lossy)
-    last = f"kept by all: {kept} of the {len(names)} fields in use"
+    last = f"kept by all: {kept} of the {len(names)} features in use"
     if not lossy:
         return [last]
     rows = [["not kept", *fields], *([name, *(_mark(f.get(name, {})) for f in fields.values())] for name in lossy)]

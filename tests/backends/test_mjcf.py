@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene
-from simfoundry.backends.artifact import Artifact, Fidelity
+from simfoundry.backends.artifact import Artifact
+from simfoundry.backends.features import Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.restitution import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.shapes import Cylinder, Mesh, Sphere
+from simfoundry.runtime.plugins import UnknownExtensionError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Scene, Visual
 from tests.mechanisms import mechanisms, rough
@@ -274,7 +276,7 @@ def test_equal_meshes_are_written_once() -> None:
     assert set(compile_mjcf(scene_of(item, second)).files) == set(compile_mjcf(scene_of(item)).files)
 
 
-@pytest.mark.parametrize("target", [t for t in BACKENDS if t != "usd"])
+@pytest.mark.parametrize("target", [t for t in BACKENDS.names() if t != "usd"])
 @pytest.mark.parametrize("name", ["Cup", "a b", '"/><evil', "../cup", "", "1cup"])
 def test_names_that_could_break_a_format_are_refused(name: str, target: str) -> None:
     scene = scene_of(solid(name, Sphere(0.1), IDENTITY))
@@ -295,7 +297,7 @@ def test_categories_are_escaped() -> None:
 
 
 def test_an_unknown_target_names_those_there_are() -> None:
-    with pytest.raises(ValueError, match="no backend 'mujoco'; there are: mjcf, pybullet, urdf, usd"):
+    with pytest.raises(UnknownExtensionError, match="no backend is called `mujoco`; there are: `mjcf`, `pybullet`"):
         compile_scene(primitives_scene(), "mujoco")
 
 

@@ -16,14 +16,17 @@ from simfoundry.backends.mjcf.contacts import contacts_of
 from simfoundry.backends.mjcf.foreign_geoms import Guests
 from simfoundry.backends.mjcf.restitution import solref
 from simfoundry.backends.mjcf.surfaces import Surface, felt, meant
+from simfoundry.runtime.plugins import import_file
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
-from simfoundry.verify.readers.mujoco_contacts import Meetings
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, full_scene, pose, scene_of, solid
 
 HULLS = 6
+
+Meetings = import_file(shipped("targets/mujoco") / "contacts.py").Meetings
 
 
 def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObject:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.artifact import Fidelity
-from simfoundry.backends.pybullet import SKIN, compile_pybullet, projection_matrix
-from simfoundry.backends.pybullet.inset import inset_hull
+from simfoundry.backends.features import Fidelity
+from simfoundry.backends.pybullet import compile_pybullet
+from simfoundry.backends.pybullet.inset import SKIN, inset_hull
+from simfoundry.backends.pybullet.pictures import projection_matrix
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh, Sphere
 from simfoundry.scene.model import Scene
@@ -68,7 +69,9 @@ def test_resistance_is_exact_against_one_friction_and_its_error_is_stated_agains
     assert "rolling_friction" not in losses
     wall = solid("wall", box(1, 0.1, 1), pose(0, 1, 0), friction=0.15, fixed=True)
     losses = {loss.path: loss.reason for loss in compile_pybullet(scene_of(ball, table, wall)).losses}
-    assert losses["rolling_friction"].endswith("some pair is 41% off")  # a factor of 2 to either side, by its root
+    assert losses["rolling_friction"].endswith(
+        "The worst pair is 41% off."
+    )  # a factor of 2 to either side, by its root
     twins = [rough(solid(f"ball_{k}", Sphere(0.04), pose(k, 0, 1), friction=0.3), 0.0, 0.002) for k in range(2)]
     links = {name: item["links"]["body"] for name, item in world(scene_of(*twins))["objects"].items()}  # type: ignore[index]
     assert 2 * links["ball_0"]["rolling_friction"] * math.sqrt(0.3) == pytest.approx(0.002)

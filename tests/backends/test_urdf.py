@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.artifact import Fidelity
+from simfoundry.backends.features import Fidelity
 from simfoundry.backends.urdf import compile_urdf
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.scene.kinematics import link_poses

@@ -51,7 +51,7 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)
 def compiled(text: str, path: Path) -> list[Artifact]:
     """The artifacts of all backends from the text of a document."""
     scene = lower(load(path, text=text))
-    return [compile_scene(scene, backend) for backend in BACKENDS]
+    return [compile_scene(scene, backend) for backend in BACKENDS.names()]
 
 
 def write(artifacts: Iterable[Artifact], out: Path) -> None:

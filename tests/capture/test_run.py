@@ -22,7 +22,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
 from simfoundry.targets.build import TARGETS, build
-from simfoundry.worlds import ENGINES, open_world
+from simfoundry.worlds import open_world, world_names
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY
 
@@ -83,7 +83,7 @@ def test_the_true_mass_lies_in_the_range_given(desk: Desk) -> None:
         mass = objects[c.recovered].mass
         assert mass is not None and not isinstance(mass, float)
         low, high = mass.range or (0.0, 0.0)
-        assert low <= mass.value <= high and mass.by == "material_table"
+        assert low <= mass.value <= high and mass.source == "material_table"
         # the truth's densities were written without a look at the table: within a factor of two of its range
         assert low / 2 <= c.mass_true <= 2 * high, c
 
@@ -110,7 +110,7 @@ def test_every_target_compiles(desk: Desk, tmp_path: Path) -> None:
         assert (tmp_path / "worlds" / artifact.target / artifact.entry).is_file()
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", sorted(world_names()))
 def test_nothing_moves_in_two_seconds(desk: Desk, engine: str) -> None:
     if engine == "pybullet":
         pytest.importorskip("pybullet", reason="PyBullet is not installed")

@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simfoundry.review.labels import place_labels
-from simfoundry.review.page import COLORS
-from simfoundry.review.pictures import Tag, tints_of
+from simfoundry.reports.comparison import COLORS
+from simfoundry.reports.labels import place_labels
+from simfoundry.reports.pictures import Tag, tints_of
 from simfoundry.spec.change.git.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
@@ -456,7 +456,7 @@ cameras:
 objects:
   desk: {fixed: true, shape: {box: [0.8, 0.6, 0.04]}, pose: {xyz: [0.4, 0, -0.02]}}
   stool: {shape: {box: [0.2, 0.2, 0.1]}, mass: 2, place: {on: desk, xy: [0.3, 0]}}
-  pot: {shape: {sphere: 0.04}, mass: 0.3, place: {on: stool, at: [0.02, 0]}}
+  pot: {shape: {sphere: 0.04}, mass: 0.3, place: {on: stool, local_xy: [0.02, 0]}}
   can: {shape: {sphere: 0.04}, mass: 0.3, pose: {xyz: [0.6, 0.1, 0.04]}}
 """
 

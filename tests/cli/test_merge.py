@@ -353,7 +353,7 @@ def test_what_cannot_be_merged_is_said_in_a_sentence(three: list[Path], tmp_path
 
 def test_a_large_scene_merges_in_time(tmp_path: Path) -> None:
     objects = "".join(
-        f"  thing_{k}:\n    shape: {{box: [0.1, 0.2, 0.3]}}\n    mass: {{value: 2, range: [1, 3], by: me}}\n"
+        f"  thing_{k}:\n    shape: {{box: [0.1, 0.2, 0.3]}}\n    mass: {{value: 2, range: [1, 3], source: me}}\n"
         f"    pose: {{xyz: [{k}, 0, 0.15], yaw_deg: {k % 90}}}\n"
         for k in range(1000)
     )

@@ -214,7 +214,7 @@ def test_a_task_without_regions_shows_how_to_write_one(project: Path) -> None:
     (project / "a.scene.yaml").write_text(
         "simfoundry: scene/1\nname: a\nobjects:\n"
         "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}, density: 600, pose: {xyz: [0.4, 0, -0.05]}}\n"
-        "  cup: {shape: {box: [0.05, 0.05, 0.1]}, mass: 0.3, place: {on: desk, at: [0.1, 0]}}\n"
+        "  cup: {shape: {box: [0.05, 0.05, 0.1]}, mass: 0.3, place: {on: desk, local_xy: [0.1, 0]}}\n"
     )
     path = made("a.task.yaml")
     text = path.read_text()

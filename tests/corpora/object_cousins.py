@@ -20,10 +20,9 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from simfoundry.assets.cache import Cache
-from simfoundry.cousins.objects.checks import Twin, faults
+from simfoundry.cousins.objects.checks import Needs, Twin, faults, needs_of
 from simfoundry.cousins.objects.item import item_of, item_of_asset, lay, lowered
-from simfoundry.cousins.objects.likeness import likeness
-from simfoundry.cousins.objects.needs import Needs, needs_of
+from simfoundry.cousins.objects.retrieval import likeness
 from simfoundry.cousins.objects.swap import overlay
 from simfoundry.cousins.objects.variants import Variants, variants, write
 from simfoundry.scene.lower import lower

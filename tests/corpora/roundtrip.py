@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.features import feature_of
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.importer import import_file
 from simfoundry.frontends.usd.compiled.importing import import_usd
@@ -93,7 +92,7 @@ def trip_by_scene(scene: Scene, target: str, folder: Path) -> tuple[list[Apart],
     artifact.write(folder / "build")
     document = folder / "back" / f"{scene.name}.scene.yaml"
     import_file(folder / "build" / MAINS[target], document)
-    lost = {feature_of(loss, scene) for loss in artifact.losses}
+    lost = {loss.feature for loss in artifact.losses}
     different = apart(scene, lower_file(document))
     return [d for d in different if d.feature in lost], [d for d in different if d.feature not in lost]
 

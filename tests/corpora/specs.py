@@ -33,16 +33,16 @@ MAX_DRIFT_M, MAX_TILT_DEG = 0.002, 1.0
 AT_THE_END: Mapping[str, Mapping[str, dict[str, object]]] = {
     "marker_in_cup": {"marker": {"rpy_deg": (0.0, 90.0, 0.0)}},
     "red_marker_in_blue_cup": {"red_marker": {"rpy_deg": (0.0, 90.0, 0.0)}},
-    "serve_fruits": {"banana": {"at": (0.0, 0.035), "yaw_deg": 0.0}, "apple": {"at": (0.0, -0.04)}},
+    "serve_fruits": {"banana": {"local_xy": (0.0, 0.035), "yaw_deg": 0.0}, "apple": {"local_xy": (0.0, -0.04)}},
     "clear_table": {
-        "cube": {"at": (-0.07, -0.1)},
-        "grapes": {"at": (0.06, -0.1)},
-        "cup": {"at": (0.06, 0.1)},
-        "marker": {"at": (0.0, 0.0), "yaw_deg": 90.0},
-        "baseball": {"at": (-0.078, 0.118)},
+        "cube": {"local_xy": (-0.07, -0.1)},
+        "grapes": {"local_xy": (0.06, -0.1)},
+        "cup": {"local_xy": (0.06, 0.1)},
+        "marker": {"local_xy": (0.0, 0.0), "yaw_deg": 90.0},
+        "baseball": {"local_xy": (-0.078, 0.118)},
     },
-    "orange_cup_on_organizer": {"orange_cup": {"at": (0.0, 0.05)}},
-    "tennis_ball_on_organizer": {"tennis_ball": {"at": (0.0, 0.05)}},
+    "orange_cup_on_organizer": {"orange_cup": {"local_xy": (0.0, 0.05)}},
+    "tennis_ball_on_organizer": {"tennis_ball": {"local_xy": (0.0, 0.05)}},
     "store_marker": {"marker": {"yaw_deg": 90.0}},
 }
 """How the things of a goal lie at the end, where they do not lie in the middle as they lay on the desk."""
@@ -69,7 +69,7 @@ def main() -> int:
     """Prove all specs; returns the exit code."""
     failures: list[str] = []
     simulators = "".join(f"{engine:>18}" for engine in ENGINES)
-    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{simulators}  losses {' '.join(BACKENDS)}")
+    print(f"{'scene':<18}{'things':>7}{'joints':>7}{'kg':>7}{simulators}  losses {' '.join(BACKENDS.names())}")
     for path in SCENES:
         _scene(path, failures)
     print(f"\n{'task':<28}{'steps':>6}{'starts at rest':>16}{'end: mujoco':>18}{'end: pybullet':>18}")
@@ -85,7 +85,7 @@ def _scene(path: Path, failures: list[str]) -> None:
     scene = lowered(path)
     rests = [_rest(scene, engine) for engine in ENGINES]
     failures += [f"{path.name} in {e}: {p}" for e, r in zip(ENGINES, rests, strict=True) for p in _faults(r)]
-    losses = " ".join(f"{len(compile_scene(scene, target).losses):>{len(target)}}" for target in BACKENDS)
+    losses = " ".join(f"{len(compile_scene(scene, target).losses):>{len(target)}}" for target in BACKENDS.names())
     free = [o for o in scene.objects if not o.fixed]
     mass = sum(link.mass for o in free for link in o.links)
     joints = sum(len(o.joints) for o in scene.objects)

@@ -13,13 +13,12 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
-from simfoundry.cousins.tasks.meaning import meaning, objects_of
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.layout.twin import bare
+from simfoundry.cousins.tasks.candidate_poses import meaning, objects_of
+from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.enumeration import Proposal, checked, enumerate_tasks, scene_reference, write
 from simfoundry.cousins.tasks.trial import LASTS
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.tasks.written import checked, scene_reference, write
-from simfoundry.cousins.twin import bare
 from simfoundry.lint.run import lint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.log import log_file
-from simfoundry.cousins.vary import Setup, candidate, prepared
+from simfoundry.cousins.run.candidates import Setup, candidate, prepared
+from simfoundry.cousins.run.log import log_file
 from tests.cli.command import Done, run
 from tests.cousins.conftest import TABLE
 from tests.cousins.test_library import BALL, BRICK
@@ -20,7 +20,7 @@ scene:
   anchor: post
   objects: {brick: [LeftOf, RightOf], can: [InFrontOf, Behind]}
   gap: [0.02, 0.15]
-distractors: {count: [1, 2], library: things, shipped: false}
+distractors: {count: [1, 2], library: things, builtin_library: false}
 """
 
 
@@ -112,7 +112,7 @@ def test_a_table_that_may_hold_them_is_tried(project: Path) -> None:
 
 
 def test_a_filter_that_matches_nothing(project: Path) -> None:
-    done = asked(project, "library: things", "library: things, mass: {most: 0.001}")
+    done = asked(project, "library: things", "library: things, mass: {max: 0.001}")
     assert done.code == 1, done.err
     assert "no distractor is left of the 2 in things" in done.err
     assert "mass at most 0.001 kg: 1 taken (theirs 0.0226 to 0.0226)" in done.err, "the twin has a brick itself"

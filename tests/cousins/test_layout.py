@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simfoundry.cousins.asks import asks_of
-from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose, scatter
-from simfoundry.cousins.reasons import ImpossibleError, Rejected
-from simfoundry.cousins.support import Support
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.acceptance import examine
+from simfoundry.cousins.layout.constraints import asks_of
+from simfoundry.cousins.layout.propose import Layout, propose, scatter
+from simfoundry.cousins.layout.supports import Support
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Rejected
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load
 from simfoundry.spec.models.cousins import SceneAxis
@@ -26,7 +26,9 @@ SIDES = ("LeftOf", "RightOf", "InFrontOf", "Behind", "NextTo")
 
 
 def axis(anchor: str, together: int = 1, gap: tuple[float, float] = (0.02, 0.2), **objects: Any) -> SceneAxis:
-    return SceneAxis.model_validate({"anchor": anchor, "objects": objects, "together": together, "gap": gap})
+    return SceneAxis.model_validate(
+        {"anchor": anchor, "objects": objects, "relations_per_object": together, "gap": gap}
+    )
 
 
 def proposed(twin: Twin, asked: SceneAxis, k: int) -> Layout:

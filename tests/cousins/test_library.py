@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.library import (
+from simfoundry.cousins.recipe.candidate import ImpossibleError
+from simfoundry.cousins.recipe.document import read_recipe
+from simfoundry.cousins.recipe.library import (
     Item,
     Library,
     default_folder,
@@ -20,9 +22,7 @@ from simfoundry.cousins.library import (
     remarks,
     united,
 )
-from simfoundry.cousins.reasons import ImpossibleError
-from simfoundry.cousins.recipe import read_recipe
-from simfoundry.cousins.stock import copied, references
+from simfoundry.cousins.recipe.variant_pool import copied, references
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.asset import AssetSpec
@@ -95,14 +95,14 @@ def test_filters(folder: Path) -> None:
 
     assert left() == ["brick", "hat", "tent"], "the twin has a toy"
     assert left(categories=("toy",)) == ["ball"]
-    assert left(without=("brick",)) == ["hat", "tent"]
-    assert left(mass={"most": 0.1}) == ["hat", "tent"]
-    assert left(volume={"least": 1e-4}) == ["brick"]
-    assert left(density={"least": 400, "most": 600}) == ["tent"]
+    assert left(exclude_categories=("brick",)) == ["hat", "tent"]
+    assert left(mass={"max": 0.1}) == ["hat", "tent"]
+    assert left(volume={"min": 1e-4}) == ["brick"]
+    assert left(density={"min": 400, "max": 600}) == ["tent"]
 
 
 def test_nothing_left_is_said_with_what_each_filter_took(folder: Path) -> None:
-    axis = DistractorAxis(categories=("brick", "hat", "tend"), mass={"most": 0.0001}, density={"most": 1e4})  # type: ignore[arg-type]
+    axis = DistractorAxis(categories=("brick", "hat", "tend"), mass={"max": 0.0001}, density={"max": 1e4})  # type: ignore[arg-type]
     with pytest.raises(ImpossibleError) as raised:
         filtered(read_library(folder), axis)
     (reason,) = raised.value.reasons
@@ -189,7 +189,7 @@ def test_nothing_is_added_that_an_instruction_could_mean(tmp_path: Path) -> None
     assert said[0].startswith("left out `green_cup`, `mine` of ") and "a category that the twin has not" in said[0]
     assert said[1].startswith("left out `gadget` of ") and "a shape that the twin has not" in said[1]
     assert said[2].startswith("`widget` of ") and "state no `category`" in said[2]
-    without = filtered(library, DistractorAxis(without=("cup",)))[0]
+    without = filtered(library, DistractorAxis(exclude_categories=("cup",)))[0]
     assert [item.name for item in without] == ["gadget", "widget"]
 
 

@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins import library
-from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.overlay import dependents, relative
-from simfoundry.cousins.recipe import claim_project, read_recipe
-from simfoundry.cousins.tasks.choices import TaskCousin
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe import library
+from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.recipe.document import claim_project, read_recipe
+from simfoundry.cousins.recipe.overlay import dependents, relative
+from simfoundry.cousins.run.candidates import Setup, candidate, prepared
+from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.twin import Twin
-from simfoundry.cousins.vary import Setup, candidate, prepared
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.task import load_task
 from simfoundry.predicates import Judge
@@ -54,7 +54,7 @@ scene:
   anchor: post
   objects: {{brick: [LeftOf, RightOf], can: [InFrontOf, Behind]}}
   gap: [0.02, 0.15]
-distractors: {{count: [1, 2], library: things, shipped: false}}
+distractors: {{count: [1, 2], library: things, builtin_library: false}}
 """
 
 
@@ -132,7 +132,7 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     prepared.cache_clear()
     assert [candidate(asked, k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.vary import Setup, candidate;"
+        "import sys; from simfoundry.cousins.run.candidates import Setup, candidate;"
         "print(candidate(Setup(sys.argv[1], sys.argv[2], 11), 3).line())"
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]
@@ -243,7 +243,7 @@ twin: cup.task.yaml
 seed: 2
 scene: {anchor: bowl, objects: {cup: [LeftOf, RightOf, InFrontOf, Behind]}, gap: [0.02, 0.15]}
 object: {objects: {cup: {count: 2}}}
-distractors: {count: [1, 2], library: things, shipped: false}
+distractors: {count: [1, 2], library: things, builtin_library: false}
 task: {count: 3}
 """
 DESK = """\

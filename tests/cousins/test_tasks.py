@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.tasks.accept import AcceptedTask, accept
-from simfoundry.cousins.tasks.choices import task_cousins
-from simfoundry.cousins.tasks.document import task
-from simfoundry.cousins.tasks.enumerate import Proposal, Proposals, enumerate_tasks
+from simfoundry.cousins.tasks.acceptance import AcceptedTask, accept
+from simfoundry.cousins.tasks.candidate_poses import meaning, objects_of
+from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.enumeration import Proposal, Proposals, checked, enumerate_tasks, task, write
 from simfoundry.cousins.tasks.ideas import Affordances
-from simfoundry.cousins.tasks.meaning import meaning, objects_of
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.proposals import task_cousins
 from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.tasks.written import checked, write
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.grasp_width import grasp_width

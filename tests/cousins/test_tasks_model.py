@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from simfoundry.cousins.tasks.answer import Told, Unread, goal_of, read
-from simfoundry.cousins.tasks.propose import prompt, propose_tasks
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.proposals import Told, Unread, goal_of, prompt, propose_tasks, read
 from simfoundry.cousins.tasks.witness import ALLOWED
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec
@@ -49,7 +48,7 @@ EXPECTED = {
     "tidy_red_marker": (),
     "pour_tea": ("unknown_name", "no object is called `teapot`"),
     "put_bowl_on_desk": ("already_true", "`bowl` touches `desk`"),
-    "plate_into_bowl": ("impossible", "the cavity is 15.4 cm across"),
+    "plate_into_bowl": ("too_wide", "`plate` is 22.7 cm wide at its narrowest"),
     "ball_in_bowl_again": ("duplicate", "`baseball_into_bowl`"),
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from simfoundry.spec.editor.reference import EXAMPLES
-from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.editor.reference import example
+from simfoundry.spec.models.kinds import KINDS, is_document
 from simfoundry.spec.models.predicate import built_in_predicates
 from simfoundry.spec.models.robot import ROBOTS
 from tests.conftest import REPOSITORY
@@ -220,7 +220,7 @@ def test_a_key_shows_its_words_with_the_unit(editor: Editor, text: str, words: s
 
 def test_a_choice_shows_what_each_word_means(editor: Editor) -> None:
     shown = editor.hover(f"{OBJECT}coll|ision: hull")
-    assert "* `hull`: One convex hull." in shown and "* `none`: No contact at all." in shown
+    assert "* `hull`: One convex hull." in shown and "* `none`: No collision at all." in shown
 
 
 # -- diagnostics ----------------------------------------------------------------------------------------------------
@@ -274,9 +274,9 @@ def test_what_is_valid_has_no_diagnostic(editor: Editor, text: str) -> None:
     assert editor.problems(text) == []
 
 
-@pytest.mark.parametrize("kind", EXAMPLES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_examples_of_the_reference_have_no_diagnostic(editor: Editor, kind: str) -> None:
-    assert editor.problems(EXAMPLES[kind]) == []
+    assert editor.problems(example(kind)) == []
 
 
 SPECS = sorted(path for path in (REPOSITORY / "specs").rglob("*.yaml") if is_document(path))

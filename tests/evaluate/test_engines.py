@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from simfoundry.evaluate.engines import compare_engines
-from simfoundry.evaluate.page import page
 from simfoundry.evaluate.results import results
+from simfoundry.reports.evaluation import page
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
 from tests.evaluate.test_strata import record

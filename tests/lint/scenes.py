@@ -27,7 +27,7 @@ def written(folder: Path, objects: str, more: str = "", name: str = "desk.scene.
 def findings(path: Path) -> list[Diagnostic]:
     """What the lints find in a document without errors."""
     loaded = load(path)
-    assert loaded.errors == []
+    assert loaded.errors == [], loaded.errors
     return list(lint(loaded))
 
 
@@ -44,7 +44,7 @@ def codes(path: Path) -> list[str]:
 def draft(path: Path) -> DraftScene:
     """The scene as lints judge it."""
     loaded = load(path)
-    assert loaded.errors == []
+    assert loaded.errors == [], loaded.errors
     return drafted(loaded)
 
 

@@ -42,9 +42,9 @@ def random_scene(folder: Path, rng: np.random.Generator) -> Path:
         x, y = rng.uniform(-0.12, 0.12, 2).round(3)
         if k and rng.random() < 0.25:
             carrier = rng.choice(["desk", "bowl", "box"]) if name != "box" else "desk"
-            where = f"place: {{on: {carrier}, at: [{x / 4:.3f}, {y / 4:.3f}]}}"
+            where = f"place: {{on: {carrier}, local_xy: [{x / 4:.3f}, {y / 4:.3f}]}}"
         elif k and rng.random() < 0.15:
-            where = f"place: {{inside: bowl, at: [{x / 20:.3f}, {y / 20:.3f}]}}"
+            where = f"place: {{inside: bowl, local_xy: [{x / 20:.3f}, {y / 20:.3f}]}}"
         else:
             z = 0.0 if name == "bowl" and rng.random() < 0.7 else rng.uniform(-0.02, 0.12)
             angles = rng.uniform(-180, 180, 3) if rng.random() < 0.4 else [0, 0, rng.uniform(-180, 180)]

@@ -20,7 +20,7 @@ SCENE = f"""
     leaning: {{{CUP}, pose: {{xyz: [0, 0.5, 0.06], rpy_deg: [10, 0, 0]}}}}
     bowl: {{{BOWL}, mass: 0.3, pose: {{xyz: [-0.4, 0, 0]}}}}
     ball: {{shape: {{sphere: 0.03}}, mass: 0.1, pose: {{xyz: [-0.4, 0, 0.035]}}}}
-    pea: {{shape: {{sphere: 0.005}}, mass: 0.01, place: {{inside: bowl, at: [0.03, 0]}}}}
+    pea: {{shape: {{sphere: 0.005}}, mass: 0.01, place: {{inside: bowl, local_xy: [0.03, 0]}}}}
     egg: {{shape: {{sphere: 0.02}}, mass: 0.01, place: {{on: plate, xy: [0.4, 0.27]}}}}
     chest: {{asset: chest.asset.yaml, pose: {{xyz: [0.6, 0.6, 0.1]}}, joints: {{slide: 0.02, flap: {{deg: 30}}}}}}
 """

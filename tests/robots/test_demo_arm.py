@@ -12,7 +12,7 @@ import pytest
 import simfoundry
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.grasps import jaws
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from simfoundry.backends import compile_scene
-from simfoundry.backends.features import feature_of
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
 from simfoundry.scene.lower import lower_file
@@ -80,7 +79,7 @@ def test_words_that_were_edited_into_nonsense_are_refused(cell: Scene, tmp_path:
 
 def test_a_camera_on_a_robot_is_a_loss_of_urdf(cell: Scene) -> None:
     losses = compile_scene(cell, "urdf").losses
-    assert {feature_of(loss, cell) for loss in losses if loss.path == "wrist"} == {"mounted_cameras"}
+    assert {loss.feature for loss in losses if loss.path == "wrist"} == {"mounted_cameras"}
 
 
 def test_scenes_share_a_robot_until_its_model_changes(cell: Scene, tmp_path: Path) -> None:

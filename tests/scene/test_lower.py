@@ -95,7 +95,7 @@ BOX = "shape: {box: [0.1, 0.2, 0.3]}"  # 0.006 m^3
         ("material: wood, mass: 0.3", 0.3),
         ("material: wood, density: 500", 3.0),
         ("material: bare, density: 500", 3.0),
-        ("mass: {value: 0.3, range: [0.1, 0.5], by: vlm}", 0.3),
+        ("mass: {value: 0.3, range: [0.1, 0.5], source: vlm}", 0.3),
         ("density: {value: 500}, material: wood", 3.0),
         ("fixed: true", 6.0),
         ("fixed: true, material: bare", 6.0),

@@ -117,7 +117,7 @@ def test_a_cup_on_a_stack_of_yawed_plates(things: dict[str, SceneObject]) -> Non
     placed = chain(
         stack,
         {
-            "plate": Place(on="desk", at=(-0.2, 0.1), yaw_deg=7),
+            "plate": Place(on="desk", local_xy=(-0.2, 0.1), yaw_deg=7),
             "plate1": Place(on="plate", yaw_deg=33),
             "plate2": Place(on="plate1", yaw_deg=-50),
             "cup": Place(on="plate2"),
@@ -201,7 +201,9 @@ def test_a_closed_drawer_takes_what_fits_below_the_top(things: dict[str, SceneOb
 
 def test_an_open_drawer_takes_more(things: dict[str, SceneObject]) -> None:
     half = opened(things["cabinet"], 0.24)
-    brick = put(solid("brick", BRICK, pose(0, 0, 0)), Place(inside="cabinet.tray", yaw_deg=30, at=(-0.05, 0)), half)
+    brick = put(
+        solid("brick", BRICK, pose(0, 0, 0)), Place(inside="cabinet.tray", yaw_deg=30, local_xy=(-0.05, 0)), half
+    )
     local = half.X_WO.inverse() @ brick.X_WO
     assert local.p == pytest.approx([-0.29, 0, 0.025 + 0.07 + CLEARANCE], abs=2 * ROUNDING)
     assert 0 <= distance(brick, half) <= 2e-4
@@ -213,8 +215,8 @@ def test_a_board_on_the_sides_of_a_drawer_is_not_inside_behind_its_higher_front(
     half = opened(things["cabinet"], 0.24)
     board = solid("board", box(0.1, 0.37, 0.01), pose(0, 0, 0))
     with pytest.raises(PlaceError, match="does not fit inside"):
-        put(board, Place(inside="cabinet.tray", yaw_deg=30, at=(-0.05, 0)), half)
-    on = put(board, Place(on="cabinet.tray", yaw_deg=30, at=(-0.05, 0)), half)
+        put(board, Place(inside="cabinet.tray", yaw_deg=30, local_xy=(-0.05, 0)), half)
+    on = put(board, Place(on="cabinet.tray", yaw_deg=30, local_xy=(-0.05, 0)), half)
     assert (half.X_WO.inverse() @ on.X_WO).p[2] == pytest.approx(0.075 + 0.005 + CLEARANCE, abs=ROUNDING)
 
 
@@ -232,7 +234,7 @@ def test_on_a_link_is_below_what_covers_it(things: dict[str, SceneObject]) -> No
     with pytest.raises(PlaceError, match=r"`brick` .* does not fit on `cabinet.tray`"):
         put(solid("brick", BRICK, pose(0, 0, 0)), Place(on="cabinet.tray"), closed)
     with pytest.raises(PlaceError, match=r"is not above `cabinet.tray`, which spans x 0\.\d+ to"):
-        put(slab, Place(on="cabinet.tray", at=(0.3, 0)), opened(closed, 0.24))
+        put(slab, Place(on="cabinet.tray", local_xy=(0.3, 0)), opened(closed, 0.24))
 
 
 def test_all_links_of_a_thing_count(things: dict[str, SceneObject]) -> None:

@@ -23,7 +23,7 @@ materials:
 objects:
   desk: {fixed: true, shape: {box: [0.8, 0.6, 0.04]}, material: wood, pose: {xyz: [0, 0, -0.02]}}
   book: {shape: {box: [0.2, 0.15, 0.03]}, mass: 0.4, pose: {xyz: [0, 0, 0.015], yaw_deg: 30}}
-  ball: {shape: {sphere: 0.035}, mass: {value: 0.1, range: [0.05, 0.2], by: vlm}, pose: {xyz: [0, 0, 0.065]}}
+  ball: {shape: {sphere: 0.035}, mass: {value: 0.1, range: [0.05, 0.2], source: vlm}, pose: {xyz: [0, 0, 0.065]}}
   lathe: {shape: {lathe: {profile: [[0, 0], [0.03, 0], [0.04, 0.05], [0, 0.05]]}}, mass: 0.25, pose: {xyz: [0.3, 0, 0]}}
   a: {shape: {capsule: {radius: 0.01, height: 0.05}}, mass: 0.01, pose: {xyz: [0, 0.2, 0.1]}}
   b: {shape: {cylinder: {radius: 0.02, height: 0.05}}, mass: 0.01, pose: {xyz: [0, 0.2, 0.2]}}

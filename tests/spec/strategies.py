@@ -101,14 +101,14 @@ SHAPES = st.one_of(
     ),
 )
 QUANTITIES = POSITIVE | st.builds(
-    lambda low, middle, high, by: Estimate(value=middle, range=(low, high), by=by),
+    lambda low, middle, high, source: Estimate(value=middle, range=(low, high), source=source),
     st.floats(1e-9, 1),
     st.floats(1, 2),
     st.floats(2, 1e6),
     TEXTS,
 )
 ORIGINS = st.builds(
-    Origin, capture=maybe(TEXTS), fit=maybe(st.floats(0, 9)), confidence=maybe(FRACTIONS), note=maybe(TEXTS)
+    Origin, capture=maybe(TEXTS), fit_error=maybe(st.floats(0, 9)), confidence=maybe(FRACTIONS), note=maybe(TEXTS)
 )
 MATERIALS = st.dictionaries(
     NAMES,

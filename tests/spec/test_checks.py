@@ -93,7 +93,7 @@ def test_the_documents_are_sound(tmp_path: Path, file: str) -> None:
         ("{on: desk, left", "{on: cup.rim, left", "SF201", 7, "`cup` has no parts"),
         ("left_of: cup}", "gap: 0.1}", "SF107", 7, "`gap` is for"),
         ("left_of: cup}", "left_of: cup, right_of: cup}", "SF107", 7, "give one of `left_of`, `right_of`"),
-        ("left_of: cup}", "xy: [0, 0], left_of: cup}", "SF107", 7, "give one of `xy`, `at`, `left_of`"),
+        ("left_of: cup}", "xy: [0, 0], left_of: cup}", "SF107", 7, "give one of `xy`, `local_xy`, `left_of`"),
         ("franka_robotiq", "franka_robotic", "SF201", 10, "no robot is called `franka_robotic`"),
         ("joint1", "joint9", "SF201", 10, "no joint of `franka_robotiq` is called `joint9`"),
         ("franka_robotiq, joints: {joint1: 0.3}", "{mjcf: arm.xml}", "SF203", 10, "there is no file `arm.xml`"),

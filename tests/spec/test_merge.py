@@ -49,7 +49,7 @@ objects:
     pose: {xyz: [0.4, 0.12, 0.05], yaw_deg: 30}
   block:
     shape: {box: [0.05, 0.06, 0.07]}
-    mass: {value: 0.1, range: [0.05, 0.2], by: vlm}
+    mass: {value: 0.1, range: [0.05, 0.2], source: vlm}
     pose: {xyz: [0.2, 0.11, 0.035]}
 robots:
   arm: {model: franka_robotiq, pose: {xyz: [-0.1, 0.2, 0.3]}}

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.spec.change.migrate import STEPS, Migration, migrated, renamed
+from simfoundry.spec.change.migrate import STEPS, Migration, migrated
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.load import load
+from simfoundry.spec.models.kinds import KINDS, model_of
+from simfoundry.spec.models.types import former_paths, with_present_keys
+from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.tree import CommentedTree
 from tests.cli.command import run
 
@@ -34,6 +37,15 @@ def in_grams(tree: CommentedTree) -> CommentedTree:
         for name, item in objects.value.items()
     }
     return replace(tree, value={**tree.value, "objects": replace(objects, value=scaled)})
+
+
+def renamed(tree: CommentedTree, path: tuple[str, ...], name: str) -> CommentedTree:
+    """The tree in which the key at ``path`` (``*`` stands for any) is called ``name``."""
+    head, *rest = path
+    if not rest:
+        return replace(tree, value={name if key == head else key: child for key, child in tree.value.items()})
+    hit = {key: renamed(child, tuple(rest), name) if head in ("*", key) else child for key, child in tree.value.items()}
+    return replace(tree, value=hit)
 
 
 STEPS_HERE = {
@@ -90,8 +102,61 @@ def test_the_command_changes_nothing_that_is_up_to_date(tmp_path: Path) -> None:
     path = tmp_path / "a.scene.yaml"
     path.write_text("simfoundry:   scene/1\nname: a\n")
     done = run("migrate", str(tmp_path))
-    assert (done.code, done.out) == (0, "1 document: none of an older version\n")
+    assert (done.code, done.out) == (0, "1 document: none out of date\n")
     assert path.read_text() == "simfoundry:   scene/1\nname: a\n"
     path.write_text("simfoundry: scene/0\nname: a\n")
     done = run("migrate", str(tmp_path))
     assert done.code == 2 and "SF006" in done.err and "scene/1" in done.err
+
+
+FORMER = """\
+# a recipe
+simfoundry: cousins/1
+name:   desks
+twin: desk.scene.yaml
+scene: {objects: {cup: [LeftOf]}, together: 2}   # two at once
+distractors:
+  shipped: true
+  "without": [knife]
+  mass: {most:   0.5}  # light ones
+"""
+SCENE = """\
+simfoundry: scene/1
+name: desk
+objects:
+  desk: {fixed: true, shape: {box: [1, 1, 0.1]}}
+  cup:
+    shape: {sphere: 0.04}
+    mass: {value: 0.2, by: scale}
+    place: {on: desk, at: [0, 0.1]}
+    origin: {fit: 0.002, cousin: {recipe: a, seed: 1, index: 1, by: me}}
+"""
+
+
+def test_keys_that_were_renamed_are_found_and_mended_where_they_stand(tmp_path: Path) -> None:
+    recipe, scene = tmp_path / "desks.cousins.yaml", tmp_path / "desk.scene.yaml"
+    recipe.write_text(FORMER)
+    scene.write_text(SCENE)
+    found = {(d.code, d.line, d.column, d.message) for d in load(recipe).findings}
+    assert ("SF101", 9, 10, "the key `most` is called `max` now") in found
+    assert ("SF101", 5, 35, "the key `together` is called `relations_per_object` now") in found
+    assert [d.line for d in load(scene).findings] == [7, 8, 9, 9]
+    assert {d.hint for d in load(scene).findings} == {"run `simfoundry migrate` on the file"}
+    assert run("migrate", "--check", str(tmp_path)).code == 1 and recipe.read_text() == FORMER
+    assert run("migrate", str(tmp_path)).code == 0
+    expected = FORMER
+    for old, new in (("together", "relations_per_object"), ("shipped", "builtin_library"), ("most", "max")):
+        expected = expected.replace(f"{old}:", f"{new}:")
+    assert recipe.read_text() == expected.replace("without", "exclude_categories")
+    assert "mass: {value: 0.2, source: scale}" in scene.read_text() and "generator: me" in scene.read_text()
+    assert [d.code for d in load(scene).findings] == [] and [d.code for d in load(recipe).findings] == []
+
+
+def test_former_keys_of_plain_data() -> None:
+    data = parse(SCENE).data
+    model = model_of("scene/1")
+    present = with_present_keys(model, data)
+    assert present["objects"]["cup"]["place"] == {"on": "desk", "local_xy": (0, 0.1)}
+    assert present["objects"]["desk"] == data["objects"]["desk"] and not list(former_paths(model, present))
+    both = {"objects": {"cup": {"place": {"at": (0, 0), "local_xy": (1, 1)}}}}
+    assert with_present_keys(model, both) == both, "two values for one field are left for a person to decide"

@@ -28,7 +28,7 @@ name: desk
 materials: {wood: {density: 700, color: [0.5, 0.3, 0.1]}}
 objects:
   table: {fixed: true, shape: {box: [1.4, 0.7, 0.04]}, material: wood}
-  cup: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: {value: 0.2, range: [0.1, 0.3], by: vlm}}
+  cup: {shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: {value: 0.2, range: [0.1, 0.3], source: vlm}}
   desk: {asset: desk.asset.yaml, joints: {slide: 0.1, flap: {deg: 30}}}
 cameras:
   front: {size: [640, 480], fx: 500, fy: 500, pose: {xyz: [1, 0, 1], look_at: [0, 0, 0]}}
@@ -178,7 +178,7 @@ def _keys(kind: str) -> list[tuple[str, str, Any]]:
 KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 PURE = {
     *("friction", "restitution", "color", "confidence", "intensity", "direction", "axis", "quat_wxyz"),
-    *("grid", "count", "seed", "together", "names", "invalid", "background", "horizon", "least", "most"),
+    *("grid", "count", "seed", "relations_per_object", "names", "invalid", "background", "horizon", "min", "max"),
     *("open", "closed", "threshold", "retries", "index"),
 }
 """Keys of numbers without a unit (the ends of a range are in the unit of the range)."""
@@ -243,7 +243,7 @@ def _filled(body: Any) -> Any:
     """What a person gets who takes a first value as it is."""
     if isinstance(body, dict):
         return {str(_filled(key)): _filled(value) for key, value in body.items()}
-    if isinstance(body, list):
+    if isinstance(body, list | tuple):
         return [_filled(item) for item in body]
     return json.loads(json.dumps(parse(re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", body)).data))
 

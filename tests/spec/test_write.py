@@ -133,7 +133,7 @@ objects:
   cup:
     category: mug
     shape: {cylinder: {radius: 0.04, height: 0.1}}
-    mass: {value: 0.2, range: [0.1, 0.3], by: "material: ceramic"}
+    mass: {value: 0.2, range: [0.1, 0.3], source: "material: ceramic"}
     pose: {xyz: [0.4, 0.1, 0.05], yaw_deg: 30}
 
 relations:

@@ -123,7 +123,7 @@ def test_nothing_moves_when_physics_starts(path: Path) -> None:
 
 
 @each_scene
-@pytest.mark.parametrize("target", BACKENDS)
+@pytest.mark.parametrize("target", BACKENDS.names())
 def test_it_compiles(path: Path, target: str) -> None:
     scene = lowered(path)
     artifact = compile_scene(scene, target)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from simfoundry.backends import BACKENDS, compile_scene, features_of
-from simfoundry.backends.artifact import Fidelity, Loss
-from simfoundry.backends.features import FEATURES, fates, feature_of
+from simfoundry.backends.features import FEATURES, Fidelity, rejected
+from simfoundry.backends.losses import Loss, approximate, count_fates, drop
+from simfoundry.backends.names import InvalidSceneError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.targets.compile import compile_target
@@ -50,14 +52,14 @@ def losses(scenes: dict[str, Scene]) -> Callable[[str, str], tuple[Loss, ...]]:
 
 @pytest.fixture(scope="module")
 def reported(
-    scenes: dict[str, Scene], losses: Callable[[str, str], tuple[Loss, ...]]
+    losses: Callable[[str, str], tuple[Loss, ...]],
 ) -> Callable[[str, str], dict[str, set[Fidelity]]]:
     """What becomes of each feature that a target does not keep in one of the scenes."""
 
     def found(target: str, name: str) -> dict[str, set[Fidelity]]:
         fidelities: dict[str, set[Fidelity]] = {}
         for loss in losses(target, name):
-            fidelities.setdefault(feature_of(loss, scenes[name]), set()).add(loss.fidelity)
+            fidelities.setdefault(loss.feature, set()).add(loss.fidelity)
         return fidelities
 
     return cache(found)
@@ -68,7 +70,7 @@ def test_the_scene_uses_every_feature(scenes: dict[str, Scene]) -> None:
     assert unused == []
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", BACKENDS.names())
 def test_every_backend_decides_on_every_feature(backend: str) -> None:
     assert set(features_of(backend)) == set(FEATURES)
     assert all(cell.reason for cell in features_of(backend).values() if cell.fidelity is not None)
@@ -88,34 +90,61 @@ def test_a_compile_reports_what_the_table_says(
 def test_every_loss_belongs_to_a_feature(target: str, variety: dict[str, Scene]) -> None:
     for scene in variety.values():
         for loss in compile_target(scene, find_target(target)).losses:
-            assert feature_of(loss, scene) in FEATURES, loss
+            assert loss.feature in FEATURES, loss
+            fates = count_fates(scene, [loss])
+            assert loss.feature not in fates or fates[loss.feature].get(loss.fidelity.value), loss
 
 
 def test_users_are_counted_once_each_and_the_worst_counts() -> None:
     scene = full_scene()
     objects = len(scene.objects)
-    assert fates(scene, [])["mass"] == {"kept": objects}
-    one = Loss("puck.friction", Fidelity.APPROXIMATED, "")
-    assert fates(scene, [one])["friction"] == {"kept": objects - 1, "approximated": 1}
-    worse = Loss("puck.friction", Fidelity.DROPPED, "")
-    assert fates(scene, [one, worse])["friction"] == fates(scene, [worse, one])["friction"]
-    assert fates(scene, [worse])["friction"] == {"kept": objects - 1, "dropped": 1}
-    everywhere = Loss("friction", Fidelity.APPROXIMATED, "")
-    assert fates(scene, [everywhere])["friction"] == {"approximated": objects}
-    hinge = Loss("cabinet.hinge.friction", Fidelity.DROPPED, "")
-    assert fates(scene, [hinge])["joint_friction"] == {"kept": 2, "dropped": 1}
-    assert "friction" in fates(scene, [hinge]) and fates(scene, [hinge])["friction"] == {"kept": objects}
+    assert count_fates(scene, [])["mass"] == {"kept": objects}
+    one = approximate("friction", "puck", "")
+    assert count_fates(scene, [one])["friction"] == {"kept": objects - 1, "approximated": 1}
+    worse = drop("friction", "puck", "")
+    assert count_fates(scene, [one, worse])["friction"] == count_fates(scene, [worse, one])["friction"]
+    assert count_fates(scene, [worse])["friction"] == {"kept": objects - 1, "dropped": 1}
+    everywhere = approximate("friction", "", "")
+    assert count_fates(scene, [everywhere])["friction"] == {"approximated": objects}
+    hinge = drop("joint_friction", "cabinet.hinge", "")
+    assert count_fates(scene, [hinge])["joint_friction"] == {"kept": 2, "dropped": 1}
+    assert "friction" in count_fates(scene, [hinge]) and count_fates(scene, [hinge])["friction"] == {"kept": objects}
+
+
+def test_an_element_named_like_a_feature_is_not_that_feature(tmp_path: Path) -> None:
+    """A dome light called `box` is approximated; the boxes of the scene are kept."""
+    path = tmp_path / "lit.scene.yaml"
+    path.write_text(
+        "simfoundry: scene/1\nname: lit\nobjects: {crate: {mass: 1, shape: {box: [0.1, 0.1, 0.1]}}}\n"
+        "lights: {box: {type: dome, intensity: 0.3}}\n"
+    )
+    scene = lower_file(path)
+    (losses,) = (entry["losses"] for entry in report(scene, [compile_scene(scene, "mjcf")]).values())
+    found = count_fates(scene, compile_scene(scene, "mjcf").losses)
+    assert found["box"] == {"kept": 1} and found["dome_lights"] == {"approximated": 1}
+    (light,) = (loss for loss in losses if loss["element"] == "box")
+    assert (light["feature"], light["fidelity"], light["size"]) == ("dome_lights", "approximated", None)
+
+
+def test_a_backend_rejects_what_it_cannot_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scene that uses a rejected feature gives one sentence, and no files."""
+    backend = BACKENDS.load("urdf")
+    cells = {**backend.features, "capsule": rejected("It knows no capsules.")}
+    monkeypatch.setattr("simfoundry.backends.urdf.BACKEND", replace(backend, features=cells))
+    scene = all_scenes()["primitives"]
+    with pytest.raises(InvalidSceneError, match=r"rejects collision capsules \(`pill`\): It knows no capsules\."):
+        compile_scene(scene, "urdf")
 
 
 def test_counts_of_a_report_add_up_to_the_users(scenes: dict[str, Scene]) -> None:
     scene = scenes["distant_lights"]
-    data = report(scene, [compile_scene(scene, backend) for backend in BACKENDS])
+    data = report(scene, [compile_scene(scene, backend) for backend in BACKENDS.names()])
     for entry in data.values():
-        counts = {name: sum(found.values()) for name, found in entry["fields"].items()}
+        counts = {name: sum(found.values()) for name, found in entry["features"].items()}
         assert counts == {n: len(list(f.users(scene))) for n, f in FEATURES.items() if any(f.users(scene))}
     assert json.loads(json.dumps(data)) == data
-    assert data["usd"]["fields"]["variants"] == {"kept": 1}
-    assert data["mjcf"]["fields"]["variants"] == {"dropped": 1}
+    assert data["usd"]["features"]["variants"] == {"kept": 1}
+    assert data["mjcf"]["features"]["variants"] == {"dropped": 1}
 
 
 def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]) -> None:
@@ -137,14 +166,14 @@ def test_the_table_shows_what_some_target_does_not_keep(scenes: dict[str, Scene]
     assert lines[1].split() == ["robots", "-1", "-1"]
     assert lines[5].split() == ["variants", "-1"]
     in_use = sum(1 for f in FEATURES.values() if any(f.users(scene)))
-    assert lines[-1] == f"kept by all: {in_use - 10} of the {in_use} fields in use"
+    assert lines[-1] == f"kept by all: {in_use - 10} of the {in_use} features in use"
 
 
 def test_a_robot_that_is_there_is_told_from_one_that_is_not(
     scenes: dict[str, Scene], losses: Callable[[str, str], tuple[Loss, ...]]
 ) -> None:
     def told(name: str, target: str) -> list[dict[str, int]]:
-        found = fates(scenes[name], losses(target, name))
+        found = count_fates(scenes[name], losses(target, name))
         return [found[feature] for feature in OF_ROBOTS]
 
     kept, near, lost = ({fate: 1} for fate in ("kept", "approximated", "dropped"))

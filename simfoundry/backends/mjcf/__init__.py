@@ -16,13 +16,15 @@ that a scene can name are sites: ``arm.hand``.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
-from simfoundry.backends.artifact import Artifact, Fidelity, Loss, number, numbers
+from simfoundry.backends.artifact import Artifact, number, numbers
+from simfoundry.backends.backend import Backend
+from simfoundry.backends.losses import Loss, splat_losses, variant_losses
 from simfoundry.backends.mjcf.bodies import add_background, add_object
 from simfoundry.backends.mjcf.contacts import add_contacts, contacts_of
 from simfoundry.backends.mjcf.custom import add_texts
 from simfoundry.backends.mjcf.cylinders import prism_losses, with_prisms
+from simfoundry.backends.mjcf.features import FEATURES
 from simfoundry.backends.mjcf.foreign_geoms import guests_of
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.motors import add_drives, add_mimics
@@ -31,15 +33,16 @@ from simfoundry.backends.mjcf.robots import add_mounted_cameras, add_robot, robo
 from simfoundry.backends.mjcf.surfaces import resists
 from simfoundry.backends.mjcf.surroundings import add_camera, add_lights, headlight, light_losses
 from simfoundry.backends.names import check_names
+from simfoundry.backends.robot_models.robot_urdf import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
-from simfoundry.backends.surroundings import splat_losses, variant_losses
 from simfoundry.backends.xmltext import xml_text
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
 """Seconds a step."""
 
-_LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
+_LOADER = shipped("targets/mjcf") / "load.py"
 
 
 def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float = 0.0) -> Artifact:
@@ -73,8 +76,7 @@ def compile_mjcf(scene: Scene, timestep: float = TIMESTEP, cylinder_sides: float
     for robot in scene.robots:
         read = add_robot(root, robot, assets, timestep)
         if read is None:
-            reason = "it has no model in MJCF or URDF, and USD is not converted"
-            lost.append(Loss(robot.name, Fidelity.DROPPED, reason))
+            lost.append(without_model(robot.name))
             continue
         qpos.extend(read.qpos)
         ctrl.extend(read.ctrl)
@@ -130,3 +132,6 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float) -> None:
     ET.SubElement(seen, "geom", group="2", contype="0", conaffinity="0", mass="0")
     felt = ET.SubElement(default, "default", {"class": "collider"})
     ET.SubElement(felt, "geom", group="3", condim="3", rgba="0.9 0.5 0.2 0.5")
+
+
+BACKEND = Backend(compile_mjcf, FEATURES)

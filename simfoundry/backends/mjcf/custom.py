@@ -19,7 +19,7 @@ from simfoundry.backends.artifact import numbers
 from simfoundry.backends.mjcf.contacts import Contacts
 from simfoundry.backends.mjcf.restitution import CRITICAL_REBOUND
 from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.backends.robot_models.robot_fields import robot_words
+from simfoundry.backends.robot_models.mujoco_robot import document_fields
 from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 
@@ -61,7 +61,7 @@ def _names(custom: ET.Element, item: SceneObject) -> None:
 
 
 def _robots(custom: ET.Element, scene: Scene) -> None:
-    known = {robot.name: words for robot in scene.robots if mujoco_model(robot) and (words := robot_words(robot))}
+    known = {robot.name: words for robot in scene.robots if mujoco_model(robot) and (words := document_fields(robot))}
     for name, words in known.items():
         _text(custom, f"{name}:robot", json.dumps(words))
     for mounted in scene.mounted:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Cylinder, Mesh
 from simfoundry.scene.model import Collider, Link, Scene
@@ -56,6 +56,6 @@ def prism_losses(scene: Scene, sides: int) -> Iterator[Loss]:
     for item in scene.objects:
         radii = [c.geometry.radius for k in item.links for c in k.colliders if isinstance(c.geometry, Cylinder)]
         if radii:
-            off = number(float(format(share * max(radii) * 1000, ".2g")))
-            reason = f"a prism of {sides} sides and the same volume: its surface is up to {off} mm off"
-            yield Loss(f"{item.name}.cylinder", Fidelity.APPROXIMATED, reason, "cylinder")
+            off = share * max(radii) * 1000
+            reason = f"It collides as a prism of {sides} sides and the same volume, up to {off:.2g} mm off its surface."
+            yield approximate("cylinder", item.name, reason, off, "mm")

@@ -1,24 +1,24 @@
-"""What MJCF keeps of each feature, and why not where it does not."""
+"""The features that MJCF keeps, with the reason for each that it does not keep exactly."""
 
 from __future__ import annotations
 
 from simfoundry.backends.features import Cell, approximated, dropped, exact
 
 FEATURES: dict[str, Cell] = {
-    "robots": Cell(reason="its own MJCF; else its URDF as MuJoCo reads it, with hulls as colliders"),
-    "robot_motors": Cell(reason="a model without actuators gets a stiff servo in each joint"),
-    "robot_contacts": approximated("as its file has them; against the scene's, MuJoCo takes the larger friction"),
-    **exact("mounted_cameras"),
-    **exact("gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
-    "dome_lights": approximated("its colour lights everything alike, without shading"),
-    "background_splat": dropped("MuJoCo shows surfaces only"),
+    "robots": Cell(reason="A robot's own MJCF, else its URDF as MuJoCo reads it, with hulls as colliders."),
+    "robot_motors": Cell(reason="A model without actuators gets a stiff servo in each joint."),
+    "robot_contacts": approximated("As in the robot's file; against the scene's, MuJoCo takes the larger friction."),
+    **exact("mounted_cameras", "gravity", "relations", "cameras", "distant_lights", "point_lights", "background_mesh"),
+    "dome_lights": approximated("Its color lights everything alike, without shading."),
+    "background_splat": dropped("MuJoCo draws surfaces only."),
     **exact("pose", "fixed", "category", "labels", "visuals", "texture", "mass", "inertia"),
-    "variants": dropped("a file holds one of them"),
+    "variants": dropped("A file holds one variant."),
     **exact("box", "sphere", "cylinder", "capsule", "convex_mesh", "friction"),
-    "restitution": approximated("rebounds within 0.03 of it, but never below 0.10 to 0.14"),
+    "restitution": approximated("A rebound is within 0.03 of it, but never below 0.10 to 0.14."),
     **exact("torsional_friction", "rolling_friction", "no_contact"),
     **exact("fixed_joint", "revolute", "continuous", "prismatic", "joint_position", "joint_limits", "joint_closed"),
     **exact("joint_damping", "joint_friction", "armature"),
     **exact("ball", "free", "mimic"),
-    "drive": Cell(reason="up to the stiffness that its steps can carry"),
+    "drive": Cell(reason="Exact up to the stiffness that its steps can carry."),
 }
+"""The fidelity of each feature in MJCF."""

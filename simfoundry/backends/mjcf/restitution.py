@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
-from simfoundry.backends.artifact import Fidelity, Loss
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.scene.model import Scene
 
 _CONTACT_TIME = 0.02
@@ -47,12 +48,11 @@ def rebound(ratio: float) -> float:
     return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
 
 
-def restitution_losses(scene: Scene) -> tuple[Loss, ...]:
-    """One loss for each object that bounces, and one for all that should not and do a little."""
-    reason = "MuJoCo has no restitution: a contact is damped to rebound within 0.03 of it, but never below 0.14"
+def restitution_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield one loss for each object that bounces, and one for all that should not and do a little."""
+    reason = "MuJoCo has no restitution; a contact is damped to rebound within 0.03 of it, but never below 0.14."
     bouncing = {o.name: [c.restitution for link in o.links for c in link.colliders] for o in scene.objects}
-    losses = [Loss(f"{name}.restitution", Fidelity.APPROXIMATED, reason) for name, es in bouncing.items() if any(es)]
-    if any(e == 0 for es in bouncing.values() for e in es):
-        still = "MuJoCo's soft contacts rebound with 0.10 to 0.14 of the speed of impact where the scene says 0"
-        losses.append(Loss("restitution", Fidelity.APPROXIMATED, still))
-    return tuple(losses)
+    yield from (approximate("restitution", name, reason, 0.03) for name, values in bouncing.items() if any(values))
+    if any(e == 0 for values in bouncing.values() for e in values):
+        still = "MuJoCo's soft contacts rebound at 0.10 to 0.14 of the impact speed where the scene states 0."
+        yield approximate("restitution", "", still, 0.14)

@@ -10,7 +10,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import replace
 
-from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
+from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.backends.mjcf.bodies import pose_attributes
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera
@@ -151,18 +152,19 @@ def add_mounted_cameras(world: ET.Element, scene: Scene) -> None:
 
 
 def robot_losses(robot: Robot, read: MujocoRobot, timestep: float) -> Iterator[Loss]:
-    """What becomes of a robot in MuJoCo at steps of ``timestep`` [s]."""
+    """Yield the losses of a robot in MuJoCo at steps of ``timestep`` [s]."""
     if read.native.format is ModelFormat.URDF:
-        reason = "no MJCF of it is known: its URDF is read by MuJoCo, with the convex hulls of its meshes as colliders"
-        yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
+        reason = "No MJCF of it is known; MuJoCo reads its URDF, with the convex hulls of its meshes as colliders."
+        yield approximate("robots", robot.name, reason)
     if read.servos:
-        reason = "the model has no actuators: each joint gets a stiff, critically damped position servo"
-        yield Loss(f"{robot.name}.actuators", Fidelity.APPROXIMATED, reason)
-    reason = "its surfaces are as its file has them: against the scene's, MuJoCo takes the larger friction"
-    yield Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason)
+        reason = "The model has no actuators; each joint gets a stiff, critically damped position servo."
+        yield approximate("robot_motors", robot.name, reason)
+    reason = "Its surfaces are those of its file; against the scene's, MuJoCo takes the larger friction."
+    yield approximate("robot_contacts", robot.name, reason)
     if read.native.gripper is not None:
+        firm = 1000 * _firm(timestep)
         reason = (
-            f"contacts of its fingers take up a load within {1000 * _firm(timestep):g} ms, whatever its file says: "
-            "at MuJoCo's usual 20 ms what is held creeps"
+            f"The contacts of its fingers settle within {firm:g} ms, whatever its file says; at MuJoCo's usual 20 ms "
+            "what they hold creeps."
         )
-        yield Loss(f"{robot.name}.gripper.contacts", Fidelity.APPROXIMATED, reason)
+        yield approximate("robot_contacts", robot.name, reason, firm, "ms")

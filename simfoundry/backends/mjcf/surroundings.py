@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 
 import numpy as np
 
-from simfoundry.backends.artifact import Fidelity, Loss, number, numbers
+from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.losses import Loss, approximate
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Camera, Light, LightType, Scene
 
@@ -62,7 +64,7 @@ def headlight(lights: tuple[Light, ...]) -> dict[str, str] | None:
     return {"ambient": numbers(sum(domes, np.zeros(3))), "diffuse": "0 0 0", "specular": "0 0 0"}
 
 
-def light_losses(scene: Scene) -> tuple[Loss, ...]:
-    """One loss for each dome light."""
-    reason = "MuJoCo has no dome light: its colour lights everything alike, without shading"
-    return tuple(Loss(t.name, Fidelity.APPROXIMATED, reason) for t in scene.lights if t.type is LightType.DOME)
+def light_losses(scene: Scene) -> Iterator[Loss]:
+    """Yield one loss for each dome light."""
+    reason = "MuJoCo has no dome lights; its color lights everything alike, without shading."
+    return (approximate("dome_lights", t.name, reason) for t in scene.lights if t.type is LightType.DOME)

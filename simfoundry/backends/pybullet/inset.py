@@ -1,15 +1,36 @@
-"""Convex meshes drawn in by the skin that an engine adds around them."""
+"""Convex meshes shrunk by the skin that Bullet adds around them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from simfoundry.geometry.frames import Array, frozen_array
-from simfoundry.geometry.shapes import Mesh
+from simfoundry.backends.urdf.elements import Split
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
+from simfoundry.geometry.shapes import Geometry, Mesh
+
+SKIN = 1e-3
+"""Thickness of the skin that Bullet puts around a convex mesh from a URDF [m]; no setting removes it."""
+
+
+def split_under_skin() -> Split:
+    """Return a split that shrinks each mesh so that Bullet's skin restores it; one too thin for that stays."""
+    done: dict[str, Mesh] = {}
+
+    def parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+        if isinstance(geometry, Mesh):
+            digest = geometry.digest
+            if digest not in done:
+                done[digest] = inset_hull(geometry, SKIN) or geometry
+            geometry = done[digest]
+        yield "", geometry, IDENTITY
+
+    return parts
 
 
 def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
-    """The convex hull of a mesh with every face moved inwards by ``distance`` [m]; None where it is too thin for that.
+    """Return the convex hull of a mesh with every face moved inwards by ``distance`` [m]; None where it is too thin.
 
     Under a skin of the same thickness, faces are back in their places and edges are rounded.
     """
@@ -30,7 +51,7 @@ def inset_hull(mesh: Mesh, distance: float) -> Mesh | None:
 
 
 def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
-    """A point at least ``depth`` [m] below every plane: the guess, if it is one, else the deepest there is."""
+    """Return a point at least ``depth`` [m] below every plane: the guess, if it is one, else the deepest."""
     from scipy.optimize import linprog
 
     if float((planes[:, :3] @ guess + planes[:, 3]).max()) < -depth:
@@ -43,7 +64,7 @@ def _inner_point(planes: Array, guess: Array, depth: float) -> Array | None:
 
 
 def _outward(simplices: np.ndarray, planes: Array, points: Array) -> np.ndarray:
-    """Triangles turned counter-clockwise as seen from outside, int32, shape (m, 3)."""
+    """Return the triangles counter-clockwise as seen from outside, int32, shape (m, 3)."""
     a, b, c = (points[simplices[:, k]] for k in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), planes[:, :3]) < 0
     faces = simplices.astype(np.int32)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.robot import NativeModel, Robot
+from simfoundry.scene.robot import FILES_ONLY, NativeModel, Robot
 from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 
 if TYPE_CHECKING:
@@ -242,3 +242,15 @@ def body_name(read: MujocoRobot, frame: str) -> str:
 def root_name(read: MujocoRobot) -> str:
     """The first body of the robot, by its name in the target."""
     return str(read.spec.bodies[1].name)
+
+
+def document_fields(robot: Robot) -> dict[str, object] | None:
+    """Return the fields of a robot in a scene document, but for its pose; None for one known by its files alone.
+
+    Written beside the robot's model, they let an import give the robot back, not a machine of links.
+    """
+    if robot.kind == FILES_ONLY:
+        return None
+    sizes = {"reach": robot.reach, "opening": robot.opening}
+    fields: dict[str, object] = {"model": robot.kind, "joints": dict(robot.positions)}
+    return fields | {name: value for name, value in sizes.items() if value is not None}

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.backends.artifact import Fidelity, Loss, number
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.geometry.frames import Pose
@@ -20,8 +20,8 @@ from simfoundry.scene.robot_files import model_files, urdf_mesh, urdf_meshes
 Write = Callable[[SceneObject], Mapping[str, bytes]]
 """Writes an object as ``<name>.urdf`` and the assets that it names."""
 
-ROBOT = "its own model of this format, as it is; else converted, with hulls as colliders and closed loops cut"
-"""What formats other than MuJoCo's make of a robot."""
+CONVERTED = "A robot's own model of this format is used as it is; any other is converted, with hulls and cut loops."
+"""The reason in the tables of all formats but MuJoCo's."""
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _STRONG = 100.0
@@ -155,11 +155,16 @@ def _converted(robot: Robot, native: NativeModel, write: Write) -> RobotUrdf:
 
 
 def conversion_losses(robot: Robot, source: NativeModel, loops: int) -> Iterator[Loss]:
-    """What is lost where a robot is converted from its MJCF or URDF."""
+    """Yield the losses of a robot that is converted from its MJCF or URDF."""
     kind = source.format.value.upper()
-    reason = f"no model of it in this format is known: converted from its {kind}, collision meshes as convex hulls"
-    yield Loss(robot.name, Fidelity.APPROXIMATED, reason)
+    reason = f"No model of it in this format is known; it is converted from its {kind}, with convex hulls as colliders."
+    yield approximate("robots", robot.name, reason)
     if loops:
-        plural = "s are" if loops > 1 else " is"
-        reason = f"{number(loops)} closed loop{plural} cut: the joints follow one another in fixed ratios instead"
-        yield Loss(f"{robot.name}.loops", Fidelity.APPROXIMATED, reason)
+        words = f"{loops} closed loops are" if loops > 1 else "1 closed loop is"
+        reason = f"{words} cut; the joints follow one another in fixed ratios instead."
+        yield approximate("robots", robot.name, reason, loops, "loops")
+
+
+def without_model(name: str) -> Loss:
+    """Return the loss of a robot that has neither an MJCF nor a URDF."""
+    return drop("robots", name, "It has no model in MJCF or URDF, and its USD cannot be converted.")

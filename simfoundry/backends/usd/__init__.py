@@ -1,5 +1,9 @@
 """Scene to USD: UsdPhysics, UsdPreviewSurface, UsdLux, UsdSemantics, one file for each kind of element."""
 
+from simfoundry.backends.backend import Backend
+from simfoundry.backends.usd.features import FEATURES
 from simfoundry.backends.usd.stage import compile_usd
 
-__all__ = ["compile_usd"]
+__all__ = ["BACKEND", "compile_usd"]
+
+BACKEND = Backend(compile_usd, FEATURES)

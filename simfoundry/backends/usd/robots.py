@@ -8,7 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from simfoundry.backends.artifact import Fidelity, Loss, rounded
+from simfoundry.backends.artifact import rounded
+from simfoundry.backends.losses import Loss, approximate, drop
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.cameras import define_camera
@@ -51,8 +52,10 @@ def define_robots(world: Prim, scopes: Scopes, scene: Scene) -> RobotsInUsd:
             _refer(parent, robot, native, wanted, found)
         elif (source := mujoco_model(robot)) is not None:
             _convert(replace(scopes, objects=parent), robot, source, wanted, found)
-        reason = "its surfaces have the friction of its file, and readers combine it with the scene's in their own way"
-        found.losses.append(Loss(f"{robot.name}.friction", Fidelity.APPROXIMATED, reason))
+        reason = (
+            "Its surfaces have the friction of its file, which readers combine with the scene's by their own rules."
+        )
+        found.losses.append(approximate("robot_contacts", robot.name, reason))
     return found
 
 
@@ -112,9 +115,9 @@ def _missing(robot: Robot, stage: Usd.Stage) -> Iterator[Loss]:
     """A loss where the robot's file refers to layers that are not there."""
     absent = sorted({name.group(1) for e in stage.GetCompositionErrors() if (name := _LAYER.search(str(e)))})
     if absent:
-        count = f"{len(absent)} layer{'s' if len(absent) > 1 else ''}"
-        reason = f"its file refers to {count} that are not there, as {absent[0].rpartition('/')[2]}"
-        yield Loss(robot.name, Fidelity.DROPPED, reason)
+        count = f"{len(absent)} layers that do" if len(absent) > 1 else "1 layer that does"
+        reason = f"Its file refers to {count} not exist, as {absent[0].rpartition('/')[2]}."
+        yield drop("robots", robot.name, reason)
 
 
 def _over(model: Prim, default: Usd.Prim, prim: Usd.Prim) -> Prim:
@@ -167,12 +170,13 @@ def define_mounted(scopes: Scopes, scene: Scene, robots: RobotsInUsd) -> Iterato
     for mounted in scene.mounted:
         found = list(_carriers(scopes, scene, robots, mounted))
         if not found:
-            yield Loss(mounted.camera.name, Fidelity.DROPPED, f"it rides on `{mounted.carrier}`, which is not there")
+            reason = f"It is mounted on `{mounted.carrier}`, which is not written."
+            yield drop("mounted_cameras", mounted.camera.name, reason)
         for prim, X_LF in found:
             define_camera(prim, replace(mounted.camera, X_WC=X_LF @ mounted.camera.X_WC))
         for variant in _without(scene, mounted):
-            reason = f"the variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` for it to ride on"
-            yield Loss(mounted.camera.name, Fidelity.APPROXIMATED, reason)
+            reason = f"The variant `{variant}` of `{mounted.carrier}` has no link `{mounted.link}` to mount it on."
+            yield approximate("mounted_cameras", mounted.camera.name, reason)
 
 
 def _carriers(scopes: Scopes, scene: Scene, robots: RobotsInUsd, mounted: MountedCamera) -> Iterator[tuple[Prim, Pose]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.usd.background import SPLAT, define_background, splat_layer
 from simfoundry.backends.usd.bodies import Scopes, define_object, filter_pairs
 from simfoundry.backends.usd.cameras import define_camera
-from simfoundry.backends.usd.features import losses
+from simfoundry.backends.usd.features import usd_losses
 from simfoundry.backends.usd.geometry import MESHES, mesh_layer
 from simfoundry.backends.usd.lights import define_light
 from simfoundry.backends.usd.materials import texture_of, texture_path
@@ -21,9 +20,10 @@ from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_r
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
 
-_LOADER = Path(__file__).parents[1] / "templates" / "usd_load.py"
+_LOADER = shipped("targets/usd") / "load.py"
 
 
 def compile_usd(scene: Scene) -> Artifact:
@@ -41,7 +41,7 @@ def compile_usd(scene: Scene) -> Artifact:
     about = {} if scene.source is None else {KEY: write_source(world, scene.source)}
     contents = {"scene.usda": usda(world, about), "load.py": _LOADER.read_bytes()}
     contents |= _assets((*scene.objects, *robots.items), scene.background) | robots.files
-    return Artifact("usd", "scene.usda", contents, (*losses(scene), *robots.losses))
+    return Artifact("usd", "scene.usda", contents, (*usd_losses(scene), *robots.losses))
 
 
 def _define_world(world: Prim, scene: Scene) -> RobotsInUsd:

@@ -9,14 +9,14 @@ from simfoundry.capture.errors import CaptureError
 from simfoundry.geometry.frames import Array
 
 NEAREST, FARTHEST = 0.1, 5.0  # [m] the range in which tabletop sensors measure
-FEWEST_PIXELS = 200
+MIN_PIXELS = 200  # pixels with depth: fewer show no plane
 
 
 def depth_sigma(depth: Array) -> Array:
     """Standard deviation [m] of a depth reading at ``depth`` [m].
 
-    The quadratic law of triangulating sensors, with constants chosen generously rather than calibrated: thresholds
-    across the capture code are multiples of it.
+    The quadratic law of triangulating sensors with generous, uncalibrated constants; thresholds across the capture code
+    are multiples of it.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)
 
@@ -33,11 +33,11 @@ def valid_depth(depth: Array) -> NDArray[np.bool_]:
     valid = finite & (depth >= NEAREST) & (depth <= FARTHEST)
     if not valid.any():
         raise _wrong_unit(float(np.median(depth[finite])))
-    if int(valid.sum()) < FEWEST_PIXELS:
+    if int(valid.sum()) < MIN_PIXELS:
         raise CaptureError(
             "SF502",
             f"only {int(valid.sum())} of {depth.size} depth pixels lie between {NEAREST} and {FARTHEST} m",
-            f"at least {FEWEST_PIXELS} are needed; check the sensor's range and the declared invalid values",
+            f"at least {MIN_PIXELS} are needed; check the sensor's range and the declared invalid values",
         )
     return np.asarray(valid)
 

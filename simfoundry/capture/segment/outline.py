@@ -1,4 +1,4 @@
-"""The outline of a support: what was seen of it, and what the objects on it hide."""
+"""Outline of a support, with the parts that objects on it hide."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 
-MOST_CELLS = 700
-MOST_VERTICES = 24
+MAX_CELLS = 700  # cells along the longer side: 5 mm on a table of 3.5 m
+MAX_VERTICES = 24  # corners of an outline: as many as a person reads
 TOLERANCE = 0.01  # [m] of the simplified outline
 SHADOW = 0.25  # [m] the widest strip behind an object across which two seen parts are one surface
 Mask = NDArray[np.bool_]
@@ -51,7 +51,7 @@ def top_view(
     if len(xy) < 10:
         return None
     lo, hi = np.quantile(xy, 0.002, axis=0) - 0.03, np.quantile(xy, 0.998, axis=0) + 0.03
-    cell = max(finest, float((hi - lo).max()) / MOST_CELLS)
+    cell = max(finest, float((hi - lo).max()) / MAX_CELLS)
     columns, rows = (np.ceil((hi - lo) / cell).astype(int) + 1).tolist()
     to_pixel = _pixel_of_cell(X_WC, K, lo, cell)
 
@@ -86,7 +86,7 @@ def polygon_of(plan: TopView) -> Array:
     polygon = max(getattr(whole, "geoms", [whole]), key=lambda part: part.area)
     tolerance = TOLERANCE
     simple = polygon.simplify(tolerance)
-    while len(simple.exterior.coords) - 1 > MOST_VERTICES:
+    while len(simple.exterior.coords) - 1 > MAX_VERTICES:
         tolerance *= 1.3
         simple = polygon.simplify(tolerance)
     ring = np.asarray(simple.exterior.coords)[:-1]

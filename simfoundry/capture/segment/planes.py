@@ -9,9 +9,9 @@ import numpy as np
 from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.geometry.frames import Array
 
-MOST_PLANES = 8
-HYPOTHESES = 1500
-MOST_POINTS = 6000
+MAX_PLANES = 8  # candidates: table, floor, walls, shelves and box tops of a room
+HYPOTHESES = 1500  # RANSAC draws: a plane of 10 % of the points is hit by local triples with 0.999
+MAX_POINTS = 6000  # points that a hypothesis is tested on
 SAMPLE, FINALISTS = 1200, 60  # points on which all hypotheses compete, and how many go on to all points
 TOLERANCE = 3.0  # in standard deviations of the depth
 STEEPEST_ROLL = 0.47  # tangent of the camera roll beyond which a plane is a wall beside it
@@ -38,10 +38,10 @@ def candidate_planes(points: Array, rng: np.random.Generator) -> list[Plane]:
     not seen edge-on sideways, as a wall beside the camera is. Walls straight ahead and tables straight below look
     alike to one camera; both are kept here.
     """
-    rest = points[rng.choice(len(points), min(len(points), MOST_POINTS), replace=False)]
+    rest = points[rng.choice(len(points), min(len(points), MAX_POINTS), replace=False)]
     fewest = max(30, int(SMALLEST_SHARE * len(rest)))
     planes = []
-    for _ in range(MOST_PLANES):
+    for _ in range(MAX_PLANES):
         if len(rest) < fewest:
             break
         plane = _best_plane(rest, rng)

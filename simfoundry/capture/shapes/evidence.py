@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from simfoundry.capture.frame import Frame, SupportSurface
 from simfoundry.geometry.frames import Array
 
-MAX_RAYS = 2600
+MAX_RAYS = 2600  # rays of one object: a grid of 51 x 51; a fit casts them some thousand times
 _WINDOW_MARGIN = 0.12  # of the object's size in the picture: free space beside it is evidence too
 
 

@@ -13,12 +13,12 @@ from simfoundry.capture.shapes.ray_agreement import RayAgreement, agreement, cas
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.shapes import Cylinder, Sphere
 
-SMALLEST = 0.004
+SMALLEST = 0.004  # [m] least radius: below the depth noise at half a metre
 
 
 @dataclass(frozen=True, eq=False)
 class RoundFit:
-    """A cylinder or sphere in the world and what speaks for it."""
+    """A cylinder or sphere in the world and its agreement with the rays."""
 
     shape: Cylinder | Sphere
     X_WO: Pose

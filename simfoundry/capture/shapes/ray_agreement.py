@@ -16,7 +16,7 @@ from simfoundry.capture.shapes.evidence import Evidence
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.ray_casts import first_hits, scattered_rays, turned, unit
 
-FREE_WEIGHT = 0.7
+FREE_WEIGHT = 0.7  # cost of a ray that passes where the solid is, of one that misses it: silhouettes err by a pixel
 _BLIND_MISS = 0.4  # an object pixel without depth that the solid misses
 _BLIND_HIT = 0.15  # a background pixel without depth that the solid covers: often the shadow of the projector
 _IN_FRONT = 0.2  # cosine to a view axis, up to which rays share a view frame

@@ -23,7 +23,7 @@ _LARGE, _SMALL = 512, 256
 _LARGE_FROM = 120**2  # pixels of the object, above which the larger texture has something to show
 _GRAZING = 0.2  # cosine below which a surface is seen too flat to lend its colour
 _NORMAL_WEIGHT = 0.03  # metres that a unit of normal counts when a seen point is looked for
-_LENDERS = 6000
+_LENDERS = 6000  # points that lend their colour: bounds the search for the nearest
 _TOO_FAR = 0.3  # of the object's size: beyond it, the plain colour is better than a stretched one
 
 

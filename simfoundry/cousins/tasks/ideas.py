@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.cousins.support import Support, supports_of
-from simfoundry.cousins.tasks.meaning import objects_of
-from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.cousins.tasks.ways import across, cavities, is_free
+from simfoundry.cousins.layout.supports import Support, supports_of
+from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, objects_of
+from simfoundry.cousins.tasks.context import Setting
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.models.expressions import Call, parts

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.settling import settle_layout
-from simfoundry.cousins.support import Support
-from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.cousins.twin import bare
+from simfoundry.cousins.layout.acceptance import settle_layout
+from simfoundry.cousins.layout.supports import Outline, Support
+from simfoundry.cousins.layout.twin import bare
+from simfoundry.cousins.tasks.context import Setting
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
 from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses

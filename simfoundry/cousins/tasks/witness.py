@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.cousins.reasons import Reason
-from simfoundry.cousins.tasks.meaning import branches, objects_of
-from simfoundry.cousins.tasks.setting import Setting, numbers
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.cousins.tasks.candidate_poses import branches, cavity_words, levels, objects_of, places, spots, turns
+from simfoundry.cousins.tasks.context import Setting, numbers
 from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
-from simfoundry.cousins.tasks.ways import cavity_words, levels, places, spots, turns
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.place import PlaceError

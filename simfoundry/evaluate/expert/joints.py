@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.grasps import Grasp, Jaws, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
-from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.evaluate.expert.pace import CAREFUL
+from simfoundry.evaluate.expert.motion import Path, Reach
 from simfoundry.evaluate.expert.places import at_state
-from simfoundry.evaluate.expert.reach import Path, Reach
-from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject

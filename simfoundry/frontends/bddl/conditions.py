@@ -12,7 +12,7 @@ from itertools import combinations, product
 from math import comb
 from typing import Any
 
-from simfoundry.frontends.bddl.expressions import Group, Word
+from simfoundry.frontends.bddl.expressions import BddlGroup, BddlWord
 
 MOST_TERMS = 20_000
 """A goal of more predicates than this says nothing to anybody."""
@@ -25,15 +25,15 @@ Scope = Mapping[str, str]
 
 
 @dataclass
-class Reading:
+class ConditionReader:
     """Turns conditions into ours: ``atom`` makes a predicate of its name and arguments, ``things`` are all by type."""
 
-    atom: Callable[[Group, str, list[str]], Condition | None]
+    atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     things: Mapping[str, Sequence[str]]
     missing: list[str] = field(default_factory=list)
     terms: int = 0
 
-    def condition(self, group: Group, scope: Scope) -> Condition | None:
+    def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
         """One condition; None where something of it is missing, which is then in ``missing``."""
         match group.head:
             case "and" | "or":
@@ -51,7 +51,7 @@ class Reading:
         words = [scope.get(word.plain, word.text.removeprefix("?")) for word in group.words]
         return self.atom(group, group.head, words)
 
-    def _quantified(self, group: Group, scope: Scope) -> Condition | None:
+    def _quantified(self, group: BddlGroup, scope: Scope) -> Condition | None:
         numbered = group.head in ("forn", "fornpairs")
         pairs = group.head in ("forpairs", "fornpairs")
         parts = list(group.groups)
@@ -82,7 +82,7 @@ class Reading:
         return self._paired(group, table, rows, columns)
 
     def _paired(
-        self, group: Group, table: list[list[Condition | None]], rows: Sequence[str], columns: Sequence[str]
+        self, group: BddlGroup, table: list[list[Condition | None]], rows: Sequence[str], columns: Sequence[str]
     ) -> Condition | None:
         least = min(len(rows), len(columns))
         lines = [[cell for k, cell in enumerate(line) if rows[i] != columns[k]] for i, line in enumerate(table)]
@@ -90,7 +90,7 @@ class Reading:
         sides = [self._at_least(group, least, [self._joined("any", one) for one in side]) for side in (lines, turned)]
         return self._joined("all", sides)
 
-    def _at_least(self, group: Group, least: int, found: list[Condition | None]) -> Condition | None:
+    def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
         """That so many of some hold."""
         if not self._affordable(group, len(found), least):
             return None
@@ -98,7 +98,7 @@ class Reading:
             return self._joined("all", found)
         return self._joined("any", [self._joined("all", list(chosen)) for chosen in combinations(found, least)])
 
-    def _exactly(self, group: Group, count: int, found: list[Condition | None]) -> Condition | None:
+    def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
         """That so many of some hold and the others do not."""
         if count > len(found):
             self._lack(group, f"{count} are to hold of {len(found)}")
@@ -111,7 +111,7 @@ class Reading:
         ]
         return self._joined("any", ways)
 
-    def _affordable(self, group: Group, of: int, chosen: int) -> bool:
+    def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
             self._lack(group, f"written out it is more than {MOST_TERMS} predicates")
@@ -122,17 +122,17 @@ class Reading:
             return None
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
-    def _members(self, group: Group) -> tuple[str, Sequence[str]]:
+    def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
         """The variable of ``(?x - type)`` and the things that it ranges over."""
-        words = [item for item in group.items if isinstance(item, Word)]
+        words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
         return words[0].plain, self.things.get(words[2].plain, ())
 
-    def _number(self, group: Group) -> int | None:
+    def _number(self, group: BddlGroup) -> int | None:
         return int(group.head) if group.head.isdigit() and len(group.head) < 6 else None
 
-    def _lack(self, group: Group, what: str) -> None:
+    def _lack(self, group: BddlGroup, what: str) -> None:
         """Note something that is missing, once."""
         text = f"line {group.line}: {what}"
         if text not in self.missing:

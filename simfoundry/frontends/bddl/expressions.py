@@ -15,7 +15,7 @@ _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
 
 @dataclass(frozen=True)
-class Word:
+class BddlWord:
     """A word and its line; BDDL does not tell upper from lower case in what it defines itself."""
 
     text: str
@@ -28,34 +28,34 @@ class Word:
 
 
 @dataclass(frozen=True)
-class Group:
+class BddlGroup:
     """What stands between two brackets."""
 
-    items: tuple[Word | Group, ...]
+    items: tuple[BddlWord | BddlGroup, ...]
     line: int
 
     @property
     def head(self) -> str:
         """Its first word in lower case; empty where it begins with a bracket or is empty."""
-        return self.items[0].plain if self.items and isinstance(self.items[0], Word) else ""
+        return self.items[0].plain if self.items and isinstance(self.items[0], BddlWord) else ""
 
     @property
-    def rest(self) -> tuple[Word | Group, ...]:
+    def rest(self) -> tuple[BddlWord | BddlGroup, ...]:
         """All but the first."""
         return self.items[1:]
 
     @property
-    def groups(self) -> tuple[Group, ...]:
+    def groups(self) -> tuple[BddlGroup, ...]:
         """The groups in it."""
-        return tuple(item for item in self.items if isinstance(item, Group))
+        return tuple(item for item in self.items if isinstance(item, BddlGroup))
 
     @property
-    def words(self) -> tuple[Word, ...]:
+    def words(self) -> tuple[BddlWord, ...]:
         """The words in it, the first left out."""
-        return tuple(item for item in self.rest if isinstance(item, Word))
+        return tuple(item for item in self.rest if isinstance(item, BddlWord))
 
 
-def read_group(path: Path) -> Group:
+def read_group(path: Path) -> BddlGroup:
     """The one expression that a file holds; raises :class:`ImportRefusedError`."""
     if path.stat().st_size > MOST_BYTES:
         raise ImportRefusedError(path, f"it is larger than {MOST_BYTES >> 20} MiB, which no task is")
@@ -63,8 +63,8 @@ def read_group(path: Path) -> Group:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise ImportRefusedError(path, "it is not UTF-8 text") from None
-    open_groups: list[tuple[list[Word | Group], int]] = []
-    whole: Group | None = None
+    open_groups: list[tuple[list[BddlWord | BddlGroup], int]] = []
+    whole: BddlGroup | None = None
     for token, line in _tokens(text):
         if token == "(":
             open_groups.append(([], line))
@@ -75,10 +75,10 @@ def read_group(path: Path) -> Group:
         elif whole is not None or not open_groups:
             raise ImportRefusedError(path, f"`{token[:40]}` stands outside the problem", line)
         elif token != ")":
-            open_groups[-1][0].append(Word(token, line))
+            open_groups[-1][0].append(BddlWord(token, line))
         else:
             items, start = open_groups.pop()
-            group = Group(tuple(items), start)
+            group = BddlGroup(tuple(items), start)
             if open_groups:
                 open_groups[-1][0].append(group)
             else:

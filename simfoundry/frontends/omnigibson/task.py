@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.document_data import rounded
-from simfoundry.frontends.draft import Draft
+from simfoundry.frontends.document_data import relative_path, rounded
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.names import Names, plain_name
+from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
@@ -38,8 +37,10 @@ _DROPPED = {
 }  # fmt: skip
 
 
-def read_task(path: Path, scene_file: Path, scene: SceneSpec, lowered: Scene, out: Path) -> tuple[TaskSpec, Draft]:
-    """The task of a YAML file of the release on a scene, for a document at ``out``, and what of it is left out."""
+def read_task(
+    path: Path, spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
+) -> tuple[TaskSpec, ModelDraft]:
+    """Read the task of a YAML file of the release for a scene; raises :class:`ImportRefusedError`."""
     try:
         document = read_yaml(path)
     except YamlError as error:
@@ -48,23 +49,24 @@ def read_task(path: Path, scene_file: Path, scene: SceneSpec, lowered: Scene, ou
     config = data.get("og_task_config") if isinstance(data, dict) else None
     if not isinstance(config, dict):
         raise ImportRefusedError(path, "it has no `og_task_config`: it is no task of the release")
-    return _Task(path, data, config, scene, lowered).spec(os.path.relpath(scene_file.resolve(), out.resolve().parent))
+    assert options.scene is not None
+    return _TaskReader(path, data, config, spec, scene).spec(relative_path(options.scene, out))
 
 
-class _Task:
+class _TaskReader:
     """One task file while it is read."""
 
     def __init__(
         self, path: Path, data: dict[str, Any], config: dict[str, Any], scene: SceneSpec, lowered: Scene
     ) -> None:
         self.path, self.data, self.config, self.scene, self.lowered = path, data, config, scene, lowered
-        self.draft = Draft(str(data.get("task_name") or path.stem), "OmniGibson task")
+        self.draft = ModelDraft(str(data.get("task_name") or path.stem), "OmniGibson task")
         self.groups = {str(k): list(v or ()) for k, v in (config.get("semantic_group_mapping") or {}).items()}
 
     def refused(self, message: str, hint: str = "") -> ImportRefusedError:
         return ImportRefusedError(self.path, message, hint=hint)
 
-    def spec(self, scene_file: str) -> tuple[TaskSpec, Draft]:
+    def spec(self, scene_file: str) -> tuple[TaskSpec, ModelDraft]:
         goal = self.goal()
         instruction = self.data.get("language_instruction")
         if not instruction:
@@ -165,7 +167,7 @@ class _Task:
     def subtasks(self) -> dict[str, Any]:
         """Milestones in an order that their `requires` allow."""
         listed = self.predicates("milestone_predicates")
-        names = Names("step")
+        names = NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()
         while listed:

@@ -1,13 +1,14 @@
-"""Older versions of documents, brought up to date step by step; comments stay."""
+"""Older documents brought up to date: keys by their present names, versions step by step; comments stay."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.models.kinds import KINDS, model_of
-from simfoundry.spec.models.types import Pattern
+from simfoundry.spec.models.types import former_paths
 from simfoundry.spec.yaml.text import Document, YamlError, parse
 from simfoundry.spec.yaml.tree import KIND, CommentedTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
@@ -15,45 +16,54 @@ from simfoundry.spec.yaml.write import write_tree
 
 @dataclass(frozen=True)
 class Migration:
-    """What leads from one version of a kind to a later one: ``to`` and the ``change`` of the document."""
+    """The step from one version of a kind to the version ``to``, and how it changes a document."""
 
     to: str
     change: Callable[[CommentedTree], CommentedTree]
 
 
 STEPS: Mapping[str, Migration] = {}
-"""The step from each older kind and version, as ``scene/1``.
+"""The migration from each older kind and version, as ``scene/1``.
 
-Version 1 is the first of every kind, so there is none yet: what changes the meaning of older files adds its step here.
+Version 1 is the first of every kind, so there is none yet: a change of what older files mean adds its migration here.
+A key that merely gets another name needs none: its field says what it was called before (``FormerKey``).
 """
+
+_LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
+"""Where the parser starts a new line."""
 
 
 def migrated(text: str, file: str, steps: Mapping[str, Migration] = STEPS) -> str:
-    """The text of a document in the newest version of its kind, canonical where a step was taken.
+    """Return the text of a document in the newest version of its kind, its keys by their present names.
 
-    A text that is up to date comes back as it is. Raises :class:`SpecError` for a kind that is not known.
+    A text that is up to date comes back as it is; where a version changed, the text is canonical. Raises
+    :class:`SpecError` for an unknown kind.
     """
+    document = _parsed(text, file)
+    kind = _kind(document, steps)
+    if kind in steps:
+        tree, seen = read_tree(document), [kind]
+        while kind in steps:
+            step = steps[kind]
+            changed = step.change(tree)
+            tree = replace(changed, value={**changed.value, KIND: replace(changed.value[KIND], value=step.to)})
+            kind = step.to
+            if kind in seen:
+                raise ValueError(f"the steps from {seen[0]} lead back to {kind}")
+            seen.append(kind)
+        document = _parsed(write_tree(tree, model_of(kind)), file)
+    return _with_present_keys(document, kind)
+
+
+def _parsed(text: str, file: str) -> Document:
     try:
-        document = parse(text, file)
+        return parse(text, file)
     except YamlError as error:
         raise SpecError([error.diagnostic(file)]) from None
-    kind = _kind(document, steps)
-    if kind not in steps:
-        return text
-    tree, seen = read_tree(document), [kind]
-    while kind in steps:
-        step = steps[kind]
-        changed = step.change(tree)
-        tree = replace(changed, value={**changed.value, KIND: replace(changed.value[KIND], value=step.to)})
-        kind = step.to
-        if kind in seen:
-            raise ValueError(f"the steps from {seen[0]} lead back to {kind}")
-        seen.append(kind)
-    return write_tree(tree, model_of(kind))
 
 
 def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
-    """The kind that the document says; raises :class:`SpecError` for one that there never was."""
+    """The kind that the document names; raises :class:`SpecError` if there never was such a kind."""
     data = document.data
     kind = data.get(KIND) if isinstance(data, dict) else None
     if isinstance(kind, str) and (kind in KINDS or kind in steps):
@@ -64,15 +74,16 @@ def _kind(document: Document, steps: Mapping[str, Migration]) -> str:
     raise SpecError([*document.duplicates, document.finding("SF006", (KIND,), message, hint)])
 
 
-def renamed(tree: CommentedTree, pattern: Pattern, name: str) -> CommentedTree:
-    """The tree in which the key at ``pattern`` (``*`` stands for any) is called ``name``; its comments stay with it."""
-    head, *rest = pattern
-    value = tree.value
-    if isinstance(value, tuple):
-        return replace(tree, value=tuple(renamed(item, tuple(rest), name) for item in value)) if head == "*" else tree
-    if not isinstance(value, dict):
-        return tree
-    if not rest:
-        return replace(tree, value={name if key == head else key: child for key, child in value.items()})
-    hit = {key: renamed(child, tuple(rest), name) if head in ("*", key) else child for key, child in value.items()}
-    return replace(tree, value=hit)
+def _with_present_keys(document: Document, kind: str) -> str:
+    """Rename keys where they stand in the text, and touch nothing else."""
+    text = document.text
+    starts = [0, *(found.end() for found in _LINE_BREAK.finditer(text))]
+    edits: dict[int, tuple[str, str]] = {}
+    for path, name in former_paths(model_of(kind), document.data):
+        line, column = document.place(path, of_key=True)
+        edits[starts[line - 1] + column - 1] = (str(path[-1]), name)
+    for start, (old, new) in sorted(edits.items(), reverse=True):
+        start += text[start] in "\"'"
+        if text.startswith(old, start):
+            text = f"{text[:start]}{new}{text[start + len(old) :]}"
+    return text

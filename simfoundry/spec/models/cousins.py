@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import DocumentSpec, FileName, Model, Name, NonNegative, Number, Positive
+from simfoundry.spec.models.base import DocumentSpec, FileName, FormerKey, Model, Name, NonNegative, Number, Positive
 
 Side = Literal["LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop", "Inside", "NextTo"]
 Source = Literal["procedural", "library", "model"]
@@ -18,16 +18,16 @@ Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
 ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-class Between(Model):
-    """A range; an end that is left out is open."""
+class Bounds(Model):
+    """A range; a bound that is left out is open."""
 
-    least: NonNegative | None = Field(None, description="The least.")
-    most: Positive | None = Field(None, description="The most.")
+    min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Smallest value that is allowed.")
+    max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Largest value that is allowed.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.least is not None and self.most is not None and self.least > self.most:
-            raise PydanticCustomError("sf104", "`least` lies above `most`", {"at": "least"})
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise PydanticCustomError("sf104", "`min` is greater than `max`", {"at": "min"})
         return self
 
 
@@ -40,7 +40,9 @@ class SceneAxis(Model):
     objects: dict[Name, tuple[Side, ...]] = Field(
         min_length=1, description="The objects that move, each with the predicates it may have to the anchor."
     )
-    together: Annotated[int, Field(ge=1, le=3)] = Field(1, description="How many predicates hold at once.")
+    relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
+        1, description="Number of predicates that each object must satisfy at once."
+    )
     gap: tuple[NonNegative, NonNegative] = Field(
         (0.02, 0.2), description="Least and greatest free space between an object and the anchor [m]."
     )
@@ -98,21 +100,27 @@ class DistractorAxis(Model):
 
     count: tuple[Count, Count] = Field((1, 4), description="Fewest and most of them in a scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    shipped: bool = Field(True, description="Whether to choose from the assets that come with the project, too.")
+    builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
+        True, description="Also choose from the assets that come with SimFoundry."
+    )
     categories: tuple[Name, ...] = Field(
         (), description="Categories to choose from; default: every one that nothing in the twin has."
     )
-    without: tuple[Name, ...] = Field((), description="Categories to leave out.")
-    mass: Between = Field(Between(), description="Mass [kg].")
-    volume: Between = Field(Between(), description="Volume [m^3].")
-    density: Between = Field(Between(), description="Density [kg/m^3].")
+    exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
+        (), description="Categories to leave out."
+    )
+    mass: Bounds = Field(Bounds(), description="Mass [kg].")
+    volume: Bounds = Field(Bounds(), description="Volume [m^3].")
+    density: Bounds = Field(Bounds(), description="Density [kg/m^3].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.count[0] > self.count[1]:
             raise PydanticCustomError("sf104", "the fewest are more than the most", {"at": "count"})
-        if self.library is None and not self.shipped:
-            raise PydanticCustomError("sf107", "without what is shipped a `library` is needed", {"at": "shipped"})
+        if self.library is None and not self.builtin_library:
+            raise PydanticCustomError(
+                "sf107", "`builtin_library: false` needs a `library` beside it", {"at": "builtin_library"}
+            )
         return self
 
 

@@ -1,11 +1,22 @@
 """Where a thing stands, said as people say it: on the desk, left of the plate, inside the bowl."""
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import FARTHEST, Model, Name, NonNegative, Number, PartName, Point2, Vec3, exclusive
+from simfoundry.spec.models.base import (
+    FARTHEST,
+    FormerKey,
+    Model,
+    Name,
+    NonNegative,
+    Number,
+    PartName,
+    Point2,
+    Vec3,
+    exclusive,
+)
 
 SIDES = ("left_of", "right_of")
 DEPTHS = ("in_front_of", "behind")
@@ -14,8 +25,8 @@ DEPTHS = ("in_front_of", "behind")
 class Place(Model):
     """A pose to be solved: what carries the thing and where on it; it is dropped onto the real shapes below it.
 
-    Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `at` and these four it is in
-    the middle of what carries it; one of the four leaves the other direction at the middle of its anchor.
+    Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `local_xy` and these four it
+    is in the middle of its support; one of the four leaves the other direction at the middle of its anchor.
     """
 
     on: PartName | None = Field(None, description="What it stands on: an object, or one of its links (`shelf.board`).")
@@ -23,7 +34,9 @@ class Place(Model):
         None, description="What it lies in: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
     xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
-    at: Point2 | None = Field(None, description="Position of its frame in the frame of what carries it [m].")
+    local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
+        None, description="Position of its frame in the frame of its support [m]."
+    )
     left_of: Name | None = Field(None, description="The object that it stands left of.")
     right_of: Name | None = Field(None, description="The object that it stands right of.")
     in_front_of: Name | None = Field(None, description="The object that it stands in front of, nearer to the viewer.")
@@ -41,7 +54,7 @@ class Place(Model):
         exclusive(self, *SIDES)
         exclusive(self, *DEPTHS)
         beside = next((n for n in (*SIDES, *DEPTHS) if getattr(self, n) is not None), None)
-        exclusive(self, "xy", "at", *([beside] if beside else []))
+        exclusive(self, "xy", "local_xy", *([beside] if beside else []))
         if beside is None and self.gap != Place.model_fields["gap"].default:
             raise PydanticCustomError("sf107", "`gap` is for left_of, right_of, in_front_of and behind", {"at": "gap"})
         return self

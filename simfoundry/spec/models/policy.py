@@ -8,12 +8,10 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
+from simfoundry.spec.models.base import VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 """A key of the messages that the policy takes: ``observation/wrist_image_left``."""
-
-VARIABLE = r"^[A-Z_][A-Z0-9_]*$"
 
 
 def _variable(text: str) -> str:

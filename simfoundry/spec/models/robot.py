@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import FileName, Model, Name, Number, PoseSpec, Positive
+from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive
 
-JointName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]*$", max_length=128)]
+JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
 """A joint as the robot's own model calls it."""
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel, Tag
 
-from simfoundry.spec.models.base import Model, Reference
+from simfoundry.spec.models.base import FormerKey, Model, Reference
 
 Pattern = tuple[str, ...]
 """A path in which ``*`` stands for any name or index."""
@@ -38,6 +38,45 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
         yield typing.get_args(kind)[1]
     elif typing.get_origin(kind) is tuple and isinstance(part, int):
         yield typing.get_args(kind)[0]
+
+
+def former_keys(model: type[BaseModel]) -> dict[str, str]:
+    """The present key of each key that fields of a model had before."""
+    marks = ((name, mark) for name, info in model.model_fields.items() for mark in info.metadata)
+    return {mark.key: name for name, mark in marks if isinstance(mark, FormerKey)}
+
+
+def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Paths of the keys of a document that have another name now, each with that name; the innermost first."""
+    kinds = [kind for _, kind in flat(root)]
+    if isinstance(data, dict):
+        models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
+        former = {old: new for model in models for old, new in former_keys(model).items() if new not in data}
+        for key, value in data.items():
+            for below in [type_ for kind in kinds for type_ in inside(kind, former.get(key, key))]:
+                yield from former_paths(below, value, (*at, key))
+        yield from (((*at, key), former[key]) for key in data if key in former)
+    elif isinstance(data, tuple | list):
+        for k, value in enumerate(data):
+            for below in [type_ for kind in kinds for type_ in inside(kind, k)]:
+                yield from former_paths(below, value, (*at, k))
+
+
+def with_present_keys(root: Any, data: Any) -> Any:
+    """Return the data of a document with the present names of its keys."""
+    for path, name in former_paths(root, data):
+        data = _renamed(data, path, name)
+    return data
+
+
+def _renamed(data: Any, path: tuple[str | int, ...], name: str) -> Any:
+    head, *rest = path
+    if isinstance(data, dict):
+        items = (
+            (key, _renamed(value, tuple(rest), name) if rest and key == head else value) for key, value in data.items()
+        )
+        return {name if key == head and not rest else key: value for key, value in items}
+    return tuple(_renamed(item, tuple(rest), name) if k == head else item for k, item in enumerate(data))
 
 
 def is_mapping(model: type[BaseModel], key: str) -> bool:

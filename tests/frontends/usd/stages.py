@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.usd.compiled.importing import Imported, import_usd
-from simfoundry.frontends.usd.compiled.reading import Reading, read_spec
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 
@@ -43,9 +43,9 @@ objects:
     shape: {cylinder: {radius: 0.1, height: 0.02}}
     material: ceramic
     # weighed by eye
-    mass: {value: 0.45, range: [0.3, 0.6], by: vlm}
+    mass: {value: 0.45, range: [0.3, 0.6], source: vlm}
     place: {on: desk, xy: [0.45, 0.1]}
-    origin: {capture: monday, fit: 0.002}
+    origin: {capture: monday, fit_error: 0.002}
   cup:
     shape: {cylinder: {radius: 0.04, height: 0.1}}
     material: ceramic
@@ -145,7 +145,7 @@ class Project:
         os.close(handle)
         return Usd.Stage.Open(str(shutil.copy(self.stage, copy)))
 
-    def read(self, stage: Usd.Stage) -> Reading:
+    def read(self, stage: Usd.Stage) -> StageReading:
         """The document of an edited stage."""
         reading = read_spec(stage)
         assert reading is not None

@@ -80,7 +80,7 @@ def test_a_person_edits_a_stage_and_gets_these_changes_and_no_others(desk: Proje
     expected = (
         DESK.replace(shelf, "")
         .replace("xyz: [0.2, -0.2, 0.03], rpy", "xyz: [0.31, -0.12, 0.03], rpy")
-        .replace("mass: {value: 0.45, range: [0.3, 0.6], by: vlm}", "mass: 0.52")
+        .replace("mass: {value: 0.45, range: [0.3, 0.6], source: vlm}", "mass: 0.52")
         .replace("drawer: 0.05", "drawer: 0.12")
         .replace(
             "\n\nrobots:",

@@ -12,14 +12,14 @@ from simfoundry.backends.usd.cameras import X_CU
 from simfoundry.backends.usd.lights import FULL
 from simfoundry.frontends.usd.compiled.edits import pose_data
 from simfoundry.frontends.usd.compiled.stage import factored
-from simfoundry.frontends.usd.compiled.values import Note, as_name, short, srgb
+from simfoundry.frontends.usd.compiled.values import StageNote, as_name, short, srgb
 from simfoundry.frontends.usd.compiled.views import camera_pose, lens, light_place, light_type
 from simfoundry.geometry.frames import Array, Pose, quat_from_matrix
 
 if TYPE_CHECKING:
     from pxr import Usd
 
-    from simfoundry.frontends.usd.compiled.stage_frame import World
+    from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
 WATER = 1000.0
 """The density [kg/m^3] that UsdPhysics gives to what has neither mass nor density."""
@@ -37,16 +37,16 @@ class Added:
 
     members: dict[str, dict[str, Any]] = field(default_factory=dict)
     prims: dict[tuple[str, str], str] = field(default_factory=dict)
-    notes: list[Note] = field(default_factory=list)
+    notes: list[StageNote] = field(default_factory=list)
 
 
-def added(stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any], world: World) -> Added:
+def added(stage: Usd.Stage, carrier: Usd.Prim, known: set[str], data: Mapping[str, Any], world: StageFrame) -> Added:
     """What stands on the stage beside the parts at the paths ``known``, as members for the document ``data``."""
     out = Added()
     taken = {name for section in data.values() if isinstance(section, dict) for name in section}
     for prim in _others(stage, carrier, known):
         found = _member(prim, world)
-        if isinstance(found, Note):
+        if isinstance(found, StageNote):
             out.notes.append(found)
         elif found is not None:
             section, member = found
@@ -78,7 +78,7 @@ def _is_member(prim: Usd.Prim) -> bool:
     return bool(typed or prim.HasAPI(UsdPhysics.RigidBodyAPI) or prim.HasAPI(UsdPhysics.ArticulationRootAPI))
 
 
-def _member(prim: Usd.Prim, world: World) -> tuple[str, dict[str, Any]] | Note:
+def _member(prim: Usd.Prim, world: StageFrame) -> tuple[str, dict[str, Any]] | StageNote:
     from pxr import UsdGeom, UsdLux
 
     pose, scale = factored(world.matrix(prim))
@@ -89,20 +89,20 @@ def _member(prim: Usd.Prim, world: World) -> tuple[str, dict[str, Any]] | Note:
     return _object(prim, world, pose, scale)
 
 
-def _object(prim: Usd.Prim, world: World, pose: Pose, scale: Array) -> tuple[str, dict[str, Any]] | Note:
+def _object(prim: Usd.Prim, world: StageFrame, pose: Pose, scale: Array) -> tuple[str, dict[str, Any]] | StageNote:
     """A primitive; it is free where it is a rigid body, and touched where it, or what it holds, collides."""
     from pxr import Usd, UsdGeom, UsdPhysics
 
     path = str(prim.GetPath())
     shapes = [p for p in Usd.PrimRange(prim) if p.IsA(UsdGeom.Gprim)]
     if len(shapes) != 1:
-        return Note(path, f"it has {len(shapes)} shapes, and one is taken over", "import it alone, as an asset")
+        return StageNote(path, f"it has {len(shapes)} shapes, and one is taken over", "import it alone, as an asset")
     shape = shapes[0]
     X_WS, scale = factored(world.matrix(shape)) if shape != prim else (pose, scale)
     found = _shape(shape, scale)
     if found is None:
         message = f"a {shape.GetTypeName()} is not taken over"
-        return Note(str(shape.GetPath()), message, "save it as a mesh file and name that as an `asset`")
+        return StageNote(str(shape.GetPath()), message, "save it as a mesh file and name that as an `asset`")
     kind, turned = found
     data: dict[str, Any] = {"shape": kind}
     free = prim.HasAPI(UsdPhysics.RigidBodyAPI) and prim.GetAttribute("physics:rigidBodyEnabled").Get() is not False
@@ -200,10 +200,10 @@ def _camera(prim: Usd.Prim, pose: Pose) -> dict[str, Any]:
     return {**data, "pose": camera_pose(pose @ X_CU.inverse())}
 
 
-def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | Note:
+def _light(prim: Usd.Prim, pose: Pose) -> tuple[str, dict[str, Any]] | StageNote:
     kind = light_type(str(prim.GetTypeName()))
     if kind is None:
-        return Note(
+        return StageNote(
             str(prim.GetPath()), f"a {prim.GetTypeName()} is no light of a scene", "use a distant, sphere or dome"
         )
     bright = float(prim.GetAttribute("inputs:intensity").Get()) * 2.0 ** float(

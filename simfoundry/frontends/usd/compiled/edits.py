@@ -11,8 +11,8 @@ import numpy as np
 
 from simfoundry.frontends.usd.compiled.joints import edited_joints
 from simfoundry.frontends.usd.compiled.shapes import scaled
-from simfoundry.frontends.usd.compiled.stage import Part, fallback, links_of
-from simfoundry.frontends.usd.compiled.values import Note, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links_of
+from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
@@ -39,17 +39,17 @@ class Edited:
     """The data of a part as the stage has it, and what of the stage they cannot say."""
 
     data: dict[str, Any]
-    notes: tuple[Note, ...]
+    notes: tuple[StageNote, ...]
 
 
-def edited_object(part: Part) -> Edited:
+def edited_object(part: StageMember) -> Edited:
     """An object: its pose, size, mass, surface, joints, and whether it is fixed; the same of each of its variants."""
     if part.variant:
         return Edited(*edited_variants(part, _edited_one))
     return Edited(*_edited_one(part))
 
 
-def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
+def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
     """The data of an object without variants, or of one of them, and what of the stage they cannot say."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
@@ -66,7 +66,7 @@ def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
     return data, (*notes, *rest(part, handled, hint))
 
 
-def edited_robot(part: Part) -> Edited:
+def edited_robot(part: StageMember) -> Edited:
     """A robot: where its base stands."""
     data = dict(part.spec)
     _pose(part, data)
@@ -75,11 +75,11 @@ def edited_robot(part: Part) -> Edited:
         now = part.now.get(path, {})
         for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
             message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
-            notes.append(Note(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
+            notes.append(StageNote(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
     return Edited(data, tuple(notes))
 
 
-def has_moved(part: Part) -> bool:
+def has_moved(part: StageMember) -> bool:
     """Whether a part stands elsewhere than where it was written."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
@@ -114,30 +114,30 @@ def differs(a: Any, b: Any) -> bool:
     return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 
-def rest(part: Part, handled: set[tuple[str, str]], hint: str = "") -> Iterator[Note]:
+def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> Iterator[StageNote]:
     """What else is otherwise than it was written, which nobody takes over."""
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
-            yield Note(path, "it was deleted, and an object keeps all its pieces")
+            yield StageNote(path, "it was deleted, and an object keeps all its pieces")
             continue
         now = part.now[relative]
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
-                yield Note(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
+                yield StageNote(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
         if relative and (relative, "at") not in handled and _displaced(values, now):
-            yield Note(path, "it was moved within its object", hint or "move the object itself")
+            yield StageNote(path, "it was moved within its object", hint or "move the object itself")
     for relative, now in part.now.items():
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built = part.built.get(relative)
         if built is None and relative and _counts(prim):
-            yield Note(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
+            yield StageNote(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
             continue
         for name, value in now.items():
             if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
                 continue
             if name.startswith(_TOLD) and differs(value, fallback(prim, name)):
-                yield Note(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
+                yield StageNote(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
 
 
 def shown(value: Any) -> str:
@@ -164,7 +164,7 @@ def _counts(prim: Any) -> bool:
     return bool(prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdPhysics.Joint) or prim.HasAPI(UsdPhysics.RigidBodyAPI))
 
 
-def _pose(part: Part, data: dict[str, Any]) -> None:
+def _pose(part: StageMember, data: dict[str, Any]) -> None:
     if has_moved(part):
         pose = pose_data(part.X_WP, None if "place" in data else data.get("pose", {}), part.X_WP_built)
         data.pop("place", None)
@@ -173,7 +173,7 @@ def _pose(part: Part, data: dict[str, Any]) -> None:
             data["pose"] = pose
 
 
-def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """A thing that was scaled, or a primitive that was resized: what touches counts before what is seen."""
     factors = part.scale
     links = links_of(part.built)
@@ -188,12 +188,12 @@ def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> It
         return
     changed, problem = scaled(data, factors)
     if problem:
-        yield Note(part.path, problem)
+        yield StageNote(part.path, problem)
     else:
         data.update(changed)
 
 
-def _resized(part: Part, relative: str) -> Any:
+def _resized(part: StageMember, relative: str) -> Any:
     """By what a primitive was stretched along its axes, shape (3,); None where there is no such prim."""
     if relative not in part.built or relative not in part.now:
         return None
@@ -208,7 +208,7 @@ def _resized(part: Part, relative: str) -> Any:
     return np.asarray(factors, dtype=np.float64)
 
 
-def _mass(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     for link in links_of(part.built)[:1]:
         handled |= {(link, "physics:mass"), (link, "physics:density")}
         old, now = part.built[link]["physics:mass"], part.now.get(link, {})
@@ -220,10 +220,10 @@ def _mass(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> It
             data.pop("mass", None)
             data["density"] = short(density)
         elif mass <= 0:
-            yield Note(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
+            yield StageNote(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
 
 
-def _surface(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Colour, friction and restitution; of several pieces that of the first that changed."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
@@ -232,14 +232,14 @@ def _surface(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) ->
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield Note(f"{part.path}/{relative}", "its new material is none that has a plain colour")
+                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain colour")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
         if values.get("contact") is not None:
             handled.add((relative, "contact"))
             if now.get("contact") is None:
-                yield Note(f"{part.path}/{relative}", "it has no contact material any more")
+                yield StageNote(f"{part.path}/{relative}", "it has no contact material any more")
                 continue
             for k, name in ((0, "friction"), (2, "restitution")):
                 own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
@@ -254,7 +254,7 @@ def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
     return short(now[0] ** 2) if differs(built[0], now[0]) else None
 
 
-def _fixed(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
+def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
     from pxr import UsdPhysics
 
     for link in links_of(part.built)[:1]:

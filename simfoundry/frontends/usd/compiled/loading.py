@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.usd.compiled.reading import Reading, read_stage
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
@@ -35,7 +35,7 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
     return replace(loaded, findings=(*loaded.findings, *_findings(path, reading)))
 
 
-def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
+def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
     """What the document cannot say of the stage."""
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
@@ -54,7 +54,7 @@ def home(stage: Path, file: str) -> Path:
     return found or stage.absolute().parent / (Path(file).name or stage.name)
 
 
-def stage_document(path: Path, reading: Reading) -> Document:
+def stage_document(path: Path, reading: StageReading) -> Document:
     """The document of a stage; its parts stand at their prims, all else in the file as a whole."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)

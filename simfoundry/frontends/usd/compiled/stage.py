@@ -13,11 +13,13 @@ import numpy as np
 from simfoundry.backends.usd.source import KEY, SCOPES, contact, look, observed, plain
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.spec.models.scene import SceneSpec
+from simfoundry.spec.models.types import with_present_keys
 
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
 
-    from simfoundry.frontends.usd.compiled.stage_frame import World
+    from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
@@ -43,7 +45,7 @@ class StageError(SimfoundryError):
 
 
 @dataclass(frozen=True)
-class Part:
+class StageMember:
     """A member of a section of the document, with the prim that stands for it.
 
     ``spec`` is its data and ``built`` what its prims said when they were written; ``now`` is what they say. ``X_WP`` is
@@ -61,7 +63,7 @@ class Part:
     X_WP: Pose
     scale: Array
     variant: str = ""
-    others: tuple[Part, ...] = ()
+    others: tuple[StageMember, ...] = ()
     stage: Usd.Stage | None = None
     """The stage of ``prim``, which holds it only weakly."""
 
@@ -110,17 +112,19 @@ def carrier(stage: Usd.Stage) -> Usd.Prim | None:
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
     """The file that a document came from, in its project, and its data without what its parts hold."""
     entries = _entries(prim)
-    return str(entries.get("file", "")), _json(prim, "document", _checked_sections)
+    return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
-def parts(stage: Usd.Stage, world: World) -> list[Part]:
+def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
     """Every part that is there and active, wherever it is by now, in the order of the stage."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
 
 
-def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[str, tuple[Part, ...]]:
+def _other_variants(
+    stage: Usd.Stage, varied: list[StageMember], world: StageFrame
+) -> dict[str, tuple[StageMember, ...]]:
     """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
     from pxr import Sdf, Usd
 
@@ -128,7 +132,7 @@ def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[
     for part in varied:
         choices = part.prim.GetVariantSet(VARIANTS)
         rest[part.path] = [name for name in choices.GetVariantNames() if name != choices.GetVariantSelection()]
-    found: dict[str, list[Part]] = {path: [] for path in rest}
+    found: dict[str, list[StageMember]] = {path: [] for path in rest}
     for k in range(max(map(len, rest.values()), default=0)):
         other = Usd.Stage.Open(stage.GetRootLayer(), Sdf.Layer.CreateAnonymous())
         chosen = {path: names[k] for path, names in rest.items() if k < len(names)}
@@ -144,7 +148,7 @@ def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[
     return {path: tuple(parts) for path, parts in found.items()}
 
 
-def _own_opinions(part: Part) -> Values:
+def _own_opinions(part: StageMember) -> Values:
     """What the prims of a variant say, but what they were built with where the word comes from outside of it."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
@@ -206,19 +210,19 @@ def links_of(built: Values) -> list[str]:
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
-def _part(prim: Usd.Prim, world: World) -> Part:
+def _part(prim: Usd.Prim, world: StageFrame) -> StageMember:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
-    spec = _json(prim, "spec")
+    spec = with_present_keys(SceneSpec.model_fields[section].annotation, {name: _json(prim, "spec")})[name]
     if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
-        return Part(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
+        return StageMember(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
     built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
     X_WP, scale = factored(world.matrix(root or prim))
     variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
-    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
+    return StageMember(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Note:
+class StageNote:
     """Something in a stage that the document cannot say: the path of the prim, what it is, and what to do."""
 
     prim: str

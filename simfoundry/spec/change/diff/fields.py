@@ -15,7 +15,7 @@ Path_ = tuple[str, ...]
 INHERITED = ("density", "friction", "restitution", "color")
 """What a body has from its material where it does not say it itself."""
 
-_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "at")
+_CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap", "local_xy")
 
 
 class Verbs(list[str]):
@@ -115,8 +115,8 @@ class Describing:
         if (
             isinstance(before, dict)
             and isinstance(after, dict)
-            and all(same(before.get(key), after.get(key)) for key in _CARRIER if key != "at")
-            and all((key in before) == (key in after) for key in ("xy", "at"))
+            and all(same(before.get(key), after.get(key)) for key in _CARRIER if key != "local_xy")
+            and all((key in before) == (key in after) for key in ("xy", "local_xy"))
         ):
             found = poses.motion(_flat(before), _flat(after))
             verbs += poses.words(found)
@@ -253,7 +253,7 @@ def _angles(item: dict[str, Any]) -> dict[str, Any]:
 
 def _flat(place: dict[str, Any]) -> dict[str, Any]:
     """A place as a pose on the ground, to compare with another of the same kind."""
-    x, y = place.get("xy") or place.get("at") or (0.0, 0.0)
+    x, y = place.get("xy") or place.get("local_xy") or (0.0, 0.0)
     return {**place, "xyz": (x, y, 0.0)}
 
 

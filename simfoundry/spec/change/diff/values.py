@@ -111,7 +111,7 @@ def shape(item: Any) -> str:
 def place(item: dict[str, Any]) -> str:
     """``on desk at (0.45, 0.1), left of plate``."""
     words = [f"{key} {item[key]}" for key in ("on", "inside") if key in item]
-    for key, frame in (("xy", ""), ("at", " of its frame")):
+    for key, frame in (("xy", ""), ("local_xy", " of its frame")):
         if key in item:
             words = [" ".join([*words, f"at {_list(key, item[key])} m{frame}"])]
     for key in ("left_of", "right_of", "in_front_of", "behind"):
@@ -129,7 +129,7 @@ def shortened(text: str) -> str:
 def _doubt(estimate: dict[str, Any]) -> str:
     range_ = estimate.get("range")
     between = f", {number(range_[0])} to {number(range_[1])}" if range_ else ""
-    return f"(estimated{between} by {shortened(str(estimate.get('by', 'unknown')))})"
+    return f"(estimated{between} by {shortened(str(estimate.get('source', 'unknown')))})"
 
 
 def _text(text: str) -> str:

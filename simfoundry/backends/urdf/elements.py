@@ -1,0 +1,205 @@
+"""Objects as URDF: links, joints, geometries, materials; one file for each part that moves freely."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.urdf.features import UNBOUNDED_M
+from simfoundry.backends.xmltext import DECLARATION, xml_text
+from simfoundry.geometry.frames import IDENTITY, Pose, rpy_from_quat
+from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.scene.meshfile import has_texture, obj_with_material, texture_name
+from simfoundry.scene.model import Background, Joint, JointType, Link, Scene, SceneObject, Visual
+from simfoundry.scene.trees import Tree, trees
+
+Split = Callable[[Geometry], Iterator[tuple[str, Geometry, Pose]]]
+"""Splits a geometry into the parts that a dialect can write: a suffix for the name, the part, its pose ``X_GP``."""
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The forms in which one reader of URDF wants visual and collision geometries.
+
+    ``ball`` is its type of a ball joint; None where it has none, so that the link is welded in its initial pose.
+    """
+
+    visual: Split
+    collision: Split
+    ball: str | None = None
+
+
+_TENSOR = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Rows and columns of an inertia in the order in which URDF's attributes are usually written."""
+
+_EFFORT, _VELOCITY = "1000", "100"
+"""Limits of joints that have none in the scene, as URDF demands some: beyond what a table-top scene reaches [N or N m,
+m/s or rad/s]."""
+
+
+def urdf_files(scene: Scene, dialect: Dialect) -> dict[str, bytes]:
+    """Return the URDF of every object, one for each part that moves freely, and the assets they share, by path."""
+    files: dict[str, bytes] = {}
+    for item in scene.objects:
+        written = _WRITTEN.get(item)
+        if written is not None:
+            files |= written
+            continue
+        texts = {f"{tree.name}.urdf": _tree_text(tree, dialect, files) for tree in trees(item)}
+        if _is_plain(item):
+            _WRITTEN[item] = texts
+        files |= texts
+    return files
+
+
+_WRITTEN: WeakKeyDictionary[SceneObject, dict[str, bytes]] = WeakKeyDictionary()
+"""The texts that all dialects share, as long as the object lives: most scenes are compiled for two dialects."""
+
+
+def _is_plain(item: SceneObject) -> bool:
+    """Return true if all dialects write an object alike: no geometry to split, and no ball joint to name."""
+    shapes = [v.geometry for k in item.links for v in k.visuals] + [c.geometry for k in item.links for c in k.colliders]
+    joints = [joint for joint in item.joints if joint.type is JointType.BALL]
+    return not joints and all(isinstance(shape, Box | Sphere | Cylinder) for shape in shapes)
+
+
+def _tree_text(tree: Tree, dialect: Dialect, files: dict[str, bytes]) -> bytes:
+    """Return the URDF of one tree of links; its assets are added to ``files``."""
+    root = ET.Element("robot", name=tree.name)
+    for link in tree.links:
+        _add_link(root, link, dialect, files)
+    for joint in tree.joints:
+        _add_joint(root, joint, dialect)
+    return DECLARATION + xml_text(root)
+
+
+def background_urdf(background: Background, known: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return a URDF of one link in the world frame, visual only, and the assets beyond those ``known``."""
+    files = dict(known)
+    root = ET.Element("robot", name="background")
+    element = ET.SubElement(root, "link", name="background")
+    inertial = ET.SubElement(element, "inertial")  # without one readers invent a mass, and say so on every load
+    ET.SubElement(inertial, "mass", value="0")
+    ET.SubElement(inertial, "inertia", dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), "0"))
+    for visual in background.visuals:
+        shape = _add_shape(element, "visual", visual.name, visual.geometry, background.X_WB @ visual.X_LG, files)
+        _add_material(shape, visual)
+    files["_background.urdf"] = DECLARATION + xml_text(root)
+    return files
+
+
+def whole(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+    """Yield the geometry itself, for dialects that have capsules."""
+    yield "", geometry, IDENTITY
+
+
+def capsule_parts(geometry: Geometry) -> Iterator[tuple[str, Geometry, Pose]]:
+    """Yield the geometry itself, but a capsule, which URDF lacks, as a cylinder and two spheres: the same solid."""
+    if not isinstance(geometry, Capsule):
+        yield "", geometry, IDENTITY
+        return
+    yield "_tube", Cylinder(geometry.radius, geometry.height), IDENTITY
+    yield "_top", Sphere(geometry.radius), Pose.of([0.0, 0.0, geometry.height / 2])
+    yield "_bottom", Sphere(geometry.radius), Pose.of([0.0, 0.0, -geometry.height / 2])
+
+
+def _add_link(root: ET.Element, link: Link, dialect: Dialect, files: dict[str, bytes]) -> None:
+    element = ET.SubElement(root, "link", name=link.name)
+    inertial = ET.SubElement(element, "inertial")
+    _add_origin(inertial, Pose.of(link.com))
+    ET.SubElement(inertial, "mass", value=number(link.mass))
+    tensor = {f"i{'xyz'[a]}{'xyz'[b]}": number(link.inertia[a, b]) for a, b in _TENSOR}
+    ET.SubElement(inertial, "inertia", tensor)
+    for visual in link.visuals:
+        for suffix, geometry, X_GP in dialect.visual(visual.geometry):
+            shape = _add_shape(element, "visual", visual.name + suffix, geometry, visual.X_LG @ X_GP, files)
+            _add_material(shape, visual)
+    for collider in link.colliders:
+        for suffix, geometry, X_GP in dialect.collision(collider.geometry):
+            _add_shape(element, "collision", collider.name + suffix, geometry, collider.X_LG @ X_GP, files)
+
+
+def _add_origin(parent: ET.Element, pose: Pose) -> None:
+    if not pose.is_identity:
+        ET.SubElement(parent, "origin", xyz=numbers(pose.p), rpy=numbers(rpy_from_quat(pose.q)))
+
+
+def _add_shape(
+    link: ET.Element, tag: str, name: str, geometry: Geometry, X_LG: Pose, files: dict[str, bytes]
+) -> ET.Element:
+    """Add a visual or collision element to a link; the assets of a mesh go into ``files``."""
+    shape = ET.SubElement(link, tag, name=name)
+    _add_origin(shape, X_LG)
+    element = ET.SubElement(shape, "geometry")
+    match geometry:
+        case Box(size=size):
+            ET.SubElement(element, "box", size=numbers(size))
+        case Sphere(radius=radius):
+            ET.SubElement(element, "sphere", radius=number(radius))
+        case Cylinder(radius=radius, height=height):
+            ET.SubElement(element, "cylinder", radius=number(radius), length=number(height))
+        case Capsule(radius=radius, height=height):
+            ET.SubElement(element, "capsule", radius=number(radius), length=number(height))
+        case Mesh():
+            path = f"assets/{geometry.digest}.obj"
+            if path not in files:
+                files.update({f"assets/{name}": data for name, data in obj_with_material(geometry).items()})
+            ET.SubElement(element, "mesh", filename=path)
+    return shape
+
+
+def _add_material(parent: ET.Element, visual: Visual) -> None:
+    """Add a color and perhaps a texture. Readers share materials by name in a file: the name follows the content."""
+    tint = numbers(visual.rgba)
+    name = "rgba_" + tint.replace(" ", "_")
+    mesh = visual.geometry
+    png = mesh.texture if isinstance(mesh, Mesh) and has_texture(mesh) else None
+    material = ET.SubElement(parent, "material", name=name if png is None else f"{texture_name(png)[:-4]}_{name}")
+    ET.SubElement(material, "color", rgba=tint)
+    if png is not None:
+        ET.SubElement(material, "texture", filename=f"assets/{texture_name(png)}")
+
+
+def _add_joint(root: ET.Element, joint: Joint, dialect: Dialect) -> None:
+    welded = joint.type is JointType.BALL and dialect.ball is None
+    element = ET.SubElement(root, "joint", name=joint.name, type=_joint_type(joint, dialect))
+    _add_origin(element, joint.X_PC @ joint.motion if welded else joint.X_PC)
+    ET.SubElement(element, "parent", link=joint.parent)
+    ET.SubElement(element, "child", link=joint.child)
+    if joint.type is JointType.FIXED or welded:
+        return
+    if joint.has_axis:
+        ET.SubElement(element, "axis", xyz=numbers(joint.axis))
+        ET.SubElement(element, "limit", _limit(joint))
+    if joint.damping or joint.friction:
+        ET.SubElement(element, "dynamics", damping=number(joint.damping), friction=number(joint.friction))
+    if joint.mimic is not None:
+        ratio = {"multiplier": number(joint.mimic.multiplier), "offset": number(joint.mimic.offset)}
+        ET.SubElement(element, "mimic", {"joint": joint.mimic.joint} | ratio)
+
+
+def _joint_type(joint: Joint, dialect: Dialect) -> str:
+    if joint.type is JointType.BALL:
+        return dialect.ball or JointType.FIXED.value
+    unlimited = joint.type is JointType.REVOLUTE and joint.limits is None
+    return JointType.CONTINUOUS.value if unlimited else joint.type.value
+
+
+def _limit(joint: Joint) -> dict[str, str]:
+    strength = joint.drive.force_limit if joint.drive is not None else None
+    limit = {"effort": _EFFORT if strength is None else number(strength), "velocity": _VELOCITY}
+    if limits := _urdf_limits(joint):
+        limit = {"lower": number(limits[0]), "upper": number(limits[1])} | limit
+    return limit
+
+
+def _urdf_limits(joint: Joint) -> tuple[float, float] | None:
+    """Return the limits to write; a sliding joint needs some, and without them many readers lock it at zero."""
+    if joint.type is JointType.CONTINUOUS:
+        return None
+    if joint.type is JointType.PRISMATIC and joint.limits is None:
+        return -UNBOUNDED_M, UNBOUNDED_M
+    return joint.limits

@@ -1,0 +1,138 @@
+"""JSON beside URDF: ``poses.json`` places the objects, ``physics.json`` holds surfaces, drives and gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from simfoundry.backends.artifact import json_text, rounded, rounded_list
+from simfoundry.backends.robot_models.robot_urdf import RobotUrdf
+from simfoundry.backends.urdf.elements import Split
+from simfoundry.geometry.frames import Pose
+from simfoundry.scene.model import Drive, Joint, JointType, Link, Mimic, Scene, SceneObject
+from simfoundry.scene.robot import Follow
+from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.trees import Tree, trees
+
+_SERVO_ERROR = 0.005
+"""Error [rad or m] at which a servo that we add to a robot's own URDF gives all its force: 5 mrad at a reach of 0.8 m
+is 4 mm, what arms of that size repeat within under load."""
+
+_SERVO_TIME = 0.05
+"""Time in which such a servo closes an error [s]: slow enough that its links, which weigh little, do not overshoot."""
+
+
+def physics_manifest(scene: Scene, split: Split, robots: Mapping[str, RobotUrdf]) -> bytes:
+    """Return ``physics.json``; collision shapes go by the names and in the order of the URDF.
+
+    A robot that was converted is described like an object; to one with a URDF of its own the file adds motors only,
+    and the joints that follow others beyond what the URDF states.
+    """
+    own = {name: robot for name, robot in robots.items() if robot.item is None}
+    items = [*scene.objects, *(robot.item for robot in robots.values() if robot.item is not None)]
+    data: dict[str, object] = {
+        "gravity": rounded_list(scene.gravity),
+        "objects": {tree.name: _physics(tree, split) for item in items for tree in trees(item)},
+    }
+    if excluded := excluded_between(scene):
+        data["no_contact"] = excluded
+    if own:
+        data["robots"] = {name: _robot(robot) for name, robot in own.items()}
+    return json_text(data)
+
+
+def excluded_between(scene: Scene) -> list[list[list[str]]]:
+    """Return the pairs of links of different bodies that do not collide, each link as its body and its own name."""
+    parts = [tree for item in scene.objects for tree in trees(item)]
+    home = {tree.owner.qualified(link.name): [tree.name, link.name] for tree in parts for link in tree.links}
+    own = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in o.no_contact]
+    pairs = ((home[a], home[b]) for a, b in (*own, *scene.no_contact))
+    return [[a, b] for a, b in pairs if a[0] != b[0]]
+
+
+def excluded_within(tree: Tree) -> list[list[str]]:
+    """Return the pairs of links of one body that do not collide."""
+    names = {link.name for link in tree.links}
+    return [list(pair) for pair in silent_pairs(tree.owner) if names.issuperset(pair)]
+
+
+def _physics(tree: Tree, split: Split) -> dict[str, object]:
+    joints = {joint.name: _joint(joint) for joint in tree.joints if joint.type is not JointType.FIXED}
+    links = {link.name: _surfaces(link, split) for link in tree.links}
+    return {"links": links, "joints": joints, "silent": excluded_within(tree)}
+
+
+def _joint(joint: Joint) -> dict[str, object]:
+    passive = {"friction": rounded(joint.friction), "armature": rounded(joint.armature)}
+    return passive | ({"drive": drive_data(joint.drive)} if joint.drive is not None else {})
+
+
+def drive_data(drive: Drive) -> dict[str, float]:
+    """Return ``stiffness * (target - position) - damping * velocity``, up to ``force_limit`` where there is one."""
+    gains = {"stiffness": drive.stiffness, "damping": drive.damping, "target": drive.target}
+    limit = {} if drive.force_limit is None else {"force_limit": drive.force_limit}
+    return {key: rounded(value) for key, value in (gains | limit).items()}
+
+
+def mimic_data(leader: Mimic | Follow) -> dict[str, object]:
+    """Return the joint that another follows, and the ratio and offset at which it does."""
+    return {"joint": leader.joint, "multiplier": rounded(leader.multiplier), "offset": rounded(leader.offset)}
+
+
+def pose_data(pose: Pose) -> dict[str, object]:
+    """Return a position [m] and a wxyz quaternion."""
+    return {"p": rounded_list(pose.p), "q_wxyz": rounded_list(pose.q)}
+
+
+def _robot(robot: RobotUrdf) -> dict[str, object]:
+    """Return the motors of a robot whose own URDF says how strong they are, and no more."""
+    motors = {
+        name: drive_data(Drive(force / _SERVO_ERROR, _SERVO_TIME * force / _SERVO_ERROR, robot.positions[name], force))
+        for name, force in robot.efforts.items()
+        if name not in robot.follow
+    }
+    return {"motors": motors, "follow": {name: mimic_data(leader) for name, leader in robot.follow.items()}}
+
+
+def _surfaces(link: Link, split: Split) -> dict[str, dict[str, float]]:
+    return {
+        collider.name + suffix: {
+            "friction": rounded(collider.friction),
+            "restitution": rounded(collider.restitution),
+        }
+        for collider in link.colliders
+        for suffix, _, _ in split(collider.geometry)
+    }
+
+
+def placement(tree: Tree) -> dict[str, object]:
+    """Return the pose of a part of an object, whether it is fixed, its joint positions and the closed ends of these."""
+    closed = {j.name: j.closed for j in tree.joints if j.closed is not None}
+    joints = {j.name: rounded(j.position) for j in tree.joints if j.has_axis}
+    placed = {"fixed": tree.fixed, **pose_data(tree.X_WT), "joints": joints}
+    return placed | ({"closed": closed} if closed else {})
+
+
+def robot_placement(robot: RobotUrdf) -> dict[str, object]:
+    """Return the pose of a robot's base and its joint positions, as of any fixed object."""
+    joints = {name: rounded(position) for name, position in robot.positions.items()}
+    return {"urdf": robot.path, "category": "robot", "fixed": True, **pose_data(robot.X_WB), "joints": joints}
+
+
+def poses_entry(tree: Tree) -> dict[str, object]:
+    """Return the entry of a part of an object in ``poses.json``."""
+    return {"urdf": f"{tree.name}.urdf"} | semantics(tree.owner) | placement(tree) | _free_part(tree)
+
+
+def _free_part(tree: Tree) -> dict[str, object]:
+    """Return the object of a part that moves freely, and the free joint with its parent link, zero and motion."""
+    joint = tree.free_joint
+    if joint is None:
+        return {}
+    zero, motion = ([*rounded_list(X.p), *rounded_list(X.q)] for X in (joint.X_PC, joint.motion))
+    free = {"object": tree.owner.name, "joint": joint.name, "parent": joint.parent, "zero": zero, "motion": motion}
+    return {"free": free}
+
+
+def semantics(item: SceneObject) -> dict[str, object]:
+    """Return the category of an object, and its labels where it has some."""
+    return {"category": item.category} | ({"labels": list(item.labels)} if item.labels else {})
