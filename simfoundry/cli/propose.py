@@ -11,7 +11,7 @@ from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, prin
 from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
-    from simfoundry.cousins.tasks.context import Setting
+    from simfoundry.cousins.tasks.context import TaskContext
     from simfoundry.cousins.tasks.enumeration import Proposal
 
 
@@ -53,12 +53,12 @@ def command(
     take and reach its things, and no other means the same. Exit code 1 where there are fewer than asked for.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.cousins.tasks.context import Setting
+    from simfoundry.cousins.tasks.context import TaskContext
     from simfoundry.cousins.tasks.enumeration import checked, scene_reference, write
     from simfoundry.cousins.tasks.enumeration import to_json as row
 
     folder = out or scene.parent
-    setting = Setting.load(scene, Cache.default(), payload, engines)
+    setting = TaskContext.load(scene, Cache.default(), payload, engines)
     _known(about, [o.name for o in setting.twin.scene.objects])
     reference = scene_reference(scene, folder)
     if vlm is None:
@@ -87,7 +87,7 @@ def _known(about: tuple[str, ...], names: list[str]) -> None:
 
 
 def _enumerated(
-    setting: Setting, count: int, seed: int, reference: str, about: tuple[str, ...], quiet: bool
+    setting: TaskContext, count: int, seed: int, reference: str, about: tuple[str, ...], quiet: bool
 ) -> list[Proposal]:
     from simfoundry.cousins.tasks.enumeration import enumerate_tasks
 
@@ -98,7 +98,7 @@ def _enumerated(
 
 
 def _asked(
-    setting: Setting,
+    setting: TaskContext,
     scene: Path,
     model: str,
     base_url: str | None,
@@ -116,7 +116,7 @@ def _asked(
     return propose_tasks(asked, setting, picture, count, "paper" if form == "paper" else "typed", reference, about)
 
 
-def _picture(setting: Setting, scene: Path, name: str | None) -> bytes:
+def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
     """The scene as a camera sees it, as PNG."""
     import tempfile
 

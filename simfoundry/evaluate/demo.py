@@ -42,7 +42,8 @@ from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.robot import ROBOTS, RobotSpec
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
@@ -215,13 +216,15 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
     ground = min(float(boxes[item.name][0][2]) for item in scene.objects if not item.fixed)
     seen_from = scene.cameras[0].X_WC.p - middle if scene.cameras else np.array([-1.0, 0.0, 0.0])
     towards = math.atan2(seen_from[1], seen_from[0])
+    arm = find_robot(ARM)
+    assert arm is not None
     found: list[tuple[bool, int, Array, float]] = []
     for side in SIDES:
         for near in NEAR:
             angle = towards + math.radians(side)
             base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
             away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
-            if min(away) < NEAREST or max(away) > ROBOTS[ARM].reach - MARGIN:
+            if min(away) < NEAREST or max(away) > arm.reach - MARGIN:
                 continue
             if any(not item.fixed and _distance(base, boxes[item.name]) < APART for item in scene.objects):
                 continue

@@ -202,7 +202,7 @@ def _mass_data(link: LinkDraft) -> Data:
     out: Data = {}
 
     def quantity(value: float) -> Any:
-        return {"value": float(value), "by": link.assumed} if link.assumed else float(value)
+        return {"value": float(value), "source": link.assumed} if link.assumed else float(value)
 
     if link.mass:
         out["mass"] = quantity(link.mass)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -18,11 +17,12 @@ import simfoundry
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.robot_files import companions
 from simfoundry.scene.robot_packages import NoModelError
-from simfoundry.scene.robots import OWN_MODELS, lower_robot
+from simfoundry.scene.robots import lower_robot
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import own_folder
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.variants import variant_names, variant_of
 from simfoundry.spec.yaml.write import to_data
@@ -129,7 +129,8 @@ def _of_file(path: Path) -> str:
 
 def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
     """A hash of the models of a robot, and of what one's own folder of robots says; or why there is no model."""
-    own = [_of_file(p) for p in sorted(Path(os.environ[OWN_MODELS]).glob("*.yaml"))] if OWN_MODELS in os.environ else []
+    folder = own_folder()
+    own = [_of_file(p) for p in sorted(folder.glob("*.yaml"))] if folder is not None else []
     try:
         models = lower_robot(name, spec, document).models
     except NoModelError as error:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from simfoundry.cousins.layout.acceptance import examine
-from simfoundry.cousins.layout.constraints import asks_of
+from simfoundry.cousins.layout.constraints import placement_constraints
 from simfoundry.cousins.layout.propose import Layout, propose, scatter
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin
@@ -223,7 +223,7 @@ def test_what_is_too_large_for_a_cavity_is_known_before_it_is_tried(thing: str, 
         text += f"  {name}: {{asset: assets/{asset}.asset.yaml, place: {{on: desk, xy: [{x}, 0]}}}}\n"
     twin = Twin.of(lower(load(REPOSITORY / "specs" / "pair.scene.yaml", text=text)))
     if possible:
-        asks_of(twin, axis("anchor", thing=("Inside",)))
+        placement_constraints(twin, axis("anchor", thing=("Inside",)))
         return
     with pytest.raises(ImpossibleError, match=r"`thing` \(.* cm\) cannot be inside `anchor`, whose cavity is"):
-        asks_of(twin, axis("anchor", thing=("Inside",)))
+        placement_constraints(twin, axis("anchor", thing=("Inside",)))

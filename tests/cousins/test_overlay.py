@@ -18,7 +18,7 @@ from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import claim_project, read_recipe
 from simfoundry.cousins.recipe.overlay import dependents, relative
 from simfoundry.cousins.run.candidates import Setup, candidate, prepared
-from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
 from simfoundry.errors import OutputError
@@ -292,7 +292,7 @@ def test_all_axes_together_and_what_they_wrote(project: Path) -> None:
         assert isinstance(loaded, SceneSpec)
         (side,) = [r for r in loaded.relations if r.endswith("(cup, bowl)")]
         assert judge(side, after).value
-        assert isinstance(witness(Setting(Twin.of(scene, task.goal, ()), ()), task.goal), Witness), task.goal
+        assert isinstance(witness(TaskContext(Twin.of(scene, task.goal, ()), ()), task.goal), Witness), task.goal
         goals.add(str(task.goal))
     assert len(goals) >= 2
     assert run("check", project / "out").code == 0

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import Told, Unread, goal_of, prompt, propose_tasks, read
 from simfoundry.cousins.tasks.witness import ALLOWED
 from simfoundry.spec.load import load
@@ -21,8 +21,8 @@ PICTURE = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
-    return Setting.load(SCENE)
+def setting() -> TaskContext:
+    return TaskContext.load(SCENE)
 
 
 class Recorded:
@@ -62,7 +62,7 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("form", ["paper", "typed"])
-def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: Setting, form: Any) -> None:
+def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: TaskContext, form: Any) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 14, form, "cluttered.scene.yaml")
     expected = {n: e for n, e in EXPECTED.items() if form == "paper" or not n.startswith("part")}
@@ -76,7 +76,7 @@ def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: Setting, form
     assert "exactly 14 distinct tasks" in vlm.asked[0]
 
 
-def test_an_accepted_proposal_is_a_task_document(setting: Setting) -> None:
+def test_an_accepted_proposal_is_a_task_document(setting: TaskContext) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 2, "paper", "cluttered.scene.yaml")
     made = found[0].task
@@ -89,7 +89,7 @@ def test_an_accepted_proposal_is_a_task_document(setting: Setting) -> None:
     assert "recorded" in (made.origin.note or "")
 
 
-def test_what_is_excluded_is_refused(setting: Setting) -> None:
+def test_what_is_excluded_is_refused(setting: TaskContext) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 2, "paper", exclude=["baseball"], include=["bowl"])
     assert {p.name: p.reasons[0].code for p in found if p.reasons}["baseball_into_bowl"] == "excluded"
@@ -98,7 +98,7 @@ def test_what_is_excluded_is_refused(setting: Setting) -> None:
     assert "- baseball -> " not in vlm.asked[0]
 
 
-def test_the_prompt_is_the_paper_s_with_every_variable_filled_in(setting: Setting) -> None:
+def test_the_prompt_is_the_paper_s_with_every_variable_filled_in(setting: TaskContext) -> None:
     text = prompt(setting, 7, "paper")
     assert text.startswith("You are a professional robotic expert in sim-to-real, robot learning, and VLAs.\n")
     assert "propose exactly 7 distinct tasks that a franka robotiq arm can perform" in text

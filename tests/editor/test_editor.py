@@ -15,7 +15,7 @@ import pytest
 from simfoundry.spec.editor.reference import example
 from simfoundry.spec.models.kinds import KINDS, is_document
 from simfoundry.spec.models.predicate import built_in_predicates
-from simfoundry.spec.models.robot import ROBOTS
+from simfoundry.spec.models.robot_file import robot_names
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 
@@ -142,7 +142,7 @@ def test_keys_are_offered_inside_braces_once_a_letter_stands(editor: Editor, tex
         (f"{SCENE}lights:\n  sky: {{type: |}}", {"distant", "point", "dome"}),
         (f"{ASSET}joints:\n  slide:\n    type: |", {"fixed", "revolute", "prismatic", "continuous"}),
         (f"{COUSINS}scene:\n  objects:\n    cup: [|]", {"LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop"}),
-        (f"{SCENE}robots:\n  arm: {{model: |}}", set(ROBOTS)),
+        (f"{SCENE}robots:\n  arm: {{model: |}}", set(robot_names())),
         (f"{OVERLAY}objects:\n  cup:\n    mass: |", {"null"}),
         (f"{OVERLAY}objects:\n  cup: |", {"null"}),
     ],

@@ -141,7 +141,17 @@ KEYWORDS = {
     *("$schema", "$id", "$ref", "$defs", "$comment", "title", "description", "type", "enum", "const"),
     *("if", "then", "else", "allOf", "anyOf", "oneOf", "not", "required", "pattern", "minLength", "maxLength"),
     *("properties", "patternProperties", "additionalProperties", "propertyNames", "minProperties", "maxProperties"),
-    *("items", "prefixItems", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"),
+    *(
+        "examples",
+        "items",
+        "prefixItems",
+        "minItems",
+        "maxItems",
+        "minimum",
+        "maximum",
+        "exclusiveMinimum",
+        "exclusiveMaximum",
+    ),
 }
 """What of JSON Schema 2020-12 may stand in a schema; there is no `format`, which strict validators refuse as well."""
 

@@ -155,8 +155,8 @@ def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -
 
 def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
     """What the task is about is within reach of an arm, by inverse kinematics."""
-    if twin.reach.missing:
-        unchecked.append(f"reach: {twin.reach.missing}")
+    if twin.robots.reach.missing:
+        unchecked.append(f"reach: {twin.robots.reach.missing}")
         return
     if twin.goal is None:
         unchecked.append("reach: no task says which objects must be reached")
@@ -164,7 +164,7 @@ def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Re
     for name in twin.task_objects:
         if twin.scene.object(name).fixed:
             continue
-        result = twin.reach(*twin.box(name, state.poses[name]))
+        result = twin.robots.reach(*twin.box(name, state.poses[name]))
         if not result.reached:
             text = (
                 f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"

@@ -18,8 +18,8 @@ from simfoundry.cousins.layout.rejection_sampling import (
     Demands,
     Found,
     Mask,
+    Occupancy,
     Region,
-    There,
     find,
     rectangles_meet,
 )
@@ -48,7 +48,7 @@ Alone = Callable[[int], Found]
 
 def place_together(
     things: Sequence[tuple[Outline, Region]],
-    there: There,
+    there: Occupancy,
     rng: np.random.Generator,
     gap: float,
     clear: ClearAt,
@@ -75,7 +75,7 @@ class _Block:
     """Candidates of some things, :data:`EACH` of each in a row, and which of them meet each other and what stands."""
 
     def __init__(
-        self, things: Sequence[tuple[Outline, Region]], there: There, rng: np.random.Generator, gap: float
+        self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator, gap: float
     ) -> None:
         self.things, self._there, self._gap = things, there, gap
         outlines, regions = [o for o, _ in things], [r for _, r in things]
@@ -167,7 +167,7 @@ GAP = 0.002
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Placeable:
     """What is placed: an object, what rides on it, how it stands before it is turned about z, and its shadow."""
 
     name: str
@@ -177,17 +177,16 @@ class Thing:
     _regions: dict[tuple[str, float], Region] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Thing:
+    def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
         """A thing that is to stand on ``on``, with all that rides on it but what is ``staying``."""
         riders = twin.riders(name)
         if riders:
             riders = tuple(n for n in riders if n not in set(staying))
-        key = ("thing", name, on, riders)
-        if key not in twin.kept:
+        key = (name, on, riders)
+        if key not in twin.placeables:
             upright = twin.upright(name, on)
-            twin.kept[key] = cls(name, riders, upright, twin.outline(name, upright, riders))
-        found: Thing = twin.kept[key]
-        return found
+            twin.placeables[key] = cls(name, riders, upright, twin.outline(name, upright, riders))
+        return twin.placeables[key]
 
     def height(self, support: Support) -> float:
         """Of the frame [m], so that the thing stands on a support."""
@@ -207,7 +206,7 @@ class Thing:
         return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
 
 
-class Table:
+class Arrangement:
     """Everything that stands, while things are placed among it. A twin has one at a time: it poses its solids."""
 
     def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
@@ -216,7 +215,7 @@ class Table:
         self.poses = dict(twin.state.poses) | dict(poses)
         self.moved: dict[str, Pose] = {}
         self.dropped: set[str] = set()
-        self.there = There(2 * len(twin.scene.objects) + 64)
+        self.there = Occupancy(2 * len(twin.scene.objects) + 64)
         waiting = set(moving) | (twin.absent - set(poses))
         for name in tuple(waiting):
             waiting |= {n for n in twin.riders(name) if n not in poses}
@@ -226,9 +225,9 @@ class Table:
                 twin.solids.put(item.name, self.poses[item.name])
                 self.solid.append(item.name)
                 self._enter(item.name, twin.shadows(item.name, self.poses[item.name]))
-        for item in twin.obstacles:
-            self.solid.append(item.name)
-            self._enter(item.name, twin.shadows(item.name, item.X_WO))
+        for name, shadows in twin.robots.shadows.items():
+            self.solid.append(name)
+            self._enter(name, shadows)
 
     def _enter(self, name: str, shadows: Iterable[Outline]) -> None:
         for outline in shadows:
@@ -240,7 +239,7 @@ class Table:
 
     def find(
         self,
-        thing: Thing,
+        thing: Placeable,
         region: Region,
         rng: np.random.Generator,
         allowed: Allowed | None = None,
@@ -264,8 +263,8 @@ class Table:
         return found
 
     def put_all(
-        self, things: Sequence[Thing], support: Support, rng: np.random.Generator
-    ) -> tuple[Thing, Found] | None:
+        self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
+    ) -> tuple[Placeable, Found] | None:
         """Let things stand anywhere on a support, one after another; the first that finds no place, and why."""
         owners = self.there.owners
         self._stand_on(support)
@@ -288,7 +287,7 @@ class Table:
         )
         return None if failed is None else (things[failed[0]], failed[1])
 
-    def clashes(self, thing: Thing, others: Iterable[str], on: str) -> bool:
+    def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
         """Whether a thing or what rides on it is nearer to one of the others than it may; what carries it may touch."""
         solids = self.twin.solids
         return any(
@@ -297,7 +296,7 @@ class Table:
             for name in (thing.name, *thing.riders)
         )
 
-    def pose(self, thing: Thing, X_WO: Pose) -> dict[str, Pose]:
+    def pose(self, thing: Placeable, X_WO: Pose) -> dict[str, Pose]:
         """Pose a thing and its riders among the solids."""
         poses = {thing.name: X_WO}
         if thing.riders:
@@ -308,7 +307,7 @@ class Table:
             self.twin.solids.put(name, pose)
         return poses
 
-    def put(self, thing: Thing, z: float, spot: tuple[float, float, float], dropped: bool = False) -> None:
+    def put(self, thing: Placeable, z: float, spot: tuple[float, float, float], dropped: bool = False) -> None:
         """Let a thing stand at x, y [m] of its frame and a turn about z [rad]."""
         x, y, yaw = spot
         poses = self.pose(thing, thing.pose(x, y, z, yaw))

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Thing
+from simfoundry.cousins.layout.arrangement import Placeable
 from simfoundry.cousins.layout.supports import Support, hull
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library
@@ -30,7 +30,7 @@ comes in once in fifty drops is missed in 8 of 100 asks, and no recipe could liv
 
 
 @dataclass(frozen=True, eq=False)
-class Asks:
+class PlacementConstraints:
     """An axis made ready: the anchor, on what things stand around it, in which ``order`` they are placed, and the
     ``sets`` of predicates that each may have at once."""
 
@@ -40,15 +40,14 @@ class Asks:
     sets: Mapping[str, tuple[tuple[str, ...], ...]]
 
 
-def asks_of(twin: Twin, axis: SceneAxis) -> Asks:
+def placement_constraints(twin: Twin, axis: SceneAxis) -> PlacementConstraints:
     """What an axis asks; raises :class:`ImpossibleError` with every reason that is certain. Found once for a twin."""
-    key = ("asks", axis.model_dump_json())
-    if key not in twin.kept:
-        twin.kept[key] = _asks(twin, axis)
-    found = twin.kept[key]
+    key = axis.model_dump_json()
+    if key not in twin.constraints:
+        twin.constraints[key] = _asks(twin, axis)
+    found = twin.constraints[key]
     if isinstance(found, ImpossibleError):
         raise ImpossibleError(found.reasons)
-    assert isinstance(found, Asks)
     return found
 
 
@@ -64,7 +63,7 @@ def anchor_of(twin: Twin, axis: SceneAxis) -> str:
     return next((n for n in about if n in names and n not in axis.objects), "")
 
 
-def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
+def _asks(twin: Twin, axis: SceneAxis) -> PlacementConstraints | ImpossibleError:
     reasons = list(_wrong_names(twin, axis))
     if reasons:
         return ImpossibleError(tuple(reasons))
@@ -87,7 +86,7 @@ def _asks(twin: Twin, axis: SceneAxis) -> Asks | ImpossibleError:
     on = support.name if support is not None else anchor
     areas = {name: twin.outline(name, twin.upright(name, on)).area for name in axis.objects}
     order = tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
-    return Asks(anchor, support, order, MappingProxyType(sets))
+    return PlacementConstraints(anchor, support, order, MappingProxyType(sets))
 
 
 def _wrong_names(twin: Twin, axis: SceneAxis) -> Iterator[Reason]:
@@ -118,7 +117,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
     seen = [anchor]
     for name in seen:
         for below in twin.carried.get(name, ()):
-            found = twin.support(below, low)
+            found = twin[below].support(low)
             if found is not None and abs(found.height - low) < 0.005:
                 return found
     counts: dict[str, int] = {}
@@ -127,7 +126,7 @@ def _support(twin: Twin, anchor: str, axis: SceneAxis) -> Support | None:
             if below != anchor and below not in axis.objects:
                 counts[below] = counts.get(below, 0) + 1
     if twin.scene.object(anchor).fixed and (counts or twin.absent):
-        return twin.support(max(counts, key=lambda n: counts[n])) if counts else twin.support(twin.ground)
+        return twin[max(counts, key=lambda n: counts[n]) if counts else twin.ground].support(None)
     return None
 
 
@@ -143,7 +142,7 @@ def _never(twin: Twin, axis: SceneAxis, anchor: str, support: Support | None, na
             yield from _too_large(twin, axis, name, anchor)
         return
     assert support is not None
-    thing = Thing.of(twin, name, support.name, axis.objects)
+    thing = Placeable.of(twin, name, support.name, axis.objects)
     side = side_axis(twin.scene.viewer, word)
     shape = twin.shape(anchor, twin.state.poses[anchor])
     corners = np.column_stack([support.corners, np.zeros(len(support.corners))])
@@ -219,13 +218,13 @@ def _too_large(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> Iterator[
 
 def _goes_in(twin: Twin, axis: SceneAxis, name: str, anchor: str) -> bool:
     """Whether something that has no room in the cavity as a whole comes to lie there in enough drops, as it must."""
-    from simfoundry.cousins.layout.arrangement import Table
+    from simfoundry.cousins.layout.arrangement import Arrangement
     from simfoundry.cousins.layout.drop_sampling import drop
 
     rng = np.random.default_rng(0)  # the answer belongs to the ask, not to a candidate
     for _ in range(DOUBTED):
-        table = Table(twin, {}, (name,))
-        if drop(table, anchor, Thing.of(twin, name, anchor), ("Inside",), axis, rng) is None:
+        table = Arrangement(twin, {}, (name,))
+        if drop(table, anchor, Placeable.of(twin, name, anchor), ("Inside",), axis, rng) is None:
             return True
     return False
 

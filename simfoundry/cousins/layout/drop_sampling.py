@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Table, Thing
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
 from simfoundry.cousins.layout.supports import Support
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe.candidate import Reason
@@ -30,7 +30,7 @@ DROPS = 64
 
 
 def drop(
-    table: Table, anchor: str, thing: Thing, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
+    table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
 ) -> Reason | None:
     """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
 
@@ -48,7 +48,7 @@ def drop(
         {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0},
         "",
     )
-    levels = () if "Inside" in words else twin.levels(anchor) if X_WA is twin.state.poses[anchor] else ()
+    levels = () if "Inside" in words else twin[anchor].levels if X_WA is twin.state.poses[anchor] else ()
     areas = np.array([level.area for level in levels])
     ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
     for k in range(DROPS):
@@ -88,7 +88,7 @@ def drop(
     return Reason("no_place", text, MappingProxyType(numbers))
 
 
-def _standing(thing: Thing, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
+def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
     """A thing on a level, its frame over a point; raises :class:`PlaceError` where it stands out of the level."""
     X_WO = thing.pose(*xy, thing.height(level), yaw)
     turn = cmath.rect(1.0, yaw)
@@ -98,34 +98,34 @@ def _standing(thing: Thing, level: Support, xy: tuple[float, float], yaw: float)
     return X_WO
 
 
-def _balances(twin: Twin, thing: Thing, X_WO: Pose, yaw: float, anchor: str) -> bool:
+def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
     """Return whether an object would balance: its middle is above a narrow edge that its foot rests on."""
     import shapely
 
-    edges = twin.edges(anchor)
+    edges = twin[anchor].edges
     foot = float(X_WO.p[2]) + thing.outline.low
     middle = complex(float(X_WO.p[0]), float(X_WO.p[1])) + cmath.rect(1.0, yaw) * thing.outline.middle
     point = shapely.Point(middle.real, middle.imag)
     return any(abs(foot - height) < EDGE and edge.distance(point) < EDGE for height, edge in edges)
 
 
-def _lying(twin: Twin, thing: Thing) -> list[Thing]:
+def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
     """The same on two of its sides: what does not fit upright may lie. What carries others stays upright."""
     if thing.riders:
         return []
     sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
-    return [Thing(thing.name, (), side, twin.outline(thing.name, side)) for side in sides]
+    return [Placeable(thing.name, (), side, twin.outline(thing.name, side)) for side in sides]
 
 
 def dropped(
-    twin: Twin, thing: Thing, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
+    twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
 ) -> Pose:
     """Where a thing first touches an anchor that it comes down on; raises :class:`PlaceError` where it misses it."""
     turned = thing.pose(0.0, 0.0, 0.0, yaw)
     rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
     place = Place(on=None if inside else anchor, inside=anchor if inside else None, xy=xy, rpy_deg=rpy)
     placed = {anchor: twin.item_at(anchor, X_WA)}
-    found = solve(twin.item(thing.name), place, placed, twin.scene.viewer)
+    found = solve(twin[thing.name].item, place, placed, twin.scene.viewer)
     return Pose.of(found.p, turned.q)
 
 

@@ -14,8 +14,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.cousins.layout.arrangement import Table, Thing
-from simfoundry.cousins.layout.constraints import DROPPED, SIDES, Asks, asks_of, side_axis
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.constraints import DROPPED, SIDES, PlacementConstraints, placement_constraints, side_axis
 from simfoundry.cousins.layout.drop_sampling import drop
 from simfoundry.cousins.layout.rejection_sampling import Found, Mask, Region
 from simfoundry.cousins.layout.supports import Support
@@ -47,7 +47,7 @@ class Layout:
     dropped: frozenset[str] = frozenset()
     tries: int = 0
 
-    def and_then(self, table: Table, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
+    def and_then(self, table: Arrangement, anchor: str, asked: tuple[str, ...], tries: int) -> Layout:
         """This with what was placed on a table on top of it."""
         return Layout(
             self.anchor or anchor,
@@ -67,12 +67,12 @@ def propose(twin: Twin, axis: SceneAxis, rng: np.random.Generator, layout: Layou
 
     Raises :class:`ImpossibleError` for what can never be, before anything is tried.
     """
-    asks = asks_of(twin, axis)
+    asks = placement_constraints(twin, axis)
     chosen = {name: asks.sets[name][int(rng.integers(len(asks.sets[name])))] for name in asks.order}
     reason: Reason | None = None
     tries = 0
     for _ in range(STARTS):
-        table = Table(twin, layout.poses, asks.order)
+        table = Arrangement(twin, layout.poses, asks.order)
         for name in asks.order:
             reason = _place(table, asks, axis, name, chosen[name], rng)
             if reason is not None:
@@ -93,7 +93,7 @@ def scatter(
     What finds no room at the place that chance gave it goes to another. Raises :class:`TwinError` where there is
     nothing level to stand on.
     """
-    places = twin.places if not on else tuple(filter(None, [twin.support(on)]))
+    places = twin.places if not on else tuple(filter(None, [twin[on].support(None)]))
     if not places:
         raise TwinError(f"nothing of `{on or twin.ground}` is level, so nothing can be put on it")
     order = by_size(twin, names, places[0].name)
@@ -102,7 +102,7 @@ def scatter(
     tries = 0
     for _ in range(STARTS):
         chosen = rng.choice(len(places), len(order), p=areas / areas.sum()) if len(places) > 1 else [0] * len(order)
-        table = Table(twin, layout.poses, order)
+        table = Arrangement(twin, layout.poses, order)
         left, reason = _put_all(table, order, [places[k] for k in chosen], places, rng)
         tries += table.tries
         if reason is None:
@@ -114,13 +114,19 @@ def scatter(
 
 
 def _put_all(
-    table: Table, names: Sequence[str], chosen: Sequence[Support], places: Sequence[Support], rng: np.random.Generator
+    table: Arrangement,
+    names: Sequence[str],
+    chosen: Sequence[Support],
+    places: Sequence[Support],
+    rng: np.random.Generator,
 ) -> tuple[int, Reason | None]:
     """Put things at the places chosen for them; how many are left, and why, where one finds no room anywhere."""
     left = len(names)
     for place in places:
         things = [
-            Thing.of(table.twin, name, place.name, names) for name, at in zip(names, chosen, strict=True) if at is place
+            Placeable.of(table.twin, name, place.name, names)
+            for name, at in zip(names, chosen, strict=True)
+            if at is place
         ]
         while things:
             failed = table.put_all(things, place, rng)
@@ -135,9 +141,9 @@ def _put_all(
     return left, None
 
 
-def _put_at(table: Table, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
+def _put_at(table: Arrangement, name: str, place: Support, names: Sequence[str], rng: np.random.Generator) -> bool:
     """Put a thing at a place; whether it found room there."""
-    thing = Thing.of(table.twin, name, place.name, names)
+    thing = Placeable.of(table.twin, name, place.name, names)
     region = thing.anywhere(place)
     found = table.find(thing, region, rng)
     if found.spot is not None:
@@ -147,19 +153,24 @@ def _put_at(table: Table, name: str, place: Support, names: Sequence[str], rng: 
 
 def by_size(twin: Twin, names: Iterable[str], on: str) -> tuple[str, ...]:
     """The largest shadow first; equal ones by name."""
-    areas = {name: Thing.of(twin, name, on).outline.area for name in names}
+    areas = {name: Placeable.of(twin, name, on).outline.area for name in names}
     return tuple(sorted(areas, key=lambda name: (-round(areas[name], 9), name)))
 
 
 def _place(
-    table: Table, asks: Asks, axis: SceneAxis, name: str, words: tuple[str, ...], rng: np.random.Generator
+    table: Arrangement,
+    asks: PlacementConstraints,
+    axis: SceneAxis,
+    name: str,
+    words: tuple[str, ...],
+    rng: np.random.Generator,
 ) -> Reason | None:
     """Place one object; why not, where it finds no place."""
     if set(words) & set(DROPPED):
-        return drop(table, asks.anchor, Thing.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
+        return drop(table, asks.anchor, Placeable.of(table.twin, name, asks.anchor, asks.order), words, axis, rng)
     support, solids = asks.support, table.twin.solids
     assert support is not None
-    thing = Thing.of(table.twin, name, support.name, asks.order)
+    thing = Placeable.of(table.twin, name, support.name, asks.order)
     region = _region(table, thing, asks.anchor, support, axis)
     least, most = axis.gap
 
@@ -173,7 +184,7 @@ def _place(
     return None
 
 
-def _region(table: Table, thing: Thing, anchor: str, support: Support, axis: SceneAxis) -> Region:
+def _region(table: Arrangement, thing: Placeable, anchor: str, support: Support, axis: SceneAxis) -> Region:
     """Where a thing can be so that it is no farther from the anchor than it may."""
     shape = table.twin.shape(anchor, table.poses[anchor])
     spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
@@ -185,7 +196,7 @@ def _region(table: Table, thing: Thing, anchor: str, support: Support, axis: Sce
 
 
 def _judged(
-    table: Table, thing: Thing, anchor: str, words: tuple[str, ...], z: float
+    table: Arrangement, thing: Placeable, anchor: str, words: tuple[str, ...], z: float
 ) -> Callable[[Array, Array, Array], Mask]:
     """Which candidates satisfy predicates, by the judge itself, all at once."""
     twin, X_WA = table.twin, table.poses[anchor]
@@ -207,8 +218,8 @@ def _judged(
 
 
 def no_room(
-    table: Table,
-    thing: Thing,
+    table: Arrangement,
+    thing: Placeable,
     support: Support,
     found: Found,
     anchor: str = "",

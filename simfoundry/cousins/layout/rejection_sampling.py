@@ -40,7 +40,7 @@ Last = Callable[[float, float, float], bool]
 """Whether one candidate passes what is too dear to ask of many."""
 
 
-class There:
+class Occupancy:
     """What stands there: for each entry a rectangle and a span of heights. Things of several links have several."""
 
     def __init__(self, room: int = 64) -> None:
@@ -186,7 +186,7 @@ class Demands:
 def find(
     outline: Outline,
     region: Region,
-    there: There,
+    there: Occupancy,
     rng: np.random.Generator,
     gap: float,
     demands: Demands,
@@ -229,7 +229,7 @@ def _spot(centre: Array, yaw: float, turn: complex, offset: complex) -> tuple[fl
 
 
 def _unblocked(
-    outline: Outline, z: float, there: There, gap: float, first: bool, centre: Array, turn: Complex
+    outline: Outline, z: float, there: Occupancy, gap: float, first: bool, centre: Array, turn: Complex
 ) -> Iterator[tuple[int, tuple[int, ...]]]:
     """Candidates in their order that are not surely blocked, with the entries whose rectangles each meets.
 

@@ -8,25 +8,21 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from simfoundry.cousins.layout.colliders import Solids
-from simfoundry.cousins.layout.supports import Outline, Support, edges_of, support_of, supports_of
+from simfoundry.cousins.layout.supports import Outline, Support
+from simfoundry.cousins.layout.twin_objects import TwinObject, TwinRobots, joined, link_shadows
 from simfoundry.cousins.layout.views import SEEN, VisibleSurface, best_view
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.place import rounded
 from simfoundry.evaluate.task import load_task
-from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array, quat_from_rpy
+from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
-from simfoundry.geometry.shapes import Cylinder
-from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.lower import lower
-from simfoundry.scene.model import Collider, Joint, Link, Scene, SceneObject
+from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
-from simfoundry.scene.state import SceneState
-from simfoundry.scene.touching import weld_groups
+from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.expressions import Condition, parse_call, texts
 from simfoundry.spec.models.task import TaskSpec
@@ -35,10 +31,10 @@ from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.settle import settle
 
 if TYPE_CHECKING:
-    from shapely.geometry.base import BaseGeometry
-
     from simfoundry.assets.cache import Cache
-    from simfoundry.cousins.reach import Reach
+    from simfoundry.cousins.layout.arrangement import Placeable
+    from simfoundry.cousins.layout.constraints import PlacementConstraints
+    from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.predicates import Judge
 
 
@@ -47,11 +43,6 @@ ELSEWHERE = 100.0
 
 UNDERFOOT = 0.3
 """What lies so much lower than a table top [m], and under it, is the floor: the lowest tables are about so high."""
-
-
-BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
-"""The column that keeps the base of a robot free whose model is not there [m]: the foot of a Panda reaches 0.155 m from
-its axis, those of smaller arms less; nothing that is placed hangs higher over a table."""
 
 
 class TwinError(SimfoundryError):
@@ -63,21 +54,21 @@ class Twin:
     """A scene, or a task in its scene, whose ``state`` is at rest.
 
     ``goal`` is the task's, None without one; ``robots`` act in it. ``carried`` names what each free object rests on.
-    ``absent`` are objects of the scene that are not there yet: a layout has to place them. ``kept`` is
-    what was found once.
+    ``absent`` are objects of the scene that are not there yet: a layout has to place them. A twin that was made of
+    another by :meth:`extended` or :meth:`at` shares with that ``base`` whatever is the same in both.
     """
 
     scene: Scene
     state: SceneState
     goal: Condition | None
-    robots: tuple[str, ...]
+    robots: TwinRobots
     carried: Mapping[str, tuple[str, ...]]
     absent: frozenset[str] = frozenset()
-    kept: dict[Any, Any] = field(default_factory=dict, repr=False)
+    base: Twin | None = field(default=None, repr=False)
 
     @classmethod
     def load(cls, path: Path, cache: Cache | None = None) -> Twin:
-        """The twin of a scene or task; raises :class:`SpecError`, or :class:`TwinError` where it cannot rest."""
+        """Load the twin of a scene or task; raises :class:`SpecError`, or :class:`TwinError` if it cannot rest."""
         if isinstance(load(path).spec, TaskSpec):
             task = load_task(path, cache)
             return cls.of(task.scene, task.goal, task.robots)
@@ -85,7 +76,7 @@ class Twin:
 
     @classmethod
     def of(cls, scene: Scene, goal: Condition | None = None, robots: Sequence[str] | None = None) -> Twin:
-        """The twin of a lowered scene, settled; raises :class:`TwinError` where it does not come to rest."""
+        """Settle a lowered scene as a twin; raises :class:`TwinError` if it does not come to rest."""
         with MujocoWorld(bare(scene)) as world:
             result = settle(world)
             if not result.at_rest:
@@ -97,10 +88,10 @@ class Twin:
         carried = {o.name: supporters(o.name, contacts) for o in scene.objects if not o.fixed}
         lost = [left.path.removeprefix("robots.") for left in scene.left_out if left.path.startswith("robots.")]
         acting = (*(r.name for r in scene.robots), *lost) if robots is None else tuple(robots)
-        return cls(scene, state, goal, acting, MappingProxyType(carried))
+        return cls(scene, state, goal, TwinRobots(scene, acting), MappingProxyType(carried))
 
     def extended(self, objects: Sequence[SceneObject]) -> Twin:
-        """The same with more objects, which are not there until a layout places them; one of a known name replaces it.
+        """Return the twin with more objects, absent until a layout places them; one of a known name replaces it.
 
         What replaces an object stands where that stood, and must be settled by
         :func:`simfoundry.cousins.layout.acceptance.examine`.
@@ -114,153 +105,127 @@ class Twin:
         joints = {k: v for k, v in self.state.joints.items() if k.partition(".")[0] not in new}
         motions = {k: v for k, v in self.state.motions.items() if k.partition(".")[0] not in new}
         initial = SceneState.initial(replace(self.scene, objects=tuple(new.values())))
-        state = SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions))
-        kept = {key: value for key, value in self.kept.items() if key in ("reach", "seen") or _is_surface(key, new)}
-        return Twin(
-            replace(self.scene, objects=(*here, *more)),
-            state,
-            self.goal,
-            self.robots,
-            self.carried,
-            self.absent | {item.name for item in more},
-            kept,
+        return replace(
+            self,
+            scene=replace(self.scene, objects=(*here, *more)),
+            state=SceneState.of(poses, joints | dict(initial.joints), motions | dict(initial.motions)),
+            absent=self.absent | {item.name for item in more},
+            base=self,
         )
+
+    def at(self, state: SceneState) -> Twin:
+        """Return the twin in another state of its scene."""
+        return replace(self, state=state, base=self)
+
+    def _is_as_in_base(self, name: str) -> bool:
+        """Whether an object is the same as in the base, and where it is there."""
+        if self.base is None:
+            return False
+        item = self.scene.object(name)
+        same = self.base.scene.by_name.get(name) is item and self.base.state.poses[name] is self.state.poses[name]
+        return same and self.base.state.of_object(item) == self.state.of_object(item)
 
     # -- what is prepared when first asked for ------------------------------------------------------------------------
 
     @cached_property
     def judge(self) -> Judge:
-        """What judges conditions in this scene."""
+        """The judge of conditions in this scene."""
         from simfoundry.predicates import Judge
 
-        return Judge(self.scene)
+        return self.base.judge if self.base is not None and self.base.scene is self.scene else Judge(self.scene)
 
     @cached_property
     def world(self) -> MujocoWorld:
         """The scene without its robots in MuJoCo; one model for every layout."""
+        if self.base is not None and self.base.scene is self.scene:
+            return self.base.world
         return MujocoWorld(bare(self.scene))
-
-    @cached_property
-    def reach(self) -> Reach:
-        """The arms that act."""
-        from simfoundry.cousins.reach import Reach
-
-        if "reach" not in self.kept:
-            self.kept["reach"] = Reach(self.scene, self.robots)
-        found: Reach = self.kept["reach"]
-        return found
-
-    @cached_property
-    def robot_items(self) -> tuple[SceneObject, ...]:
-        """The robots whose models are there at their start, as objects."""
-        bodies = Bodies(self.scene)
-        return tuple(bodies[name].item for name in bodies.robots)
-
-    @cached_property
-    def obstacles(self) -> tuple[SceneObject, ...]:
-        """Obstacles besides the objects: robots, or a column at the base of a robot whose model is missing."""
-        absent = [(left.path.partition(".")[2], left.X_WB) for left in self.scene.left_out if left.X_WB is not None]
-        there = {item.name for item in self.robot_items}
-        return (*self.robot_items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
 
     @cached_property
     def solids(self) -> Solids:
         """The convex parts of everything, robots included, as in :attr:`state`."""
         joints = {item.name: self.state.of_object(item) for item in self.scene.objects}
-        made = Solids((*self.scene.objects, *self.obstacles), joints)
+        made = Solids((*self.scene.objects, *self.robots.obstacles), joints)
         for name, pose in self.state.poses.items():
             made.put(name, pose)
         return made
 
+    @cached_property
+    def _objects(self) -> dict[str, TwinObject]:
+        return {}
+
+    @cached_property
+    def _outlines(self) -> dict[tuple[str, tuple[float, ...], tuple[str, ...]], Outline]:
+        return {}
+
+    @cached_property
+    def constraints(self) -> dict[str, PlacementConstraints | ImpossibleError]:
+        """Placement constraints by the text of their axis, as far as they have been found."""
+        return {}
+
+    @cached_property
+    def placeables(self) -> dict[tuple[str, str, tuple[str, ...]], Placeable]:
+        """Objects to be placed by name, support and riders, as far as they have been asked for."""
+        return {}
+
     # -- shapes -------------------------------------------------------------------------------------------------------
 
-    def item(self, name: str) -> SceneObject:
-        """An object with its joints as in :attr:`state`, at the origin."""
-        key = ("item", name)
-        if key not in self.kept:
-            item = self.scene.object(name)
-            at = self.state.of_object(item)
-            joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
-            self.kept[key] = replace(item, X_WO=IDENTITY, joints=joints, variants=())
-        found: SceneObject = self.kept[key]
-        return found
+    def __getitem__(self, name: str) -> TwinObject:
+        """The object ``name`` where it rests."""
+        if name not in self._objects:
+            if self.base is not None and self._is_as_in_base(name):
+                self._objects[name] = self.base[name]
+            else:
+                item = object_at(self.scene.object(name), self.state)
+                self._objects[name] = TwinObject(replace(item, X_WO=IDENTITY), self.state.poses[name])
+        return self._objects[name]
 
     def item_at(self, name: str, X_WO: Pose) -> SceneObject:
-        """An object where it is put; the same one each time, so that what is measured on it is measured once."""
-        key = ("item", name, *X_WO.p.tolist(), *X_WO.q.tolist())
-        if key not in self.kept:
-            self.kept[key] = replace(self.item(name), X_WO=X_WO)
-        found: SceneObject = self.kept[key]
-        return found
+        """An object where it is put, with its joints as in :attr:`state`."""
+        own = self[name]
+        return own.standing if X_WO is own.X_WO else replace(own.item, X_WO=X_WO)
 
     def shape(self, name: str, X_WO: Pose = IDENTITY) -> Hulls:
         """The convex parts of an object whose frame is at ``X_WO``."""
-        kept = X_WO is IDENTITY or X_WO is self.state.poses.get(name)
-        if not kept:
-            return hulls(replace(self.item(name), X_WO=X_WO))
-        if (key := ("shape", name, X_WO is IDENTITY)) not in self.kept:
-            self.kept[key] = hulls(replace(self.item(name), X_WO=X_WO))
-        found: Hulls = self.kept[key]
-        return found
-
-    def corners(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
-        """Corners of an object's parts where it is put [m], shape (n, 3), and their rounding [m], (n,)."""
-        shape = self.shape(name)
-        return X_WO.apply(shape.corners), shape.radius[shape.part]
+        own = self[name]
+        if X_WO is IDENTITY:
+            return own.shape
+        return own.placed if X_WO is own.X_WO else hulls(replace(own.item, X_WO=X_WO))
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
         """Lowest and highest corner in the world [m], shape (3,) each, of an object where it is put."""
-        corners, radius = self.corners(name, X_WO)
-        return (corners - radius[:, None]).min(axis=0), (corners + radius[:, None]).max(axis=0)
+        shape = self[name].shape
+        corners, radius = X_WO.apply(shape.corners), shape.radius[shape.part, None]
+        return (corners - radius).min(axis=0), (corners + radius).max(axis=0)
 
     def shadows(self, name: str, X_WO: Pose) -> tuple[Outline, ...]:
-        """The shadow of each link of an object or a robot where it stands, in the world."""
-        key = ("shadows", name)
-        robot = {item.name: item for item in self.obstacles}.get(name)
-        kept = robot is not None or X_WO is self.state.poses.get(name)
-        if kept and key in self.kept:
-            found: tuple[Outline, ...] = self.kept[key]
-            return found
-        shape = hulls(robot) if robot is not None else self.shape(name, X_WO)
-        links = [shape.of_link(k) for k in dict.fromkeys(shape.link.tolist())]
-        made = tuple(Outline.of(link) for link in links if len(link.corners))
-        if kept:
-            self.kept[key] = made
-        return made
+        """The shadow of each link of an object where it is put, in the world."""
+        own = self[name]
+        return own.shadows if X_WO is own.X_WO else link_shadows(self.shape(name, X_WO))
 
     def surfaces(self, state: SceneState, absent: Iterable[str] = ()) -> dict[str, VisibleSurface]:
-        """What is seen of each thing in a state; of robots, which stand as they start, their colliders."""
+        """Visible surfaces of all objects in a state, and of the robots at their start."""
         gone = set(absent)
-        found = {}
-        for item in self.scene.objects:
-            if item.name not in gone:
-                if (key := ("surface", item.name)) not in self.kept:
-                    self.kept[key] = VisibleSurface.of(self.item(item.name))
-                found[item.name] = self.kept[key].at(state.poses[item.name])
-        for item in self.robot_items:
-            if (key := ("surface", item.name)) not in self.kept:
-                links = tuple(replace(link, visuals=()) for link in item.links)  # hundreds of thousands of triangles
-                self.kept[key] = VisibleSurface.of(replace(item, links=links))
-            found[item.name] = self.kept[key].at(item.X_WO)
-        return found
+        there = [item.name for item in self.scene.objects if item.name not in gone]
+        return {name: self[name].surface.at(state.poses[name]) for name in there} | dict(self.robots.surfaces)
 
     @cached_property
     def shares_seen(self) -> Mapping[str, float]:
-        """How much of each object the camera that sees most of it sees, as the twin is; what is absent has no entry."""
+        """Share of each object that the best camera sees in the twin itself; what is absent there has no entry."""
+        if self.base is not None:
+            return self.base.shares_seen
         if not self.scene.cameras:
             return MappingProxyType({})
-        if "seen" not in self.kept:
-            surfaces = self.surfaces(self.state, self.absent)
-            names = [item.name for item in self.scene.objects if item.name not in self.absent and not item.fixed]
-            self.kept["seen"] = {n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names}
-        return MappingProxyType(self.kept["seen"])
+        surfaces = self.surfaces(self.state, self.absent)
+        names = [item.name for item in self.scene.objects if item.name not in self.absent and not item.fixed]
+        return MappingProxyType({n: best_view(self.scene.cameras, n, surfaces, SEEN)[1] for n in names})
 
     def posed(self, poses: Mapping[str, Pose]) -> SceneState:
-        """:attr:`state` with some things elsewhere, at rest."""
+        """:attr:`state` with some objects elsewhere, at rest."""
         return SceneState.of({**self.state.poses, **poses}, self.state.joints, self.state.motions)
 
     def upright(self, name: str, on: str) -> Pose:
-        """How a thing stands before it is turned about z, at the origin: as in the twin if it stands on ``on`` there.
+        """Rotation of an object before it is turned about z, at the origin: as in the twin if it stands so ``on`` it.
 
         What leans elsewhere, or lies in something, stands as its own frame does, with the turn that it has.
         """
@@ -271,74 +236,50 @@ class Twin:
         return Pose.of(q=quat_from_rpy(0.0, 0.0, yaw))
 
     def riders(self, name: str) -> tuple[str, ...]:
-        """What moves along with an object: all that rests on nothing but it and other riders, in the scene's order."""
-        key = ("riders", name)
-        if key not in self.kept:
+        """Objects that move along with one: all that rest on nothing but it and other riders, in the scene's order."""
+        if self.base is not None:
+            return self.base.riders(name)
+        return self._riders.get(name, ())
+
+    @cached_property
+    def _riders(self) -> Mapping[str, tuple[str, ...]]:
+        found = {}
+        for name in {below for carriers in self.carried.values() for below in carriers}:
             moving, more = set[str](), {name}
             while more:
                 moving |= more
                 more = {n for n, below in self.carried.items() if n not in moving and below and set(below) <= moving}
-            self.kept[key] = tuple(o.name for o in self.scene.objects if o.name in moving - {name})
-        found: tuple[str, ...] = self.kept[key]
+            found[name] = tuple(o.name for o in self.scene.objects if o.name in moving - {name})
         return found
-
-    def support(self, name: str, near: float | None = None) -> Support | None:
-        """The level of an object, where it is, at the height ``near`` [m]; None where nothing of it is level."""
-        key = ("support", name, near)
-        if key not in self.kept:
-            self.kept[key] = support_of(name, self.shape(name, self.state.poses[name]), near)
-        found: Support | None = self.kept[key]
-        return found
-
-    def levels(self, name: str) -> tuple[Support, ...]:
-        """Every level of an object, where it is, on which things can stand, but for those that its joints move."""
-        key = ("levels", name)
-        if key not in self.kept:
-            self.kept[key] = supports_of(name, self.shape(name, self.state.poses[name]), self._still_links(name))
-        found: tuple[Support, ...] = self.kept[key]
-        return found
-
-    def edges(self, name: str) -> list[tuple[float, BaseGeometry]]:
-        """Heights [m] and areas of an object, where it is, that are level but too narrow to stand on."""
-        key = ("edges", name)
-        if key not in self.kept:
-            self.kept[key] = edges_of(self.shape(name, self.state.poses[name]), self._still_links(name))
-        found: list[tuple[float, BaseGeometry]] = self.kept[key]
-        return found
-
-    def _still_links(self, name: str) -> list[int]:
-        """The links of an object, by index, that none of its joints moves."""
-        item = self.scene.object(name)
-        welded = weld_groups(item)
-        return [k for k, link in enumerate(item.links) if welded[link.name] == welded[item.root.name]]
 
     @cached_property
     def places(self) -> tuple[Support, ...]:
-        """Where new things may stand: every level of what is fixed, but for the floor under the furniture.
+        """Levels on which new objects may stand: all of what is fixed, but for the floor under the furniture.
 
         Where nothing fixed is level, that of the object that most others stand on.
         """
-        found = [level for item in self.scene.objects if item.fixed for level in self.levels(item.name)]
+        found = [level for item in self.scene.objects if item.fixed for level in self[item.name].levels]
         if found and not any(self.carried.values()):
             return tuple(found)
-        ground = self.support(self.ground)
+        ground = self[self.ground].support(None)
         if ground is None:
             return tuple(found)
         return tuple(level for level in found if not _is_floor_under(ground, level)) or (ground,)
 
     def outline(self, name: str, upright: Pose, along: Sequence[str] = ()) -> Outline:
-        """The shadow of a thing, with what rides on it, ``upright`` at the origin."""
-        key = ("outline", name, *upright.q.tolist(), *along)
-        if key not in self.kept:
+        """The shadow of an object, with what rides ``along`` on it, ``upright`` at the origin."""
+        if not along:
+            return self[name].outline(upright)
+        key = (name, tuple(upright.q.tolist()), tuple(along))
+        if key not in self._outlines:
             back = upright @ self.state.poses[name].inverse()
             shapes = [self.shape(name, upright), *(self.shape(n, back @ self.state.poses[n]) for n in along)]
-            self.kept[key] = Outline.of(joined(shapes))
-        found: Outline = self.kept[key]
-        return found
+            self._outlines[key] = Outline.of(joined(shapes))
+        return self._outlines[key]
 
     @cached_property
     def ground(self) -> str:
-        """The object that most others stand on; raises :class:`TwinError` where none does."""
+        """The object that most others stand on; raises :class:`TwinError` if none does."""
         below = [name for found in self.carried.values() for name in found]
         names = [o.name for o in self.scene.objects if o.name in below]
         if not names:
@@ -356,8 +297,14 @@ class Twin:
 
     @cached_property
     def relations(self) -> tuple[str, ...]:
-        """What the scene states of itself and is true in :attr:`state`."""
-        return tuple(text for text in map(str, self.scene.relations) if self.judge(text, self.state).value)
+        """Relations that the scene states and that are true in :attr:`state`; the base's are not judged again."""
+        return tuple(text for text in map(str, self.scene.relations) if self._holds(text))
+
+    def _holds(self, text: str) -> bool:
+        names = {argument.partition(".")[0] for argument in parse_call(text).args}
+        if self.base is not None and all(n in self.scene.by_name and self._is_as_in_base(n) for n in names):
+            return text in self.base.relations
+        return self.judge(text, self.state).value
 
 
 def _is_floor_under(ground: Support, level: Support) -> bool:
@@ -370,30 +317,9 @@ def _is_floor_under(ground: Support, level: Support) -> bool:
     return bool(over > 0.5 * shapely.polygons(ground.corners).area)
 
 
-def _is_surface(key: Any, new: Mapping[str, SceneObject]) -> bool:
-    """Whether a key of what is kept is that of the surface of a thing that stays what it is."""
-    return isinstance(key, tuple) and key[0] == "surface" and key[1] not in new
-
-
-def _column(name: str, X_WB: Pose) -> SceneObject:
-    """Column that keeps the base of a robot free when its model is missing."""
-    none = frozen_array(np.zeros(3), (3,))
-    middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
-    collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
-    link = Link("base", 0.0, none, frozen_array(np.zeros((3, 3)), (3, 3)), (), (collider,))
-    return SceneObject(name, category="", fixed=True, X_WO=X_WB, links=(link,))
-
-
 def _away(item: SceneObject, k: int) -> Pose:
     """Where the k-th absent thing is, turned as it is written: engines begin there, and it must meet no other."""
     return Pose.of((ELSEWHERE * k, 0.0, 0.0), item.X_WO.q)
-
-
-def _moved(joint: Joint, to: float | Pose | None) -> Joint:
-    """The joint as it is in a state."""
-    if to is None:
-        return joint
-    return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)
 
 
 def bare(scene: Scene) -> Scene:
@@ -403,21 +329,3 @@ def bare(scene: Scene) -> Scene:
         for o in scene.objects
     )
     return replace(scene, objects=objects, robots=(), mounted=(), background=None, relations=())
-
-
-def joined(shapes: Sequence[Hulls]) -> Hulls:
-    """Several shapes as one, for its extents and its shadow; edges and faces are left out where there are several."""
-    if len(shapes) == 1:
-        return shapes[0]
-    none = shapes[0].triangles[:0]
-    counts = np.cumsum([0, *(len(s.radius) for s in shapes[:-1])])
-    return Hulls(
-        np.concatenate([s.corners for s in shapes]),
-        shapes[0].edges[:0],
-        none,
-        shapes[0].normals[:0],
-        shapes[0].beside[:0],
-        np.concatenate([s.part + k for s, k in zip(shapes, counts, strict=True)]),
-        np.concatenate([s.radius for s in shapes]),
-        np.concatenate([s.link for s in shapes]),
-    )

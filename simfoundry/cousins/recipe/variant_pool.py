@@ -42,7 +42,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Stock:
+class VariantPool:
     """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
 
     ``most`` is how many candidates differ, None where there is no end of them.
@@ -62,7 +62,7 @@ class Stock:
         return found
 
 
-def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
+def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
     """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
     from simfoundry.cousins.recipe.variant_pool import tasks_of
 
@@ -70,7 +70,7 @@ def stock_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> Stock:
     most = None
     if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
         most = math.prod(map(len, others.values())) * max(1, len(tasks))
-    return Stock(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
+    return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
 
 
 def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice, ...]]:

@@ -15,13 +15,13 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.cousins.layout.acceptance import Examined, examine
-from simfoundry.cousins.layout.constraints import asks_of, too_full
+from simfoundry.cousins.layout.constraints import placement_constraints, too_full
 from simfoundry.cousins.layout.propose import NOTHING, Layout, propose, scatter
 from simfoundry.cousins.layout.twin import Twin
 from simfoundry.cousins.recipe import library, overlay
 from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected
 from simfoundry.cousins.recipe.document import Recipe, read_recipe
-from simfoundry.cousins.recipe.variant_pool import Choice, Stock, stock_of
+from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.files import is_document
 
@@ -49,7 +49,7 @@ class Prepared:
     recipe: Recipe
     out: Path
     twin: Twin
-    stock: Stock
+    stock: VariantPool
 
 
 @lru_cache(maxsize=1)
@@ -57,13 +57,13 @@ def prepared(setup: Setup) -> Prepared:
     """Read the recipe, let the twin come to rest, and find what its axes choose from."""
     recipe = read_recipe(Path(setup.recipe), setup.seed)
     twin = Twin.load(recipe.twin_file, Cache.default())
-    return Prepared(recipe, Path(setup.out), twin, stock_of(recipe, Path(setup.out), twin, setup.vlm))
+    return Prepared(recipe, Path(setup.out), twin, variant_pool(recipe, Path(setup.out), twin, setup.vlm))
 
 
 def see_possible(shared: Prepared) -> None:
     """Raise :class:`ImpossibleError` where what the recipe asks for can never be."""
     twin, axis, distractors = shared.twin, shared.recipe.spec.scene, shared.recipe.spec.distractors
-    asks = asks_of(twin, axis) if axis is not None else None
+    asks = placement_constraints(twin, axis) if axis is not None else None
     places = twin.places if distractors is not None else ()
     if distractors is not None and places:
         around = asks.support.name if asks is not None and asks.support is not None else ""
@@ -191,12 +191,12 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
     from simfoundry.cousins.tasks.context import hands_of
-    from simfoundry.cousins.tasks.proposals import setting_in
+    from simfoundry.cousins.tasks.proposals import context_at
 
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, setting_in(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
+    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
 
 
 def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:

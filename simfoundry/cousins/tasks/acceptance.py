@@ -8,7 +8,7 @@ from typing import Any
 
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.candidate_poses import branches, levels, meaning, objects_of
-from simfoundry.cousins.tasks.context import Setting, numbers
+from simfoundry.cousins.tasks.context import TaskContext, numbers
 from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.state import SceneState
@@ -31,7 +31,7 @@ class AcceptedTask:
     goal: Any
     state: SceneState | None = None
 
-    def covers(self, goal: Any, setting: Setting) -> bool:
+    def covers(self, goal: Any, setting: TaskContext) -> bool:
         """Whether another goal about the same objects is reached where this one is."""
         if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
             return False
@@ -39,7 +39,7 @@ class AcceptedTask:
 
 
 def accept(
-    task: TaskSpec | Any, setting: Setting, known: Sequence[AcceptedTask] = ()
+    task: TaskSpec | Any, setting: TaskContext, known: Sequence[AcceptedTask] = ()
 ) -> AcceptedTask | tuple[Reason, ...]:
     """A task, or a goal alone, with a state in which it is done; or why it is refused, each reason with its numbers.
 
@@ -63,7 +63,7 @@ def accept(
     return AcceptedTask(name, goal, None if held else shown.state)
 
 
-def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: Setting) -> list[tuple[str, Reason]]:
+def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
     """Names of the known tasks that ask for less than a new one, which does them along the way, each with the reason.
 
     The new one is none of theirs: :func:`accept` has refused what a known task does along the way.
@@ -75,7 +75,7 @@ def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: Settin
     ]
 
 
-def misnamed(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Names that the scene does not have, and predicates that are not known or not allowed in a goal."""
     found: list[Reason] = []
     every = [text for text, _ in texts(goal)]
@@ -97,7 +97,7 @@ def misnamed(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     return tuple({reason.text: reason for reason in found}.values())
 
 
-def _unknown(call: Call, setting: Setting) -> list[Reason]:
+def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
     scene = setting.twin.scene
     objects, robots = {o.name: o for o in scene.objects}, {hand.name for hand in setting.hands}
     found = []
@@ -119,7 +119,7 @@ def _unknown(call: Call, setting: Setting) -> list[Reason]:
     return found
 
 
-def unchanged(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Whether there is nothing to do: the goal holds at the start, or asks for nothing to come true."""
     twin = setting.twin
     try:
@@ -133,7 +133,7 @@ def unchanged(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     return ()
 
 
-def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Things of a goal that no hand gets to where they are."""
     names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
     there = {o.name: o for o in setting.twin.scene.objects}
@@ -148,7 +148,7 @@ def unreached(goal: Any, setting: Setting) -> tuple[Reason, ...]:
     return tuple(found)
 
 
-def impossible(goal: Any, setting: Setting) -> tuple[Reason, ...]:
+def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
     """Why no state is found in which a goal is true."""
     found = witness(setting, goal)
     return () if isinstance(found, Witness) else found

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.cousins.layout.supports import Support
-from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.cavity import Cavity, cavity, outside_part
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.predicates.judging.bodies import Bodies
@@ -36,7 +36,7 @@ SIDES = {"Behind": (1, 0), "InFrontOf": (-1, 0), "LeftOf": (0, 1), "RightOf": (0
 """Where a thing is put for a predicate, in the viewer's frame: x away, y left."""
 
 
-def turns(setting: Setting, name: str) -> list[Array]:
+def turns(setting: TaskContext, name: str) -> list[Array]:
     """Quaternions (wxyz) of a thing to try: as it stands first."""
     item = setting.twin.scene.object(name)
     standing = Pose.of(q=setting.twin.state.poses[name].q)
@@ -48,7 +48,7 @@ def turns(setting: Setting, name: str) -> list[Array]:
     return found
 
 
-def places(setting: Setting, call: Call, state: SceneState) -> list[tuple[float, float]]:
+def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
     """Where the middle of a thing is to come down for a predicate: x and y in the world [m], the likely ones first."""
     if call.predicate in SIDES or call.predicate == "NextTo":
         return list(_beside(setting, call, state))
@@ -60,7 +60,7 @@ def places(setting: Setting, call: Call, state: SceneState) -> list[tuple[float,
     return list(_over(setting, call.args[1], state))
 
 
-def _over(setting: Setting, target: str, state: SceneState) -> Iterator[tuple[float, float]]:
+def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tuple[float, float]]:
     hole = hollow(setting, target, state)
     if hole is not None:
         yield float(hole[0]), float(hole[1])
@@ -71,7 +71,7 @@ def _over(setting: Setting, target: str, state: SceneState) -> Iterator[tuple[fl
         yield tuple((low[:2] + share * (high - low)[:2]).tolist())
 
 
-def levels(setting: Setting, target: str, state: SceneState) -> tuple[Support, ...]:
+def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
     """The levels of an object that has several, the highest first; none where it is not where the twin has it.
 
     What is named by a link comes down on that link alone.
@@ -79,7 +79,7 @@ def levels(setting: Setting, target: str, state: SceneState) -> tuple[Support, .
     X_WO = setting.twin.state.poses.get(target)  # a link has none
     if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
         return ()
-    found = setting.twin.levels(target)[::-1]
+    found = setting.twin[target].levels[::-1]
     return found if len(found) > 1 else ()
 
 
@@ -92,7 +92,7 @@ def spots(level: Support) -> Iterator[tuple[float, float]]:
         yield x, y
 
 
-def hollow(setting: Setting, target: str, state: SceneState) -> Array | None:
+def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
     """The middle of the cavity of a thing or of a link of it in the world [m], shape (3,); None without one."""
     owner = target.partition(".")[0]
     for link, found in cavities(setting, target):
@@ -102,7 +102,7 @@ def hollow(setting: Setting, target: str, state: SceneState) -> Array | None:
     return None
 
 
-def cavities(setting: Setting, target: str) -> list[tuple[str, Cavity]]:
+def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
     """The cavities of the links that a target names."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)
@@ -111,7 +111,7 @@ def cavities(setting: Setting, target: str) -> list[tuple[str, Cavity]]:
     return [(link, found) for link, form in forms if (found := cavity(form)) is not None]
 
 
-def is_free(setting: Setting, owner: str, link: str, point: Array) -> bool:
+def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
     """Whether a point in a link's frame [m], shape (3,), is in none of its parts."""
     body = Bodies(setting.twin.scene)[owner]
     form = body.forms[body.index(link)]
@@ -119,7 +119,7 @@ def is_free(setting: Setting, owner: str, link: str, point: Array) -> bool:
     return all(float(outside_part(form.parts, k, point[None])[0]) > 0 for k in parts if form is not None)
 
 
-def cavity_words(setting: Setting, target: str) -> str:
+def cavity_words(setting: TaskContext, target: str) -> str:
     """How large the cavity of a thing is, for a sentence."""
     for _, found in cavities(setting, target):
         return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
@@ -131,7 +131,7 @@ def across(hole: Cavity) -> float:
     return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
 
 
-def _beside(setting: Setting, call: Call, state: SceneState) -> Iterator[tuple[float, float]]:
+def _beside(setting: TaskContext, call: Call, state: SceneState) -> Iterator[tuple[float, float]]:
     low, high = setting.bounds(call.args[1], state)
     own = setting.bounds(call.args[0], state)
     half, mine = (high - low)[:2] / 2, (own[1] - own[0])[:2] / 2

@@ -68,7 +68,7 @@ class Approach:
 ABOVE = Approach(UP, UP)
 
 
-def approaches(setting: Setting, name: str, state: SceneState) -> tuple[Approach, ...]:
+def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
     """How a hand can come to a thing in a state: from above, or else from each open side; none where it is shut in."""
     low, high = setting.bounds(name, state)
     own = {name, *setting.twin.riders(name)}
@@ -111,10 +111,10 @@ def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[A
     return [palm + a * HALF_WIDE * across + b * HALF_THICK * thick for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]
 
 
-def _obstacles(setting: Setting, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
+def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
     """All other objects that are near enough to be in the way."""
-    from simfoundry.cousins.tasks.trial import item_in
     from simfoundry.scene.object_shapes import hulls
+    from simfoundry.scene.state import object_at
 
     twin = setting.twin
     found = []
@@ -122,7 +122,7 @@ def _obstacles(setting: Setting, own: set[str], low: Array, high: Array, state: 
         if item.name in own or item.name in twin.absent:
             continue
         moved = setting.joints(item.name) and state.joints != twin.state.joints
-        shape = hulls(item_in(setting, item.name, state)) if moved else twin.shape(item.name, state.poses[item.name])
+        shape = hulls(object_at(item, state)) if moved else twin.shape(item.name, state.poses[item.name])
         if not len(shape.corners):
             continue
         ends = np.array([shape.extent(axis) for axis in np.eye(3)])
@@ -134,10 +134,6 @@ def _obstacles(setting: Setting, own: set[str], low: Array, high: Array, state: 
 def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -> bool:
     return all(free_distance(shape, point, way) > ROOM for shape in obstacles for point in points)
 
-
-PAYLOADS = MappingProxyType({"demo_arm": 2.0, "franka_panda": 2.0, "franka_robotiq": 2.0, "yam": 1.0})
-"""The heaviest thing that a known robot should lift [kg]: the Panda's 3 kg less its hand; our own is as strong;
-of the YAM our guess."""
 
 PAYLOAD = 1.0
 """That of a robot of which nothing is known [kg]."""
@@ -161,7 +157,7 @@ class Hand(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class TaskContext:
     """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none.
 
     What is done must last in all ``engines``; MuJoCo, in which it is tried out, is always one.
@@ -180,7 +176,7 @@ class Setting:
         cache: Cache | None = None,
         payload: float | None = None,
         engines: tuple[str, ...] = ("mujoco",),
-    ) -> Setting:
+    ) -> TaskContext:
         """The setting of a scene document. Raises :class:`SpecError`, or :class:`TwinError` where it does not rest.
 
         ``payload`` [kg] is what each robot lifts, where it is not what is known of it.
@@ -271,7 +267,7 @@ class Setting:
         """Why no hand gets to a thing between two corners in the world [m]; by inverse kinematics where it can be."""
         if lacks := self.too_far(name, low, high):
             return lacks
-        solved = self.twin.reach(low, high, approach.side.tolist(), approach.way.tolist())
+        solved = self.twin.robots.reach(low, high, approach.side.tolist(), approach.way.tolist())
         if solved.checked and not solved.reached:
             comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
             text = f"no arm gets {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
@@ -298,7 +294,11 @@ def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
         reach = robot.reach or (known.reach if known is not None else None)
         opening = robot.opening or (known.opening if known is not None else None)
         x, y, _ = pose(robot.pose).p.tolist()
-        found.append(Hand(name, (x, y), reach, opening, payload or PAYLOADS.get(kind, PAYLOAD), kind))
+        found.append(
+            Hand(
+                name, (x, y), reach, opening, payload or (known.payload if known is not None else None) or PAYLOAD, kind
+            )
+        )
     return tuple(found)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.cousins.tasks.acceptance import AcceptedTask, accept, superseded
 from simfoundry.cousins.tasks.candidate_poses import branches, goal_words
-from simfoundry.cousins.tasks.context import Setting
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
 from simfoundry.lint.run import lint
 from simfoundry.runtime.files import write_atomically
@@ -34,7 +34,7 @@ REGION, LEAST = 0.02, 0.005
 """Half the side of the region in which a thing starts [m]; where its neighbours leave less than the least, none."""
 
 
-def task_of(idea: Idea, setting: Setting, scene: str, note: str) -> TaskSpec:
+def task_of(idea: Idea, setting: TaskContext, scene: str, note: str) -> TaskSpec:
     """The document of an idea; ``scene`` is the scene's file relative to it, ``note`` says where it comes from."""
     released = [f"Released({thing})" for thing in idea.things]
     goal: Any = {"all": (*idea.goal, *released)} if len(idea.goal) + len(released) > 1 else idea.goal[0]
@@ -42,7 +42,7 @@ def task_of(idea: Idea, setting: Setting, scene: str, note: str) -> TaskSpec:
 
 
 def task(
-    name: str, setting: Setting, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
+    name: str, setting: TaskContext, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
 ) -> TaskSpec:
     """A task document from its parts, which are sound."""
     about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
@@ -62,7 +62,7 @@ def task(
     )
 
 
-def subtasks(idea: Idea, setting: Setting) -> dict[str, Subtask]:
+def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
     """Touch, pick up and place each thing; open and close what is to be opened and closed."""
     found: dict[str, Subtask] = {}
     for step in idea.steps:
@@ -72,7 +72,7 @@ def subtasks(idea: Idea, setting: Setting) -> dict[str, Subtask]:
     return found
 
 
-def taking(thing: str, setting: Setting) -> dict[str, Subtask]:
+def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
     """The steps to take a thing: touch it, and hold it."""
     hands = [hand.name for hand in setting.hands]
     if not hands:
@@ -85,7 +85,7 @@ def taking(thing: str, setting: Setting) -> dict[str, Subtask]:
     }
 
 
-def regions(setting: Setting, names: tuple[str, ...]) -> dict[str, ResetRegion]:
+def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
     """Where the free things of a task that stand on the ground may start: about where they are, clear of all others."""
     twin = setting.twin
     found: dict[str, ResetRegion] = {}
@@ -163,7 +163,7 @@ class Proposal:
 class Proposals:
     """What is proposed for a setting, ``found`` in order, of which no two accepted ones end in the same state."""
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: TaskContext) -> None:
         self.setting = setting
         self.found: list[Proposal] = []
         self.accepted: list[AcceptedTask] = []
@@ -187,7 +187,7 @@ class Proposals:
 
 
 def enumerate_tasks(
-    setting: Setting,
+    setting: TaskContext,
     count: int | None = None,
     seed: int = 0,
     scene: str = "",
@@ -211,7 +211,7 @@ def enumerate_tasks(
     return proposed.found
 
 
-def ranked(setting: Setting, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
+def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
     """Ideas, the likely ones first, and of those that are alike the ones whose things were least used so far."""
     every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.cousins.tasks.acceptance import impossible, misnamed, unchanged, unreached
 from simfoundry.cousins.tasks.candidate_poses import conjuncts, goal_words, objects_of
-from simfoundry.cousins.tasks.context import Hand, Setting, hands_of
+from simfoundry.cousins.tasks.context import Hand, TaskContext, hands_of
 from simfoundry.cousins.tasks.enumeration import (
     Proposal,
     Proposals,
@@ -44,7 +44,7 @@ Form = Literal["typed", "paper"]
 
 def propose_tasks(
     vlm: Vlm,
-    setting: Setting,
+    setting: TaskContext,
     picture: bytes,
     count: int = 10,
     form: Form = "typed",
@@ -64,7 +64,7 @@ def propose_tasks(
 
 
 def prompt(
-    setting: Setting, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
+    setting: TaskContext, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
 ) -> str:
     """The paper's prompt for a scene; in the typed form without the part that describes the text of the answer."""
     try:
@@ -86,13 +86,13 @@ def prompt(
     )
 
 
-def _robots(setting: Setting) -> str:
+def _robots(setting: TaskContext) -> str:
     kinds = dict.fromkeys(hand.kind or "robot" for hand in setting.hands)
     number = "bimanual " if len(setting.hands) > 1 else ""
     return number + " and ".join(kind.replace("_", " ") for kind in kinds) if kinds else "robot"
 
 
-def _robot_constraint(setting: Setting) -> str:
+def _robot_constraint(setting: TaskContext) -> str:
     arms = {0: "There is no robot yet.", 1: "There is a single arm."}
     lines = [f"- {arms.get(len(setting.hands), f'There are {len(setting.hands)} arms.')}"]
     for hand in setting.hands:
@@ -108,14 +108,14 @@ def _object_constraints(include: Sequence[str], exclude: Sequence[str]) -> str:
     return "\n".join(lines) or "- None."
 
 
-def _parts(setting: Setting, name: str) -> str:
+def _parts(setting: TaskContext, name: str) -> str:
     parts = [joint.child for joint in setting.joints(name)]
     return f" (parts: {', '.join(f'{name}.{part}' for part in parts)})" if parts else ""
 
 
 def judged(
     told: Sequence[Told | Unread],
-    setting: Setting,
+    setting: TaskContext,
     source: str,
     scene: str = "",
     exclude: Sequence[str] = (),
@@ -275,16 +275,14 @@ class TaskCousin:
         That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
         them is among the ``others``, which are not the twin's.
         """
-        setting = setting_in(twin, state, self.hands, self.engines)
+        setting = context_at(twin, state, self.hands, self.engines)
         found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
         return found or (impossible(self.spec.goal, setting) if set(objects_of(self.spec.goal)) & set(others) else ())
 
 
-def setting_in(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> Setting:
+def context_at(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> TaskContext:
     """The setting of a twin in another state."""
-    here = replace(twin, state=state, kept={k: v for k, v in twin.kept.items() if k == "reach"})
-    here.__dict__.update(judge=twin.judge, world=twin.world)  # prepared for the same scene
-    return Setting(here, hands, engines=engines)
+    return TaskContext(twin.at(state), hands, engines=engines)
 
 
 def task_cousins(
@@ -301,7 +299,7 @@ def task_cousins(
     ``scene`` is the twin's document and ``reference`` its file as the tasks' documents name it. A ``vlm`` that sees the
     ``picture`` is asked where the axis says so. Raises :class:`ImpossibleError` where nothing can be done.
     """
-    setting = Setting(twin, hands_of(scene), engines=axis.engines)
+    setting = TaskContext(twin, hands_of(scene), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
             why = "`proposals: model` needs a model: name one, or take `affordances`"

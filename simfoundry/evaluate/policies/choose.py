@@ -10,10 +10,7 @@ from urllib.parse import parse_qsl
 
 from simfoundry.evaluate.policies.base import Policy, PolicyError
 from simfoundry.evaluate.policies.python_class import PythonClass, PythonPolicy
-from simfoundry.spec.models.policy import PORTS, PolicySpec
-
-DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
-"""The cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), which the short form takes."""
+from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 
 @dataclass(frozen=True)
@@ -56,10 +53,10 @@ def parse_policy(text: str) -> Choice:
         return _python(rest)
     if text.endswith((".yaml", ".yml")):
         return _document(Path(text))
-    if kind in PORTS:
+    if kind in PROTOCOLS:
         return _short(kind, rest)
     words = "`random`, `expert`, `replay:FILE`, `python:MODULE:CLASS`, a path to a .policy.yaml"
-    servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PORTS)
+    servers = " or ".join(f"`{protocol}:ADDRESS?action_space=…`" for protocol in PROTOCOLS.names())
     raise PolicyError(f"`{text}` is no policy: give {words}, or a server, {servers}")
 
 
@@ -75,17 +72,8 @@ def open_policy(choice: PolicySpec | Random | Replay | PythonClass) -> Policy:
         return load_replay(choice.path)
     if isinstance(choice, PythonClass):
         return PythonPolicy(choice)
-    if choice.protocol == "openpi":
-        from simfoundry.evaluate.policies.openpi import OpenpiPolicy
-
-        return OpenpiPolicy(choice)
-    if choice.protocol == "roboarena":
-        from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
-
-        return RoboarenaPolicy(choice)
-    from simfoundry.evaluate.policies.groot import GrootPolicy
-
-    return GrootPolicy(choice)
+    policy: Policy = PROTOCOLS.load(choice.protocol).open(choice)
+    return policy
 
 
 def _python(rest: str) -> PythonClass:
@@ -125,8 +113,8 @@ def _short(protocol: str, rest: str) -> PolicySpec:
         "name": protocol,
         "protocol": protocol,
         "address": address or "localhost",
-        "horizon": 15 if protocol == "groot" else 8,
-        "cameras": _cameras(protocol),
+        "horizon": 8,
+        **PROTOCOLS.load(protocol).short_form,
     }
     try:
         return PolicySpec.model_validate(whole | said)
@@ -143,18 +131,3 @@ def _value(text: str) -> str | int | float:
     if re.fullmatch(r"[+-]?[0-9]+", text):
         return int(text)
     return float(text) if re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text) else text
-
-
-def _cameras(protocol: str) -> dict[str, dict[str, Any]]:
-    """The pictures that the policies of DROID take, by the names that each protocol gives them."""
-    size, render = ((224, 224), (448, 252)) if protocol == "openpi" else ((320, 180), (320, 180))
-    names = {
-        "openpi": {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"},
-        "roboarena": {
-            "observation/exterior_image_0_left": "exterior",
-            "observation/exterior_image_1_left": "exterior_2",
-            "observation/wrist_image_left": "wrist",
-        },
-        "groot": {"exterior_image_1_left": "exterior", "wrist_image_left": "wrist"},
-    }[protocol]
-    return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in names.items()}

@@ -74,3 +74,14 @@ def roll_pitch_yaw(pose: Pose) -> Array:
     if level < 1e-9:  # looking straight up or down: the whole turn counts as roll
         return np.array([math.atan2(-r[1, 2], r[1, 1]), pitch, 0.0])
     return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+
+
+DROID_CAMERAS = {"exterior": "exterior_left", "exterior_2": "exterior_right", "wrist": "wrist"}
+"""The cameras of the DROID cell (``specs/scenes/droid.scene.yaml``), which the short form of a policy takes."""
+
+
+def droid_cameras(
+    keys: Mapping[str, str], size: tuple[int, int], render: tuple[int, int]
+) -> dict[str, dict[str, object]]:
+    """Return the pictures that the policies of DROID take; ``keys`` are the names that a protocol gives them."""
+    return {key: {"camera": DROID_CAMERAS[role], "size": size, "render": render} for key, role in keys.items()}

@@ -7,7 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
-from simfoundry.spec.models.robot import ROBOTS
+from simfoundry.spec.models.robot_file import find_robot, robot_names
 from simfoundry.spec.yaml.text import parse
 
 Body = str | tuple[Any, ...] | dict[str, Any]
@@ -71,5 +71,6 @@ def robots() -> list[dict[str, str]]:
             "description": f"Reaches {robot.reach:g} m from its base; its fingers open {robot.opening * 1000:g} mm.",
             "body": name,
         }
-        for name, robot in ROBOTS.items()
+        for name in robot_names()
+        if (robot := find_robot(name)) is not None
     ]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.backends.usd.source import SCOPES
-from simfoundry.frontends.usd.compiled.added_prims import Added, added
+from simfoundry.frontends.usd.compiled.added_prims import AddedPrims, added_prims
 from simfoundry.frontends.usd.compiled.edits import MOVED_M, Edited, edited_object, edited_robot, has_moved, pose_data
 from simfoundry.frontends.usd.compiled.references import anchors, renamed, without
 from simfoundry.frontends.usd.compiled.stage import StageError, StageMember, carrier, document, open_stage, parts
@@ -78,7 +78,7 @@ def read_spec(stage: Usd.Stage) -> StageReading | None:
     data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
     notes = [note for each in edited.values() for note in each.notes]
     _gravity(prim, data, world)
-    new = added(stage, prim, {part.path for part in found}, data, world)
+    new = added_prims(stage, prim, {part.path for part in found}, data, world)
     _add(data, new)
     prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
     prims |= {(part.section, name): part.path for name, part in copies.items()}
@@ -232,6 +232,6 @@ def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
 
 
-def _add(data: Data, new: Added) -> None:
+def _add(data: Data, new: AddedPrims) -> None:
     for section, members in new.members.items():
         data[section] = {**data.get(section, {}), **members}

@@ -15,7 +15,7 @@ from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.text import YamlError, read
-from simfoundry.spec.yaml.tree import CommentedTree, read_tree, with_data
+from simfoundry.spec.yaml.tree import YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 
 KIND = "scene/1"
@@ -144,7 +144,7 @@ def _rivals(key: str, above: Path_) -> set[str]:
     return rivals if rivals and models_at(SceneSpec, above) else set()
 
 
-def _with_names(tree: CommentedTree, names: Mapping[tuple[str, str], str]) -> CommentedTree:
+def _with_names(tree: YamlTree, names: Mapping[tuple[str, str], str]) -> YamlTree:
     """The tree with members called otherwise, each with its comments."""
     sections = {}
     for section, child in tree.value.items():
