@@ -170,9 +170,9 @@ def _interruptible(out: Path) -> Iterator[None]:
 def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
     import json
 
-    from simfoundry.evaluate.records import read_all
-    from simfoundry.evaluate.results import cells, results
     from simfoundry.evaluate.run import pending
+    from simfoundry.evaluate.statistics.records import read_all
+    from simfoundry.evaluate.statistics.results import cells, results
     from simfoundry.reports.evaluation import page
     from simfoundry.runtime.files import write_atomically
 
@@ -203,7 +203,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -228,8 +228,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.engines import compare_engines
-    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
+    from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+    from simfoundry.evaluate.statistics.pools import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:

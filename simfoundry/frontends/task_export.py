@@ -1,6 +1,6 @@
-"""A task of ours in the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
+"""Export tasks to the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
 
-What a format cannot say is refused where the goal would change its meaning, and noted where only the start would.
+A task is refused where a format would change the meaning of its goal; losses at the start are noted.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ FORMATS = ("libero", "behavior", "omnigibson")
 
 
 class TaskExportError(SimfoundryError):
-    """A task that a format cannot say; the message says what, and which format can."""
+    """A task that a format cannot express; the message names the reason, and the format that can."""
 
 
 @dataclass
 class TaskExport:
-    """A file's text, and what of the task is not in it or was assumed for it."""
+    """A file's text, with notes on what was left out or assumed."""
 
     text: str = ""
     notes: list[str] = field(default_factory=list)
 
 
 def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
-    """The task in one of :data:`FORMATS`; raises :class:`TaskExportError`."""
+    """Return the task in one of :data:`FORMATS`; raises :class:`TaskExportError`."""
     export = TaskExport()
     if spec.start.place or spec.start.pose:
         export.notes.append("poses at the start: the format has the scene's own")
@@ -58,12 +58,12 @@ def atoms(condition: Any) -> list[tuple[Call, bool]]:
 
 
 def owner(name: str) -> str:
-    """The object of ``object.part``."""
+    """Return the object of ``object.part``."""
     return name.partition(".")[0]
 
 
 def support(scene: Scene, name: str) -> SceneObject:
-    """What an object stands on by the scene's relations; else the first fixed object."""
+    """Return the object that another stands on by the scene's relations; else the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
             return scene.object(owner(relation.args[1]))

@@ -9,8 +9,12 @@ from pathlib import Path
 
 from simfoundry.frontends.errors import ImportRefusedError
 
-MOST_BYTES = 4 * 2**20
-DEEPEST = 64
+MAX_BYTES = 4 * 2**20
+"""The largest problem of BEHAVIOR-1K has 20 kB."""
+
+MAX_DEPTH = 64
+"""Brackets within brackets: problems nest a tenth of it."""
+
 _TOKEN = re.compile(r"[()]|[^\s();]+|;[^\n]*|\n")
 
 
@@ -29,7 +33,7 @@ class BddlWord:
 
 @dataclass(frozen=True)
 class BddlGroup:
-    """What stands between two brackets."""
+    """A bracketed expression."""
 
     items: tuple[BddlWord | BddlGroup, ...]
     line: int
@@ -56,9 +60,9 @@ class BddlGroup:
 
 
 def read_group(path: Path) -> BddlGroup:
-    """The one expression that a file holds; raises :class:`ImportRefusedError`."""
-    if path.stat().st_size > MOST_BYTES:
-        raise ImportRefusedError(path, f"it is larger than {MOST_BYTES >> 20} MiB, which no task is")
+    """Return the one expression of a file; raises :class:`ImportRefusedError`."""
+    if path.stat().st_size > MAX_BYTES:
+        raise ImportRefusedError(path, f"it is larger than {MAX_BYTES >> 20} MiB, which no task is")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
@@ -68,8 +72,8 @@ def read_group(path: Path) -> BddlGroup:
     for token, line in _tokens(text):
         if token == "(":
             open_groups.append(([], line))
-            if len(open_groups) > DEEPEST:
-                raise ImportRefusedError(path, f"brackets are nested deeper than {DEEPEST}", line)
+            if len(open_groups) > MAX_DEPTH:
+                raise ImportRefusedError(path, f"brackets are nested deeper than {MAX_DEPTH}", line)
         elif not open_groups and token == ")":
             raise ImportRefusedError(path, "this bracket closes nothing", line)
         elif whole is not None or not open_groups:

@@ -1,4 +1,4 @@
-"""A BDDL problem as a task in a scene: its names bound to the scene's objects, its regions to starts and goals."""
+"""Convert a BDDL problem to a task: its names bound to the scene's objects, its regions to starts and goals."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class _TaskReader:
         return text
 
     def _put_in(self, target: str) -> bool:
-        """Whether the words ask for something to go into a thing."""
+        """Return whether the instruction asks for something to go into an object."""
         noun = re.escape((self.scene.object(owner_of(target)).category or target).rpartition("_")[2])
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
@@ -193,7 +193,7 @@ class _TaskReader:
         return min(xs), min(ys), max(xs), max(ys)
 
     def start(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What differs from the scene at the start, and the regions of the reset."""
+        """Return the differences from the scene at the start, and the regions of the reset."""
         joints: dict[str, dict[str, float]] = {}
         regions: dict[str, Any] = {}
         for group in self.problem.init:
@@ -254,7 +254,7 @@ def _type(kind: str) -> str:
 
 
 def _opened(item: SceneObject, name: str) -> float:
-    """Where a joint is when it is open: at the end of its way that is farther from zero [rad or m]."""
+    """The open position of a joint: the limit that is farther from zero [rad or m]."""
     joint: Joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 

@@ -316,7 +316,10 @@ def test_the_metadata_can_be_read_by_people(desk: Project) -> None:
     assert '"OnTop(plate, desk)"' in text
     stage = open_stage(desk.stage)
     plate = stage.GetPrimAtPath("/World/Objects/plate")
-    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {"capture": "monday", "fit": 0.002}
+    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {
+        "capture": "monday",
+        "fit_error": 0.002,
+    }
     assert str(desk.stage.parent) not in text and str(desk.document.parent) not in text
 
 

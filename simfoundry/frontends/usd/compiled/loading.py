@@ -1,4 +1,4 @@
-"""A stage wherever a scene document is expected: checked alike, findings placed at prims."""
+"""Load a stage wherever a scene document is expected: checked alike, findings placed at prims."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
 
 
 def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
-    """What the document cannot say of the stage."""
+    """A finding for each note on the stage."""
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
         file = f"{path}<{note.prim}>"
@@ -44,9 +44,9 @@ def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
 
 
 def home(stage: Path, file: str) -> Path:
-    """Where the document of a stage lies: ``file`` below a folder above the stage, or below the current one.
+    """Return the place of a stage's document: ``file`` below a folder above the stage, or below the current one.
 
-    Beside the stage where it is nowhere: what it refers to is missing then, too.
+    Beside the stage where it is nowhere: its assets are missing then, too.
     """
     folders = [*stage.absolute().parents, Path.cwd()]
     places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
@@ -55,7 +55,7 @@ def home(stage: Path, file: str) -> Path:
 
 
 def stage_document(path: Path, reading: StageReading) -> Document:
-    """The document of a stage; its parts stand at their prims, all else in the file as a whole."""
+    """Return the document of a stage; its members stand at their prims, all else in the file as a whole."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)
     return Document(str(path), "", reading.data, root, ())

@@ -8,8 +8,8 @@ from statistics import fmean
 
 import numpy as np
 
-from simfoundry.evaluate.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson
-from simfoundry.evaluate.scores import Score, ScoresError
+from simfoundry.evaluate.statistics.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson
+from simfoundry.evaluate.statistics.scores import Score, ScoresError
 from simfoundry.geometry.frames import Array
 
 Interval = tuple[float, float]

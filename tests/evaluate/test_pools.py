@@ -11,9 +11,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simfoundry.evaluate.metrics import DRAWN_FLIPS, EXACT_FLIPS, holm, mcnemar, sign_flip, stratified, wilson
-from simfoundry.evaluate.results import results
-from simfoundry.evaluate.strata import comparisons, pools
+from simfoundry.evaluate.statistics.metrics import (
+    DRAWN_FLIPS,
+    EXACT_FLIPS,
+    holm,
+    mcnemar,
+    sign_flip,
+    stratified,
+    wilson,
+)
+from simfoundry.evaluate.statistics.pools import comparisons, pools
+from simfoundry.evaluate.statistics.results import results
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
 

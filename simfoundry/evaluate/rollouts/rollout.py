@@ -12,12 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from simfoundry.evaluate.control import Controller, action_size, checked, physics_steps
-from simfoundry.evaluate.judging import Progress, judge_of
-from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
-from simfoundry.evaluate.starts import Start
-from simfoundry.evaluate.task import Task, need_robots
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
+from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
+from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.tasks.task import Task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.scene.object_shapes import world_bounds

@@ -18,7 +18,7 @@ import numpy as np
 
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.policies.base import ActionSpace
-from simfoundry.evaluate.rollout import End, Rollout
+from simfoundry.evaluate.rollouts.rollout import End, Rollout
 from simfoundry.runtime.files import write_atomically
 
 VERSION = "rollout/2"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-from simfoundry.evaluate.metrics import Rate, holm, mcnemar, sign_flip, stratified
-from simfoundry.evaluate.records import is_result
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.statistics.metrics import Rate, holm, mcnemar, sign_flip, stratified
+from simfoundry.evaluate.statistics.records import is_result
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.spec.load import load
 from simfoundry.spec.yaml.text import read
 

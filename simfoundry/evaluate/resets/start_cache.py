@@ -10,8 +10,8 @@ from pydantic import TypeAdapter
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.evaluate.grid import Cell
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.resets.grid import Cell
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.expressions import Condition

@@ -10,8 +10,8 @@ from types import MappingProxyType
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.robots import check_can_act
-from simfoundry.evaluate.setup import Setup, carried_by, lowered
+from simfoundry.evaluate.tasks.robots import check_can_act
+from simfoundry.evaluate.tasks.setup import Setup, carried_by, lowered
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.load import load_kind

@@ -63,7 +63,7 @@ def parse_policy(text: str) -> Choice:
 def open_policy(choice: PolicySpec | Random | Replay | PythonClass) -> Policy:
     """The policy that was chosen, connected to nothing before its first rollout; the expert is made with its task."""
     if isinstance(choice, Random):
-        from simfoundry.evaluate.policies.random_actions import RandomPolicy
+        from simfoundry.evaluate.policies.random_walk import RandomPolicy
 
         return RandomPolicy()
     if isinstance(choice, Replay):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.grid import Cell, bounds
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.resets.grid import Cell, bounds
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.base import World

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
@@ -43,8 +43,10 @@ class Progress:
         """
         batch = StateBatch.of(self._task.scene, states)
         open_ = [name for name, done in self.done.items() if done is None]
-        holds = {name: self._judge.batch(self._task.subtasks[name].goal, batch)[0] for name in open_}
-        goal = self._judge.batch(self._task.goal, batch)[0]
+        holds = self._judge.holds(
+            {name: self._task.subtasks[name].goal for name in open_} | {"": self._task.goal}, batch
+        )
+        goal = holds[""]
         for k in range(len(states)):
             for name in open_:
                 if not holds[name][k]:

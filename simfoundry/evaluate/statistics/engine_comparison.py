@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-from simfoundry.evaluate.metrics import mcnemar
-from simfoundry.evaluate.records import is_result
+from simfoundry.evaluate.statistics.metrics import mcnemar
+from simfoundry.evaluate.statistics.records import is_result
 
 Record = Mapping[str, Any]
 

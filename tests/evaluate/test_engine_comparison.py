@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simfoundry.evaluate.engines import compare_engines
-from simfoundry.evaluate.results import results
+from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.results import results
 from simfoundry.reports.evaluation import page
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
-from tests.evaluate.test_strata import record
+from tests.evaluate.test_pools import record
 
 
 def both(of: int, mujoco: Iterable[int], pybullet: Iterable[int]) -> list[dict[str, Any]]:

@@ -18,11 +18,11 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.grid import Cell, bounds, deal, draws, sample
-from simfoundry.evaluate.judging import judge_of
-from simfoundry.evaluate.place import Refusal, Spots, clash, left_cell, placed, restless, settled
-from simfoundry.evaluate.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.resets.grid import Cell, bounds, deal, draws, sample
+from simfoundry.evaluate.resets.placement import Refusal, Spots, clash, left_cell, placed, restless, settled
+from simfoundry.evaluate.resets.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.predicates import Judge
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import open_world

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from simfoundry import __version__
-from simfoundry.evaluate.engines import compare_engines
-from simfoundry.evaluate.metrics import Rate
-from simfoundry.evaluate.records import is_result
-from simfoundry.evaluate.rollout import End
-from simfoundry.evaluate.strata import comparisons, pools
+from simfoundry.evaluate.rollouts.rollout import End
+from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.metrics import Rate
+from simfoundry.evaluate.statistics.pools import comparisons, pools
+from simfoundry.evaluate.statistics.records import is_result
 
 VERSION = "results/2"
 
