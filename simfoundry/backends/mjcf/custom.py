@@ -19,8 +19,9 @@ from simfoundry.backends.artifact import numbers
 from simfoundry.backends.mjcf.contacts import Contacts
 from simfoundry.backends.mjcf.restitution import CRITICAL_REBOUND
 from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.backends.robot_models.mujoco_robot import document_fields, mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import document_fields
 from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
+from simfoundry.scene.robot import mujoco_model
 
 MARK = "simfoundry:scene"
 """The text that a file of ours starts with; its data is the version of what stands here."""

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.restitution import solref
 from simfoundry.backends.mjcf.surfaces import Surface
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import mujoco_model
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
