@@ -9,15 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from simfoundry.backends.mjcf.custom import MARK
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LightDraft, LinkDraft, MeshDraft, PartDraft
-from simfoundry.frontends.mass_repair import SURFACE
+from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LightDraft
 from simfoundry.geometry.frames import Pose
-
-TWIN = ":touch"
-"""How the names of bodies go on after that of a link where they say how it touches some things, and nothing more."""
 
 BACKGROUND = ":background:"
 """How the names of geoms start that are seen around the scene."""
@@ -101,8 +95,6 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
-        _feel(link, own.numbers.get(f"{link.name}:surface", ()))
-        _bounce(link, own.numbers.get(f"{link.name}:restitution", ()))
     names = {old: _link_name(old, owner, own) for old in body.links}
     joints = {}
     for joint in body.joints:
@@ -119,44 +111,6 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
     body.root = names[body.root]
     # What is said of its own links came before or after the names: it is told apart by whether it has them.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
-
-
-def _feel(link: LinkDraft, said: tuple[float, ...]) -> None:
-    """Surfaces of geoms that are written as the contacts which they decide on."""
-    felt = [part for part in link.parts if part.use != "visual"]
-    rows = list(zip(*[iter(said)] * len(SURFACE), strict=False))
-    for part, row in zip(felt, rows * len(felt) if len(rows) == 1 else rows, strict=False):
-        for word, value in zip(SURFACE, row, strict=True):
-            setattr(part, word, value or (0.0 if word in ("friction", "restitution") else None))
-
-
-def _bounce(link: LinkDraft, said: tuple[float, ...]) -> None:
-    """Restitutions that are too small for a contact of MuJoCo's to have, so that its geoms do not say them."""
-    felt = [part for part in link.parts if part.use != "visual"]
-    for part, value in zip(felt, said * len(felt) if len(said) == 1 else said, strict=False):
-        if not part.restitution:
-            part.restitution = value
-    link.parts = _united(link)
-
-
-def _united(link: LinkDraft) -> list[PartDraft]:
-    """What is seen and what touches under one name as one part, where they are one shape."""
-    seen = {part.name: part for part in link.parts if part.use == "visual"}
-    out = list(seen.values())
-    for part in (part for part in link.parts if part.use != "visual"):
-        twin = seen.get(part.name)
-        if twin is None or not _is_shape_of(part, twin):
-            out.append(part)
-            continue
-        twin.use = "both"
-        for word in SURFACE:
-            setattr(twin, word, getattr(part, word))
-    return out
-
-
-def _is_shape_of(felt: PartDraft, seen: PartDraft) -> bool:
-    still = bool(np.allclose(felt.X_LG.matrix, seen.X_LG.matrix, rtol=0, atol=1e-12))
-    return not isinstance(felt.geometry, MeshDraft) and felt.geometry == seen.geometry and still
 
 
 def _describe(body: BodyDraft, own: Said) -> None:

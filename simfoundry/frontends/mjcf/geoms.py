@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.backends.mjcf.restitution import rebound
 from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.names import plain_name
@@ -97,8 +96,8 @@ class Geoms:
                 part.torsional = float(model.geom_friction[geom, 1])
             if dimensions >= 6:
                 part.rolling = float(model.geom_friction[geom, 2])
-            if self.own and float(model.geom_solref[geom, 1]) < 1:
-                part.restitution = rebound(float(model.geom_solref[geom, 1]))
+            if self.own and model.nuser_geom:
+                part.restitution = float(model.geom_user[geom, 0])
         material = int(model.geom_matid[geom])
         textured = material >= 0 and self.texture(material) >= 0
         if textured and not isinstance(part.geometry, MeshDraft):

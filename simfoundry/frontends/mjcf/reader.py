@@ -15,7 +15,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.file_search import NotFoundError, Search, refused
 from simfoundry.frontends.mass_repair import feather_link, make_sound
 from simfoundry.frontends.meshes import mesh_of_parts
-from simfoundry.frontends.mjcf.compiled import BACKGROUND, TWIN, restore, said
+from simfoundry.frontends.mjcf.compiled import BACKGROUND, restore, said
 from simfoundry.frontends.mjcf.compiled_robots import take_robots
 from simfoundry.frontends.mjcf.elements import (
     add_actuators,
@@ -36,9 +36,9 @@ MAX_INCLUDES = 100
 
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
-    "geom_size", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos", "mesh_quat",
-    "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring", "key_qpos",
-    "key_ctrl",
+    "geom_size", "geom_user", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos",
+    "mesh_quat", "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring",
+    "key_qpos", "key_ctrl",
     "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange",
     "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
     "light_diffuse", "light_cutoff",
@@ -176,8 +176,6 @@ class _Mjcf:
         self.draft.gravity = (x, y, z)
         self.world()
         for body in range(1, model.nbody):
-            if self.own is not None and TWIN in self.name("body", body):
-                continue
             if model.body_parentid[body] == 0:
                 self.root(body)
             else:

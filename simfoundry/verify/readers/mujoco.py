@@ -26,7 +26,7 @@ from simfoundry.verify.facts import (
     shape_bounds,
 )
 from simfoundry.verify.readers import Session, load_module
-from simfoundry.verify.readers.mujoco_contacts import TWIN, Meetings, Slide
+from simfoundry.verify.readers.mujoco_contacts import Meetings, Slide
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -44,7 +44,7 @@ class MujocoSession:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
-        self._bodies = {name: k for k in range(1, model.nbody) if TWIN not in (name := model.body(k).name)}
+        self._bodies = {model.body(k).name: k for k in range(1, model.nbody)}
         self._meetings = Meetings(model)
         self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
         joints = {model.joint(k).name: k for k in range(model.njnt)}
@@ -97,8 +97,8 @@ class MujocoSession:
     def _link(self, name: str, body: int) -> LinkFacts:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
-        felt, said = self._felt(body), self._own(name)
-        own = said * len(felt) if len(said) == 1 else said or [self._meetings.surface(geom) for geom in felt]
+        felt = self._felt(body)
+        own = [self._meetings.surface(geom) for geom in felt]
         return LinkFacts(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
@@ -172,16 +172,6 @@ class MujocoSession:
 
     def _felt(self, body: int) -> list[int]:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
-
-    def _own(self, link: str) -> list[Slide]:
-        """The surfaces of colliders where the file says them apart from its geoms."""
-        model = self.model
-        for k in range(model.nnumeric):
-            if model.numeric(k).name == f"{link}:surface":
-                start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
-                rows = model.numeric_data[start : start + size].reshape(-1, 4)
-                return [Slide(*row) for row in rows[:, [0, 2, 3]].tolist()]
-        return []
 
     def _contacts(self, links: Mapping[str, LinkFacts]) -> tuple[dict[str, LinkFacts], dict[str, float]]:
         """The links, and the friction of every two colliders that meet, unless both have it themselves.

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-TWIN = ":touch"
-"""How the name of a body or geom goes on after that of the link or collider that it is a part of."""
+from simfoundry.backends.mjcf.contact_rules import PROXY
 
 
 class Slide(NamedTuple):
@@ -29,17 +28,15 @@ TWICE = Slide(float("inf"), float("inf"), float("inf"))
 
 
 class Meetings:
-    """The geoms that touch, by body and collider; ``colliders`` gives each collider's geoms, those of its twins too."""
+    """The geoms that touch, by body and collider; ``colliders`` gives each collider's geoms, its proxies too."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self.colliders: dict[int, dict[str, list[int]]] = {}
-        names = [model.body(k).name for k in range(model.nbody)]
         for geom in np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0)).tolist():
             body = int(model.geom_bodyid[geom])
-            link = int(model.body_parentid[body]) if TWIN in names[body] else body
-            collider = model.geom(geom).name.partition(TWIN)[0] or f"#{geom}"
-            self.colliders.setdefault(link, {}).setdefault(collider, []).append(geom)
+            collider = model.geom(geom).name.partition(PROXY)[0] or f"#{geom}"
+            self.colliders.setdefault(body, {}).setdefault(collider, []).append(geom)
         self._excluded = {int(k) for k in model.exclude_signature}
         pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
         slides = zip(model.pair_friction[:, [0, 2, 3]].tolist(), model.pair_dim.tolist(), strict=True)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 
 from simfoundry.verify.readers import LOADERS, Session, load_module
 from simfoundry.verify.readers.newton_session import Names, NewtonSession, quiet
-
-_OWN = ":surface"
-"""How the names of numbers end that give the surfaces of a link's colliders, four for each, friction first."""
 
 
 def open_build(folder: Path) -> Session:
@@ -19,20 +15,7 @@ def open_build(folder: Path) -> Session:
     model = load_module(LOADERS / "newton_load.py").load(scene=folder / "scene.xml")
     root = ET.parse(folder / "scene.xml").getroot()
     joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
-    own = dict(_own_friction(root))
-    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}, own_friction=own))
-
-
-def _own_friction(root: ET.Element) -> Iterator[tuple[str, dict[str | None, float]]]:
-    """By link those of its colliders: one that is said is meant of all, more are in the order of the geoms."""
-    bodies = {str(body.get("name")): body for body in root.iterfind("worldbody//body")}
-    for numeric in root.iterfind("custom/numeric"):
-        link, said = str(numeric.get("name")), [float(v) for v in str(numeric.get("data")).split()][::4]
-        if link.endswith(_OWN):
-            link = link.removesuffix(_OWN)
-            felt = (_collider(str(geom.get("name"))) for geom in bodies[link].findall("geom"))
-            names = [named[1] for named in felt if named is not None]
-            yield link, dict(zip(names, said * len(names) if len(said) == 1 else said, strict=True))
+    return NewtonSession(model, Names(_last, _collider, lambda label: _joint(label, joints), {}))
 
 
 def _last(label: str) -> str:
