@@ -36,14 +36,17 @@ EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
 MAX_PAIRS = 3000
 """Pairs that the file may hold: 200 kB of text, and 40 us a step where nothing is near."""
 
-MIN_PROXY_PAIRS = 16
-"""Fewer pairs than this cost less than proxy geoms, which MuJoCo has to place in each step."""
+MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
+"""Fewer pairs than this cost less than proxy geoms. MuJoCo tests a pair in 14 ns where its geoms are far apart and in
+0.7 us near a table; proxy geoms that move have to be placed in each step. Measured by `tests/benchmarks/stepping.py`
+on `cluttered` and `clear_table`: with 16 to 300 for the moving, 150 steps fastest."""
 
 ROBOTS = "simfoundry:robots"
 """The custom text that names the bodies of robots, whose contacts are their own."""
 
 PROXY = ":proxy"
-"""The start of the suffix that distinguishes a proxy geom from its own; names of a scene have no colon."""
+"""The start of the suffix that proxy geoms and their bodies have behind the names of those they stand for; names of a
+scene have no colon."""
 
 _CONTACT_TIME = 0.02
 """Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table,
@@ -313,7 +316,7 @@ def make_exact(spec: mujoco.MjSpec) -> None:
                 _add_pair(spec, one, other, group.contact)
     if proxied:
         _set_masks(geoms, by_name, bit_of, proxied)
-        _add_proxies(by_name, bit_of, proxied)
+        _exclude_proxies(spec, _add_proxies(by_name, bit_of, proxied))
 
 
 def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
@@ -328,8 +331,10 @@ def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
 
 def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[Surface, int]) -> bool:
     """Return true if a group is large, and both its surfaces have the bits that masks need."""
+    static = group.one[0].static
     surfaces = [geoms[0].surface for geoms in (group.one, group.other) if not geoms[0].static]
-    return len(group.one) * len(group.other) >= MIN_PROXY_PAIRS and all(surface in bit_of for surface in surfaces)
+    fewest = MIN_STATIC_PAIRS if static else MIN_MOVING_PAIRS
+    return len(group.one) * len(group.other) >= fewest and all(surface in bit_of for surface in surfaces)
 
 
 def _set_masks(
@@ -356,8 +361,12 @@ def _set_masks(
 
 def _add_proxies(
     by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[Surface, int], proxied: Iterable[UnlikeGroup]
-) -> None:
-    """Give the geoms of the smaller side of each group proxies, one for all surfaces that make the same contact."""
+) -> dict[str, list[str]]:
+    """Give the geoms of the smaller side of each group proxies, one for all surfaces that make the same contact.
+
+    They are in bodies of their own, because MuJoCo passes over whole bodies by their masks. Returns these by the name
+    of the body that they are fixed to.
+    """
     masks: dict[tuple[str, Surface], int] = {}
     for group in proxied:
         owners, met = (group.one, group.other)
@@ -365,15 +374,22 @@ def _add_proxies(
             owners, met = met, owners
         for geom in owners:
             masks[geom.name, group.contact] = masks.get((geom.name, group.contact), 0) | bit_of[met[0].surface]
-    for k, ((name, contact), mask) in enumerate(masks.items()):
-        _add_proxy(by_name[name], f"{name}{PROXY}{k}", contact, mask)
+    holders: dict[tuple[str, int], mujoco.MjsBody] = {}
+    bodies: dict[str, list[str]] = {}
+    for (name, contact), mask in masks.items():
+        geom = by_name[name]
+        body = geom.parent.name
+        if (body, mask) not in holders:
+            bodies.setdefault(body, []).append(f"{body}{PROXY}{mask}")
+            holders[body, mask] = geom.parent.add_body(name=bodies[body][-1])
+        _add_proxy(holders[body, mask], geom, f"{name}{PROXY}{mask}", contact, mask)
+    return bodies
 
 
-def _add_proxy(geom: mujoco.MjsGeom, name: str, contact: Surface, mask: int) -> None:
+def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: Surface, mask: int) -> None:
     """Add a geom of the same shape that decides over whatever it meets."""
     dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
-    copied = {field: getattr(geom, field) for field in _SHAPE}
-    geom.parent.add_geom(
+    holder.add_geom(
         geom.classname,
         name=name,
         group=4,
@@ -383,8 +399,16 @@ def _add_proxy(geom: mujoco.MjsGeom, name: str, contact: Surface, mask: int) -> 
         condim=dimensions,
         friction=[mu, spinning, rolling],
         solref=[*solref(contact.restitution)],
-        **copied,
+        **{field: getattr(geom, field) for field in _SHAPE},
     )
+
+
+def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> None:
+    """Exclude the bodies of proxies from what the bodies that they are fixed to are excluded from."""
+    for pair in list(spec.excludes):
+        a, b = pair.bodyname1, pair.bodyname2
+        for one, other in [*((proxy, b) for proxy in bodies.get(a, ())), *((a, proxy) for proxy in bodies.get(b, ()))]:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
 _SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "solimp", "margin", "gap")

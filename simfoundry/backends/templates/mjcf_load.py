@@ -65,7 +65,8 @@ def main() -> None:
 
         mujoco.viewer.launch(model, data)
     else:
-        print(f"loaded {HERE / 'scene.xml'}: {model.nbody - 1} bodies, {model.njnt} joints")
+        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # without those of proxy geoms
+        print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints")
 
 
 if __name__ == "__main__":

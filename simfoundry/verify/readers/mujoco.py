@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from simfoundry.backends.mjcf.contact_rules import PROXY
 from simfoundry.geometry.frames import Pose
 from simfoundry.verify.facts import (
     FREE,
@@ -44,7 +45,7 @@ class MujocoSession:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
-        self._bodies = {model.body(k).name: k for k in range(1, model.nbody)}
+        self._bodies = {name: k for k in range(1, model.nbody) if PROXY not in (name := model.body(k).name)}
         self._meetings = Meetings(model)
         self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
         joints = {model.joint(k).name: k for k in range(model.njnt)}

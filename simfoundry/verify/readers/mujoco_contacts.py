@@ -36,7 +36,8 @@ class Meetings:
         for geom in np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0)).tolist():
             body = int(model.geom_bodyid[geom])
             collider = model.geom(geom).name.partition(PROXY)[0] or f"#{geom}"
-            self.colliders.setdefault(body, {}).setdefault(collider, []).append(geom)
+            link = int(model.body_parentid[body]) if PROXY in model.body(body).name else body
+            self.colliders.setdefault(link, {}).setdefault(collider, []).append(geom)
         self._excluded = {int(k) for k in model.exclude_signature}
         pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
         slides = zip(model.pair_friction[:, [0, 2, 3]].tolist(), model.pair_dim.tolist(), strict=True)
