@@ -17,10 +17,11 @@ import simfoundry
 from simfoundry.cli.main import COMMANDS
 from simfoundry.scene.lower import lower
 from simfoundry.scene.meshfile import obj_with_material
-from simfoundry.spec.editor.reference import EXAMPLES, reference
+from simfoundry.spec.editor.reference import reference
 from simfoundry.spec.files import MESH_SUFFIXES, PICTURE_SUFFIXES
 from simfoundry.spec.generated import generated, main, stale
 from simfoundry.spec.load import load
+from simfoundry.spec.models.kinds import KINDS
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import parse
 from tests.conftest import of_the_checkout
@@ -72,7 +73,7 @@ def test_documents_in_the_pages_are_without_findings(page: Path, tmp_path: Path)
 def test_the_pages_show_documents_of_every_kind() -> None:
     kinds = {str(d["simfoundry"]) for d in documents(ROOT / "README.md")}
     assert kinds == {"scene/1", "capture/1"}
-    assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(EXAMPLES)
+    assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(KINDS)
 
 
 @of_the_checkout
@@ -148,8 +149,7 @@ def test_importing_everything_loads_nothing_heavy() -> None:
     code = (
         "import importlib, pkgutil, sys, simfoundry\n"
         "for module in pkgutil.walk_packages(simfoundry.__path__, 'simfoundry.'):\n"
-        "    if not module.name.startswith('simfoundry.verify.readers.'):  # they run beside their engines\n"
-        "        importlib.import_module(module.name)\n"
+        "    importlib.import_module(module.name)\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     )
     loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
@@ -190,8 +190,7 @@ def test_every_imported_library_is_a_dependency() -> None:
     }
     entries = [*PYPROJECT["project"]["dependencies"], *(e for listed in whole.values() for e in listed)]
     needed = {re.split(r"[<>=!;\[ ]", entry)[0].lower() for entry in entries}
-    beside_engines = {"templates", "readers"}
-    code = [path for path in (ROOT / "simfoundry").rglob("*.py") if not beside_engines & set(path.parts)]
+    code = list((ROOT / "simfoundry").rglob("*.py"))
     imported = {
         name.partition(".")[0]
         for path in code

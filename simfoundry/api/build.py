@@ -10,17 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.artifact import Artifact
-from simfoundry.errors import SimfoundryError
 from simfoundry.scene.model import Scene
-from simfoundry.spec.diagnostics import nearest
 from simfoundry.targets.build import TARGETS, build
 from simfoundry.targets.report import report
 
 if TYPE_CHECKING:
     import mujoco
     from pxr import Usd
-
-    from simfoundry.worlds.base import World
 
 
 @dataclass(frozen=True)
@@ -68,12 +64,3 @@ def usd_stage(scene: Scene) -> Usd.Stage:
     stage = Usd.Stage.Open(str(Path(folder.name) / "usd" / artifact.entry))
     weakref.finalize(stage, folder.cleanup)
     return stage
-
-
-def open_engine(scene: Scene, engine: str) -> World:
-    """Return a world of a scene in a simulator; raises an error that names the simulators that there are."""
-    from simfoundry.worlds import ENGINES, open_world
-
-    if engine not in ENGINES:
-        raise SimfoundryError(f"no world runs in `{engine}`; {nearest(engine, ENGINES)}")
-    return open_world(scene, engine)

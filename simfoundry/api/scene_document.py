@@ -214,9 +214,9 @@ class SceneDocument(EditableDocument):
 
     def open(self, engine: str = "mujoco") -> World:
         """Return a simulator that holds the scene, a context manager with ``step``, ``state`` and ``judge``."""
-        from simfoundry.api.build import open_engine
+        from simfoundry.worlds import open_world
 
-        return open_engine(self.lower(), engine)
+        return open_world(self.lower(), engine)
 
     def judge(self, condition: str | None = None, state: SceneState | None = None) -> Verdict:
         """Judge a condition in a state, by default all relations of the scene, as the scene describes them.

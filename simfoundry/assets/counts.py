@@ -1,4 +1,4 @@
-"""How many triangles and points a mesh file says it has, by its head or its lines, before it is read."""
+"""Counts of triangles and points that a mesh file states in its head or its lines, before it is read."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import Any
 from simfoundry.assets.errors import MAX_BYTES, MAX_FACES, MeshError, too_large
 
 MAX_POINTS = 3 * MAX_FACES
-"""No triangle needs more than three."""
+"""Three to a triangle are the most that it needs."""
 
 STL_HEAD, STL_FACE = 84, 50
-"""Bytes of a binary STL before its triangles, and of each."""
+"""Bytes of a binary STL before its triangles, and of each (the format has 80 of comment, 4 of count, 50 a facet)."""
 
 PLY_HEAD = 100_000
+"""Bytes in which the head of a PLY ends: splats with all harmonics need 2 kB."""
 PLY_ELEMENT = re.compile(rb"^element[ \t]+(vertex|face)[ \t]+(\S+)", re.MULTILINE)
 GLB_TRIANGLES = 4
 """The mode of a primitive that is a list of triangles; it is also the default (glTF 2.0, 3.7.2.1)."""
@@ -55,7 +56,7 @@ def _obj(path: Path) -> tuple[int, int]:
 
 
 def _lines(path: Path, start: bytes) -> int:
-    """How often a line starts so, or a little fewer: not where two blocks meet."""
+    """The count of lines with this start; those at the seam of two blocks are missed."""
     count = 0
     with path.open("rb") as stream:
         while block := stream.read(2**24):

@@ -1,11 +1,11 @@
-"""Mesh files in: triangles, colours and textures, checked before anything is computed from them."""
+"""Read mesh files: triangles, colours and textures, checked before anything is computed from them."""
 
 from __future__ import annotations
 
-import hashlib
 import io
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,9 @@ from simfoundry.assets.errors import MAX_FACES, MeshError, implausible_size
 
 Array = NDArray[np.float64]
 
-MAX_ENCODED = 32
-"""Textures whose PNGs are kept: links of one model share them, and to compress one takes half a second."""
-
-_ENCODED: dict[bytes, bytes] = {}
-"""PNGs by the digest of their pixels."""
+MAX_ENCODED = 4
+"""Textures whose PNGs are remembered, with their pixels of up to 200 MB: links of one model share a few, and to
+compress one takes half a second."""
 
 MAX_PIXELS = 8192**2
 """More pixels of a texture take a GiB and a minute, and no simulator shows them."""
@@ -43,7 +41,7 @@ class MeshPart:
 
 
 def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
-    """The geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
+    """Return the geometries of a mesh file in metres, z up (glTF files are y up by their standard and are turned).
 
     Raises :class:`MeshError` for files that hold no usable triangles or whose size is not plausible.
     """
@@ -55,12 +53,12 @@ def read_mesh(path: Path, scale: float = 1.0) -> tuple[MeshPart, ...]:
 
 
 def extent(parts: tuple[MeshPart, ...]) -> float:
-    """The longest side of the bounds of a mesh [m]."""
+    """Return the longest side of the bounds of a mesh [m]."""
     return float(np.ptp(np.concatenate([p.vertices for p in parts]), axis=0).max())
 
 
 def read_parts(path: Path, scale: float | tuple[float, float, float] = 1.0) -> tuple[MeshPart, ...]:
-    """The same as :func:`read_mesh`, of any size.
+    """Read a mesh as :func:`read_mesh` does, of any size.
 
     ``scale`` may differ along the axes of the file, and mirror: the faces then are turned outward again.
     """
@@ -95,13 +93,13 @@ def _part(path: Path, mesh: Any, scale: float | tuple[float, float, float]) -> M
         vertices = np.column_stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]])
     uv, texture, rgba = _appearance(path.name, mesh)
     if rgba is not None and y_up:  # glTF writes its colours linear, everything else means sRGB
-        rgba = (_srgb(rgba[0]), _srgb(rgba[1]), _srgb(rgba[2]), rgba[3])
+        rgba = (srgb_of_linear(rgba[0]), srgb_of_linear(rgba[1]), srgb_of_linear(rgba[2]), rgba[3])
     uv = None if uv is None else uv[used]
     return MeshPart(vertices, faces.reshape(-1, 3).astype(np.int32), uv, texture, rgba)
 
 
-def _srgb(linear: float) -> float:
-    """An sRGB colour value of a linear one, both in [0, 1] (IEC 61966-2-1)."""
+def srgb_of_linear(linear: float) -> float:
+    """Return the sRGB value of a linear colour value, both in [0, 1] (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055
 
 
@@ -130,21 +128,23 @@ def _rgba(color: Array) -> tuple[float, float, float, float]:
 
 
 def texture_png(name: str, image: Any) -> bytes:
-    """An image as a PNG; raises :class:`MeshError` where it is too large to be shown."""
+    """Return an image as a PNG; raises :class:`MeshError` where it is too large to be shown."""
     width, height = image.size
     if width * height > MAX_PIXELS:
         most = math.isqrt(MAX_PIXELS)
         message = f"{name} has a texture of {width} x {height} pixels; at most {most} x {most} are read"
         raise MeshError("SF301", message, "make the texture smaller")
     image = image.convert("RGBA" if image.mode in ("RGBA", "LA", "P") else "RGB")
-    key = hashlib.sha256(f"{image.mode} {width} ".encode() + image.tobytes()).digest()
-    if key not in _ENCODED:
-        stream = io.BytesIO()
-        image.save(stream, format="PNG")
-        while len(_ENCODED) >= MAX_ENCODED:
-            _ENCODED.pop(next(iter(_ENCODED)), None)
-        _ENCODED[key] = stream.getvalue()
-    return _ENCODED[key]
+    return _encoded(image.mode, image.size, image.tobytes())
+
+
+@lru_cache(maxsize=MAX_ENCODED)
+def _encoded(mode: str, size: tuple[int, int], pixels: bytes) -> bytes:
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.frombytes(mode, size, pixels).save(stream, format="PNG")
+    return stream.getvalue()
 
 
 def _check_numbers(name: str, vertices: Array) -> None:
@@ -165,7 +165,7 @@ def weld(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.i
 
 
 def open_edges(faces: NDArray[np.int32]) -> int:
-    """How many directed edges of welded faces have no partner in the other direction; 0 for a closed surface."""
+    """Return the count of directed edges of welded faces without a partner; 0 for a closed surface."""
     if not len(faces):
         return 0
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)

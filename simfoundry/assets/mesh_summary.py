@@ -1,4 +1,4 @@
-"""What a check wants to know of a mesh file: bounds, volume, gaps and hull, measured once and kept in the cache.
+"""Summaries of mesh files for checks: bounds, volume, gaps and hull, measured once and kept in the cache.
 
 A file that was measured before is only hashed, so that a second check loads neither numpy nor a reader of meshes.
 """
@@ -34,7 +34,7 @@ VERSION = "mesh facts 2"
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
-"""Of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+"""Moments of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 
@@ -60,7 +60,7 @@ class MeshFacts:
 
     @property
     def is_nearly_convex(self) -> bool:
-        """Whether it certainly collides as its hull."""
+        """Return whether the mesh certainly collides as its hull."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> Solid:
@@ -75,7 +75,7 @@ class MeshFacts:
         return Solid(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
-        """What lowering will find wrong with the file ``name``, read with ``scale``, as a body of these fields.
+        """Return the fault that lowering finds in the file ``name``, read with ``scale``, as a body of these fields.
 
         Where the inertia of the body is given, ``solid`` is `given`: the mesh need not be closed.
         """
@@ -122,7 +122,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
 
 
 def file_digest(path: Path) -> str:
-    """Of the bytes, and of the suffix that says how they are read."""
+    """Return the digest of a file's bytes and of the suffix that decides how they are read."""
     import hashlib
 
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())

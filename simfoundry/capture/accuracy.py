@@ -1,4 +1,4 @@
-"""A recovered scene against the true one by the paper's measures: position, size, Chamfer distance, F1 at 1 cm."""
+"""Accuracy of a reconstruction by the paper's measures: position, size, Chamfer distance, F1 at 1 cm."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ F1_DISTANCE = 0.01
 
 @dataclass(frozen=True)
 class ObjectAccuracy:
-    """A true object and what was recovered for it, ``recovered`` empty where nothing was.
+    """A true object and its reconstruction; ``recovered`` is empty if there is none.
 
     ``position`` [m] is the distance between the centres of their bounding boxes; ``size_true`` and ``size`` [m] are the
     extents of their own boxes, sorted; ``chamfer`` [m] the mean distance between their surfaces, both ways averaged;
@@ -39,7 +39,7 @@ class ObjectAccuracy:
     f1: float = float("nan")
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a JSON-ready mapping."""
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in asdict(self).items()}
 
 
@@ -55,7 +55,7 @@ def compare(truth: Scene, truth_camera: Camera, found: Scene, found_camera: Came
     centers_real = np.array([_center(o, X_found_truth @ o.X_WO) for o in real])
     centers_seen = np.array([_center(o, o.X_WO) for o in seen])
     distance = np.linalg.norm(centers_real[:, None] - centers_seen[None], axis=2)
-    # Beyond the limit all are equally wrong: else an object that was not found would take a neighbour's match.
+    # Beyond the limit all are equally wrong: otherwise an object that was not found would take a neighbour's match.
     matches = dict(zip(*(a.tolist() for a in linear_sum_assignment(np.minimum(distance, SAME_OBJECT))), strict=True))
     out = []
     for k, item in enumerate(real):
@@ -83,7 +83,7 @@ def _compare(item: SceneObject, X_WO: Pose, found: SceneObject, distance: float)
 
 
 def surface(item: SceneObject, X_WO: Pose, count: int = 4000) -> Array:
-    """Points spread evenly over what is seen of an object posed at ``X_WO`` [m], shape (count, 3), always the same."""
+    """Points spread evenly over the visuals of an object posed at ``X_WO`` [m], shape (count, 3); deterministic."""
     poses = link_poses(item)
     triangles = []
     for link in item.links:

@@ -78,7 +78,7 @@ def color_word(rgb: tuple[float, float, float]) -> str:
 
 
 def unique_names(wanted: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Return the names with ``_2``, ``_3`` … appended where one occurs again."""
+    """Return the names with ``_2``, ``_3`` … appended to repeated ones."""
     used = set(taken)
     out = []
     for base in wanted:

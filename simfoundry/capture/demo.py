@@ -1,4 +1,4 @@
-"""The whole flow on one capture: reconstruct, settle, compile for every target, run, compare with the truth."""
+"""The demo: reconstruct one capture, settle it, compile it for every target, run it, and compare it with the truth."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from simfoundry.assets.cache import Cache
 from simfoundry.capture.accuracy import ObjectAccuracy, compare
 from simfoundry.capture.run import CaptureRun, run_capture
 from simfoundry.errors import MissingEngineError
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load_capture
 from simfoundry.spec.models.capture import CaptureSpec
 from simfoundry.targets.build import TARGETS, build
-from simfoundry.worlds import ENGINES, open_world
-from simfoundry.worlds.rest import Motion, simulate
+from simfoundry.worlds import open_world, world_names
+from simfoundry.worlds.rest import ObjectMotion, simulate
 
 Progress = Callable[[str, float], None]
 
@@ -28,12 +29,12 @@ class Demo:
 
     run: CaptureRun
     worlds: dict[str, Path]
-    motions: dict[str, list[Motion] | str]
+    motions: dict[str, list[ObjectMotion] | str]
     comparison: list[ObjectAccuracy]
     picture: Path
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping."""
+        """Return a JSON-ready mapping."""
         return {
             "scene": str(self.run.scene_file),
             "picture": str(self.picture),
@@ -45,30 +46,29 @@ class Demo:
 
 
 def own_capture() -> Path:
-    """The project's own capture: in the package, or in the checkout that it is run from."""
-    packaged = Path(__file__).parents[1] / "captures" / "desk"
-    return packaged if packaged.is_dir() else Path(__file__).parents[2] / "specs" / "captures" / "desk"
+    """Return the folder of the project's own capture."""
+    return shipped("specs/captures/desk")
 
 
 def run_demo(
     capture: Path, out: Path, frame: str | None = None, progress: Progress | None = None, force: bool = False
 ) -> Demo:
-    """Run the whole flow into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for a capture that cannot."""
+    """Run the demo into ``out/scene`` and ``out/worlds``; raises :class:`SpecError` for an unusable capture."""
     report = progress or (lambda stage, share: None)
     cache = Cache.default()
     run = run_capture(capture, out / "scene", frame, lambda stage, share: report(stage, 0.7 * share), cache, force)
     scene = lower_file(run.scene_file, cache)
     report("compile", 0.75)
     artifacts = build(scene, TARGETS, out / "worlds", force)
-    motions: dict[str, list[Motion] | str] = {}
-    for k, engine in enumerate(ENGINES):
+    motions: dict[str, list[ObjectMotion] | str] = {}
+    for k, engine in enumerate(world_names()):
         report(f"run in {engine}", 0.8 + 0.1 * k)
         motions[engine] = _motions(scene, engine)
     worlds = {a.target: out / "worlds" / a.target / a.entry for a in artifacts}
     return Demo(run, worlds, motions, _truth(capture, frame, scene), out / "scene" / "compare.png")
 
 
-def _motions(scene: Scene, engine: str) -> list[Motion] | str:
+def _motions(scene: Scene, engine: str) -> list[ObjectMotion] | str:
     try:
         with open_world(scene, engine) as world:
             return simulate(world)
@@ -77,7 +77,7 @@ def _motions(scene: Scene, engine: str) -> list[Motion] | str:
 
 
 def _truth(capture: Path, frame: str | None, scene: Scene) -> list[ObjectAccuracy]:
-    """The comparison with the true scene, where the capture names one and it has the camera of the frame."""
+    """Compare with the true scene, if the capture names one that has the camera of the frame."""
     loaded = load_capture(capture / "capture.yaml" if capture.is_dir() else capture)
     assert isinstance(loaded.spec, CaptureSpec)
     if loaded.spec.truth is None:

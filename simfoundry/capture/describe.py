@@ -36,7 +36,7 @@ SUPPORT_NAME = "table"  # the name of the support in the scene
 
 
 def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> ObjectSpec:
-    """The support as a fixed prism whose top is at z = 0."""
+    """Return the support as a fixed prism whose top is at z = 0."""
     outline = tuple((metres(x), metres(y)) for x, y in support.outline)
     note = "thickness measured at its edge" if slab.measured else "thickness assumed: no edge was seen"
     return ObjectSpec(
@@ -53,7 +53,7 @@ def support_spec(capture: str, support: SupportSurface, slab: Thickness) -> Obje
 def object_spec(
     capture: str, name: str, shape: FittedShape, mesh: Mesh, substance: MaterialPrior, color: tuple[float, float, float]
 ) -> ObjectSpec:
-    """A fitted object: its shape, or its mesh where no shape can hold it, with an estimated mass and its origin."""
+    """Return a fitted object: its primitive, or else its mesh, with an estimated mass and its origin."""
     primitive = _shape_spec(shape)
     surface = tessellate(shape.geometry)
     volume = mass.mesh(surface.vertices, surface.faces).volume
@@ -73,7 +73,7 @@ def object_spec(
 
 
 def _shape_spec(shape: FittedShape) -> Shape | None:
-    """The shape as a spec writes it, None where only a mesh can hold it."""
+    """Return the shape as a spec writes it, or None if only a mesh can represent it."""
     geometry = shape.geometry
     if shape.profile is not None:
         return LatheShape(lathe=Lathe(profile=tuple((metres(r), metres(z)) for r, z in shape.profile)))
@@ -89,7 +89,7 @@ def _shape_spec(shape: FittedShape) -> Shape | None:
 
 
 def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
-    """The camera that took the picture."""
+    """Return the camera that took the picture."""
     height, width = frame.depth.shape
     X_WC: Pose = support.X_WC
     x, y, z = (metres(v) for v in X_WC.p)
@@ -105,19 +105,19 @@ def camera_spec(frame: Frame, support: SupportSurface) -> CameraSpec:
 
 
 def material_spec(substance: MaterialPrior) -> Material:
-    """A row of the material table."""
+    """Return a row of the material table as a material."""
     return Material(density=substance.density, friction=substance.friction)
 
 
 def mesh_files(name: str, mesh: Mesh) -> dict[str, bytes]:
-    """The files of a mesh below the folder of the scene, by relative path; to a hundredth of a millimetre."""
+    """Return the files of a mesh by their path relative to the scene, rounded to a hundredth of a millimetre."""
     uv = None if mesh.uv is None else frozen_array(np.round(mesh.uv, 5))
     mesh = Mesh(frozen_array(np.round(mesh.vertices, 5)), mesh.faces, uv, mesh.texture)
     return {f"meshes/{path}": data for path, data in obj_with_material(mesh, name).items()}
 
 
 def metres(value: float) -> float:
-    """A length to a tenth of a millimetre, finer than any sensor here."""
+    """Round a length to a tenth of a millimetre, finer than any supported sensor."""
     return round(float(value), 4)
 
 

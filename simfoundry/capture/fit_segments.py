@@ -1,4 +1,4 @@
-"""Every segment to a solid: what carries is fitted before what it carries, which stands on its top."""
+"""Fitting of solids to segments, from the bottom up: each object stands on the fitted top of its support."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from simfoundry.geometry.tessellate import tessellate
 Progress = Callable[[str, float], None]
 
 SUNK = 0.03
-"""What stands on something is not seen lower than this below its top [m]; fits of tops err by a centimetre or two."""
+"""Distance below the top of its support at which a supported object is not seen [m]; fitted tops err by 1 to 2 cm."""
 
 DOUBTFUL = 0.05
-"""A fit of less confidence than this explains next to nothing of what was seen."""
+"""Least confidence of a fit: below it, the solid explains next to none of the visible points."""
 
 CARRIED = 0.25
-"""Share of an object's seen points that lie above what carries it."""
+"""Least share of an object's visible points that lie above its support."""
 
 FOOTHOLD = 0.01
-"""How far a carrier reaches beyond the middle of what it carries [m]."""
+"""Distance by which a support reaches beyond the middle of the object on it [m]."""
 
 DEEPEST = 0.12
-"""How much deeper a box may be made for that [m]."""
+"""Greatest depth that may be added to a box for that [m]."""
 
 EDGE = 0.01
-"""How far they may lie beyond its edge [m]."""
+"""Distance by which they may lie beyond its edge [m]."""
 
 
 def fit_segments(
     frame: Frame, support: SupportSurface, segmentation: Segmentation, report: Progress
 ) -> tuple[dict[int, FittedShape], dict[int, int], tuple[str, ...]]:
-    """Fit every segment, those that carry first; with what each stands on, 0 for the support."""
+    """Fit every segment from the bottom up; also return each one's support, 0 for the table."""
     shapes: dict[int, FittedShape] = {}
     carriers: dict[int, int] = {}
     skipped: list[str] = []
@@ -63,7 +63,7 @@ def fit_segments(
 
 
 def _bottom_up(segmentation: Segmentation) -> list[int]:
-    """Object numbers so that each comes after what it stands on."""
+    """Order object numbers so that each follows its support."""
     numbers = [int(k) for k in np.unique(segmentation.labels) if k > 0]
 
     def level(k: int, seen: frozenset[int] = frozenset()) -> int:
@@ -78,7 +78,7 @@ def _carrier(
 ) -> int:
     """Return the fitted object that ``k`` stands on, 0 for the support.
 
-    What the picture suggests is believed only if the carrier's solid lies below a good part of what is seen of ``k``:
+    The support graph is believed only if the supporting solid lies below a good part of the visible points of ``k``:
     a foot that is merely hidden by a neighbour does not stand on it.
     """
     import shapely
@@ -94,9 +94,9 @@ def _carrier(
 
 
 def deepened(carrier: FittedShape, carried: FittedShape, eye: Array) -> FittedShape:
-    """A box made deep enough to reach under the middle of what stands on it.
+    """Return a box made deep enough to reach under the middle of the object on it.
 
-    The far side of a box is never seen, and what stands on it hides its top. Things stand, so a depth that would let
+    The far side of a box is never seen, and an object on it hides its top. Objects rest, so a depth that would let
     them fall is wrong. ``eye`` [m] is the camera in the world; the seen side stays where it is.
     """
     if not isinstance(carrier.geometry, Box):

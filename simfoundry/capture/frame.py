@@ -1,4 +1,4 @@
-"""One registered RGB-D picture: what every later stage of a capture reads."""
+"""One registered RGB-D picture, the input of every later stage of a capture."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class SupportSurface:
-    """The surface the objects stand on.
+    """Supporting surface of the objects.
 
     ``X_WC`` puts the camera into the world whose origin lies on the surface, z up; ``outline`` [m] is the boundary of
     the seen surface in world xy, shape (n, 2), counter-clockwise, simple, not repeated at its end; ``residual`` [m] is
@@ -53,8 +53,8 @@ class SupportSurface:
 class Segmentation:
     """Objects above the support.
 
-    ``labels`` int32, shape (h, w): 0 where there is no object, else 1..n. ``supports[k]`` says what object ``k`` stands
-    on: another object's number, or 0 for the support itself.
+    ``labels`` int32, shape (h, w): 0 where there is no object, else 1..n. ``supports[k]`` is the support of object
+    ``k``: another object's number, or 0 for the table.
     """
 
     labels: NDArray[np.int32]

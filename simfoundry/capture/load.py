@@ -1,4 +1,4 @@
-"""Files of a capture to one registered frame, with everything that can be wrong with them said at once."""
+"""Reader of a capture's files: one registered frame, or all findings at once."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ NEAR, FAR = 0.1, 5.0
 UNITS = {0.001: "millimetres", 0.0001: "tenths of a millimetre", 1.0: "metres", 0.01: "centimetres"}
 
 NUMBERS_MAX = 178_956_970
-"""So many numbers an array may hold: the pixels of the largest picture that Pillow decodes, its guard against bombs."""
+"""Largest number of values of an array: Pillow's own limit of pixels against decompression bombs."""
 
 FEWEST = 100
-"""Pixels with usable depth that a picture must have at least."""
+"""Least number of pixels with usable depth."""
 
 USABLE_SHARE = 0.1
-"""Share of the measurements that must be usable; with less, the unit is wrong or the table is not what is seen."""
+"""Least share of usable measurements; with fewer, the unit is wrong or the picture shows no table."""
 
 CLOSEST_MEDIAN = 0.15
-"""No sensor takes in a table from so near [m]: a smaller median is a wrong unit where another unit fits."""
+"""Least median depth of a table [m]: below it the unit is wrong if another unit fits."""
 
 
 def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
-    """The frame ``name`` of a checked capture document, or its first; raises :class:`SpecError` with every finding."""
+    """Return frame ``name`` of a checked capture document, or its first; :class:`SpecError` has every finding."""
     assert isinstance(loaded.spec, CaptureSpec)
     frames = loaded.spec.frames
     name = name or next(iter(frames))
@@ -48,7 +48,7 @@ def load_frame(loaded: Loaded, name: str | None = None) -> Frame:
 
 @dataclass
 class _Reader:
-    """Reads the files of one frame and collects findings."""
+    """Reader of the files of one frame; it collects findings."""
 
     loaded: Loaded
     place: tuple[str, ...]
@@ -88,7 +88,7 @@ class _Reader:
         return Frame(color, depth, matrix(shot.camera), masks)
 
     def color(self, shot: Shot) -> NDArray[np.uint8] | None:
-        """Colour as RGB, the pixels as they are stored: depth, masks and intrinsics know nothing of an EXIF turn."""
+        """Return colour as RGB, the pixels as stored: depth, masks and intrinsics ignore an EXIF rotation."""
         picture = self.stored(shot.color, ("color",), mode="RGB")
         if picture is not None and picture.shape[2:] != (3,):
             self.fail("SF501", ("color",), f"{shot.color} is no colour picture", "give a PNG or a JPEG")
@@ -96,7 +96,7 @@ class _Reader:
         return None if picture is None else picture.astype(np.uint8, copy=False)
 
     def depth(self, shot: Shot) -> Array | None:
-        """Depth in metres, NaN where there is none."""
+        """Return depth in metres, NaN where there is none."""
         hint = "give the distances themselves: 16-bit PNG, TIFF or .npy, not a picture made for looking at"
         raw = self.raw(shot.depth.image, ("depth", "image"), hint)
         if raw is None:
@@ -124,7 +124,7 @@ class _Reader:
         return np.where(usable, metres, np.nan)
 
     def masks(self, shot: Shot) -> NDArray[np.int32] | None:
-        """Object numbers, 0 where there is no object."""
+        """Return object numbers, 0 where there is no object."""
         if shot.masks is None:
             return None
         hint = "give each object a number of its own in one channel, not a colour"
@@ -144,7 +144,7 @@ class _Reader:
         return labels
 
     def raw(self, image: str, path: tuple[str, ...], hint: str) -> NDArray[Any] | None:
-        """A picture of one channel as it is stored; ``hint`` says what it should be."""
+        """Return a picture of one channel as it is stored; ``hint`` states the expected content."""
         picture = self.stored(image, path)
         if picture is not None and picture.ndim != 2:
             what = f"{picture.shape[2]} channels" if picture.ndim == 3 else f"{picture.ndim} dimensions"
@@ -153,7 +153,7 @@ class _Reader:
         return picture
 
     def stored(self, image: str, path: tuple[str, ...], mode: str = "") -> NDArray[Any] | None:
-        """The numbers in a picture file, converted to ``mode`` where one is asked for."""
+        """Return the numbers in a picture file, converted to ``mode`` if given."""
         file = self.loaded.file(image)
         try:
             picture = _numpy(file) if file.suffix.lower() == ".npy" else _decoded(file, mode)
@@ -166,7 +166,7 @@ class _Reader:
         return picture
 
     def intrinsics(self, camera: Intrinsics, width: int, height: int, path: tuple[str, ...], image: str) -> None:
-        """The principal point lies in the picture, and the field of view is one that lenses have."""
+        """Check that the principal point lies in the picture and the field of view is that of a real lens."""
         if not (0 <= camera.cx < width and 0 <= camera.cy < height):
             message = f"the principal point ({camera.cx:g}, {camera.cy:g}) lies outside {image}, {width} x {height}"
             self.fail("SF501", path, message, "are the intrinsics those of another resolution?")
@@ -199,7 +199,7 @@ def matrix(camera: Intrinsics) -> Array:
 
 
 def register(depth: Array, K_depth: Array, X_color_depth: Pose, K_color: Array, size: tuple[int, int]) -> Array:
-    """Depth [m] as the colour camera would see it, shape ``size`` (height, width), NaN where nothing lands.
+    """Reproject depth [m] into the colour camera, shape ``size`` (height, width), NaN where nothing lands.
 
     Each measurement covers the pixels that its own pixel spans in the colour picture; the nearest one wins.
     """
@@ -238,7 +238,7 @@ def _numpy(file: Path) -> NDArray[Any]:
 
 
 def _decoded(file: Path, mode: str) -> NDArray[Any]:
-    """A picture as it is stored, a palette as its indices; what is cut off or damaged is an error."""
+    """Decode a picture as it is stored, a palette as its indices; raise an error if it is truncated or damaged."""
     from PIL import Image
 
     try:

@@ -1,4 +1,4 @@
-"""One frame to a scene spec with meshes: the stages in order, each a pure function of what came before."""
+"""Reconstruction of a scene spec with meshes from one frame: pure stages in their order."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A spec, the files it refers to by relative path, and what was seen on the way.
+    """A spec, the files it refers to by relative path, and the results of the stages.
 
     ``names`` gives the number of each object in ``segmentation``; ``skipped`` says why a segment became no object.
     """
@@ -52,7 +52,7 @@ class Reconstruction:
 def reconstruct(
     name: str, frame: Frame, given_names: dict[str, int] | None = None, progress: Progress | None = None
 ) -> Reconstruction:
-    """Everything one picture tells, as a scene spec called ``name``.
+    """Reconstruct one picture as a scene spec called ``name``.
 
     ``given_names`` names objects by their number in ``frame.instances``. Raises :class:`CaptureError` where the picture
     holds no support or no object.
@@ -109,7 +109,7 @@ def reconstruct(
 
 
 def without(built: Reconstruction, names: Collection[str], reason: str) -> Reconstruction:
-    """The reconstruction without some of its objects; what stood on them is said to stand on the support."""
+    """Remove objects from the reconstruction; objects that stood on them now stand on the table."""
     gone = set(names)
     files = {path: data for path, data in built.files.items() if Path(path).stem not in gone}
     relations = []
@@ -133,7 +133,7 @@ def without(built: Reconstruction, names: Collection[str], reason: str) -> Recon
 
 
 def with_supports(spec: SceneSpec, supports: Mapping[str, Sequence[str]]) -> SceneSpec:
-    """The spec whose ``OnTop`` relations are those that hold: the ones it has where they do, else what carries now."""
+    """Return the spec with the ``OnTop`` relations that hold: its own where they do, else the present supports."""
     relations = []
     for text in spec.relations:
         call = parse_call(text)
@@ -150,7 +150,7 @@ def _names(
     colors: dict[int, tuple[float, float, float]],
     given: dict[str, int],
 ) -> dict[int, str]:
-    """A name for every object: the capture's own where it has one, else its colour and what it looks like."""
+    """Name every object: by the capture if it has a name, else by its colour and shape."""
     wanted: dict[int, str] = {}
     if frame.instances is not None:
         for name, number in given.items():

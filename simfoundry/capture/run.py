@@ -1,4 +1,4 @@
-"""A capture folder to a folder with a settled scene: reconstruct, settle, report, pictures."""
+"""From a capture folder to a folder with a settled scene: reconstruct, settle, report, draw."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def _run(
 
 
 def _document(path: Path) -> Loaded:
-    """The capture document at ``path``, or in the folder ``path``."""
+    """Return the capture document at ``path``, or in the folder ``path``."""
     if not path.is_dir():
         return load_capture(path)
     file = path / "capture.yaml"
@@ -109,7 +109,7 @@ def _document(path: Path) -> Loaded:
 
 
 def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
-    """Raise :class:`OutputError` where replacing ``out`` would destroy the capture, or what a person made there."""
+    """Raise :class:`OutputError` if replacing ``out`` would destroy the capture or a person's files."""
     if document.resolve().is_relative_to(out):
         raise OutputError(f"{out} holds the capture itself; choose another output folder")
     if force or not out.is_dir():
@@ -122,7 +122,7 @@ def _ensure_replaceable(out: Path, document: Path, force: bool) -> None:
 
 
 def _hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file in a folder but the report, by relative POSIX path."""
+    """SHA-256 of every file in a folder except the report, by relative POSIX path."""
     files = {p.relative_to(folder).as_posix(): p for p in folder.rglob("*") if p.is_file()}
     return {k: hashlib.sha256(files[k].read_bytes()).hexdigest() for k in sorted(files) if k != "report.json"}
 
@@ -130,10 +130,10 @@ def _hashes(folder: Path) -> dict[str, str]:
 def _settled(
     built: Reconstruction, scene_file: Path, cache: Cache | None, progress: Progress
 ) -> tuple[Reconstruction, Scene, Settled]:
-    """Settle, and write spec and meshes beside ``scene_file``, with the poses and relations that hold at rest.
+    """Settle the scene, and write spec and meshes beside ``scene_file`` with the poses and relations at rest.
 
-    An object that finds no rest, because its fitted solid cannot stand there, is left out and the rest settles anew.
-    So is one that leaves the pose that is written: on the edge of its foot, a tenth of a millimetre decides.
+    An object whose fitted solid does not come to rest is left out, and the others settle anew.
+    So is one that leaves its written pose: on the edge of its foot, rounding by a tenth of a millimetre decides.
     """
     from simfoundry.worlds.mujoco_world import MujocoWorld
 
@@ -158,7 +158,7 @@ def _settled(
 
 
 def _leaving(world: World, spec: SceneSpec) -> tuple[str, ...]:
-    """The object that moves most from the poses of ``spec`` in two seconds, if it does not stay; others may follow."""
+    """Return the object that moves most from the poses of ``spec`` within two seconds, or None if all stay."""
     state = SceneState.of({name: pose(item.pose) for name, item in spec.objects.items()}, {})
     motions = [m for m in simulate(world, 2.0, state) if not m.stays]
     return tuple(m.name for m in sorted(motions, key=lambda m: (-m.moved, m.name))[:1])

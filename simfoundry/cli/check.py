@@ -12,10 +12,10 @@ import click
 
 from simfoundry.cli.documents import documents
 from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, print_json_text, progress_bar, reporting
-from simfoundry.spec.check.report.model import FORMATS
+from simfoundry.spec.check.report import FORMATS
 
 if TYPE_CHECKING:
-    from simfoundry.spec.check.report.model import Checked
+    from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import Known
     from simfoundry.spec.loaded import Loaded
 
@@ -41,7 +41,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     Exit code 1 where there is an error or a warning. `simfoundry explain CODE` says more about a finding.
     """
     from simfoundry.runtime.parallel import map_parallel
-    from simfoundry.spec.check.report.model import gather, renderer
+    from simfoundry.spec.check.report import gather, renderer
 
     form = "json" if as_json else form
     files = documents(paths or (Path(),))
@@ -57,7 +57,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     elif form != "github":
         print_json_text(renderer(form)(report))
     if form in ("text", "github"):
-        from simfoundry.spec.check.report.as_text import summary
+        from simfoundry.spec.check.report import summary
 
         click.echo(summary(report))
     if form == "text" and report.findings and sys.stdout.isatty():
@@ -75,7 +75,7 @@ _linted: set[Path] = set()
 def _check(file: Path) -> Checked:
     """What one document gives; also called in other processes."""
     from simfoundry.lint.run import lint
-    from simfoundry.spec.check.report.model import Checked
+    from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import load
     from simfoundry.spec.project import project_root
 

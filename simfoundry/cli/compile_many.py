@@ -13,7 +13,7 @@ import click
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_findings, print_json, progress_bar
 
 if TYPE_CHECKING:
-    from simfoundry.targets.batch import Job, Outcome
+    from simfoundry.targets.batch import CompileJob, CompileOutcome
 
 FUNCTION = "simfoundry.cli.compile_many:work"
 """What the processes call: with the command line they import what reads a scene from a stage."""
@@ -43,21 +43,21 @@ def compile_many(
     return FINDINGS if found[FAILED] or (strict and lossy) else DONE
 
 
-def work(job: Job) -> Outcome:
+def work(job: CompileJob) -> CompileOutcome:
     """What a process does with one scene."""
     from simfoundry.targets.batch import compile_job
 
     return compile_job(job)
 
 
-def _outcomes(jobs: Sequence[Job], workers: int, report: Callable[[str, int], object]) -> list[Outcome]:
+def _outcomes(jobs: Sequence[CompileJob], workers: int, report: Callable[[str, int], object]) -> list[CompileOutcome]:
     """One scene is compiled here: it is not worth the start of a process."""
     from simfoundry.targets.batch import compile_all
 
     return [work(jobs[0])] if len(jobs) == 1 else compile_all(jobs, workers, report, function=FUNCTION)
 
 
-def _ensure_apart(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
+def _ensure_apart(jobs: Sequence[CompileJob], paths: Sequence[Path]) -> None:
     """Raise :class:`CannotError` where there is no scene, or where two would have one folder."""
     if not jobs:
         raise CannotError(f"there is no *.scene.yaml below {', '.join(map(str, paths))}")
@@ -68,7 +68,7 @@ def _ensure_apart(jobs: Sequence[Job], paths: Sequence[Path]) -> None:
             raise CannotError(f"{other} and {job.scene} would both go to {job.out}; name a folder that holds both")
 
 
-def _print(outcomes: Sequence[Outcome], found: Counter[str]) -> None:
+def _print(outcomes: Sequence[CompileOutcome], found: Counter[str]) -> None:
     """A line for each scene, then what is wrong with those that failed, then how many there are of each."""
     from simfoundry.targets.batch import COMPILED, CURRENT, FAILED
 

@@ -15,10 +15,9 @@ import click
 from simfoundry.cli.output import DONE, FINDINGS, force_option, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
-    from simfoundry.cousins.ledger import Ledger
-    from simfoundry.cousins.reasons import ImpossibleError
-    from simfoundry.cousins.recipe import Recipe
-    from simfoundry.cousins.run import Plan
+    from simfoundry.cousins.recipe.candidate import ImpossibleError
+    from simfoundry.cousins.recipe.document import Recipe
+    from simfoundry.cousins.run.run import Ledger, Plan
 
 
 def _shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
@@ -73,12 +72,12 @@ def command(
     Exit code 1 where there are fewer cousins, or fewer variants of an object, than asked for, with the reasons.
     """
     from simfoundry.cousins.objects.swap import counts
-    from simfoundry.cousins.pools import Work, open_pool
-    from simfoundry.cousins.reasons import ImpossibleError
-    from simfoundry.cousins.recipe import claim_project, read_recipe
-    from simfoundry.cousins.run import Plan, begin, run
-    from simfoundry.cousins.stock import ASSETS
-    from simfoundry.cousins.vary import FUNCTION, Setup, prepared, see_possible
+    from simfoundry.cousins.recipe.candidate import ImpossibleError
+    from simfoundry.cousins.recipe.document import claim_project, read_recipe
+    from simfoundry.cousins.recipe.variant_pool import ASSETS
+    from simfoundry.cousins.run.candidates import FUNCTION, Setup, prepared, see_possible
+    from simfoundry.cousins.run.run import Plan, begin, run
+    from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
         from simfoundry.runtime.outputs import ensure_replaceable
@@ -104,7 +103,7 @@ def command(
         plan = replace(plan, most=shared.stock.most, variants=made)
 
         def heard(ledger: Ledger) -> None:
-            from simfoundry.cousins.manifest import told
+            from simfoundry.cousins.run.report import told
 
             progress(told(ledger), len(ledger.accepted) / ledger.wanted)
 
@@ -132,15 +131,15 @@ def _write(
     progress: Callable[[str, float], None],
 ) -> None:
     """Everything but the cousins themselves, which are there already; the logs are cleared up last."""
-    from simfoundry.cousins.gallery import write_gallery
-    from simfoundry.cousins.manifest import write_manifest
-    from simfoundry.cousins.run import finish
+    from simfoundry.cousins.run.report import write_manifest
+    from simfoundry.cousins.run.run import finish
+    from simfoundry.reports.gallery import write_gallery
 
     write_manifest(plan, ledger)
     if pictures:
         write_gallery(plan, ledger, pictures, lambda done, of: progress("pictures", done / of))
     if stage is not None:
-        from simfoundry.cousins.stage import write_stage
+        from simfoundry.cousins.run.stage import write_stage
 
         write_stage(plan, ledger, recipe, stage)
     finish(plan, ledger)
@@ -155,8 +154,8 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
 
 
 def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
-    from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE
-    from simfoundry.cousins.manifest import FILE, examples, summary
+    from simfoundry.cousins.run.report import FILE, examples, summary
+    from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE
 
     facts = {**summary(plan, ledger), "out": str(plan.out), "remarks": list(remarks)}
     short = len(ledger.accepted) < ledger.wanted

@@ -47,7 +47,7 @@ def command(
     with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
         found = [open_pair(pair, Path(folder) / str(k), verbose) for k, pair in enumerate(pairs(what))]
         if out is not None:
-            from simfoundry.review.page import page
+            from simfoundry.reports.comparison import page
             from simfoundry.runtime.files import write_atomically
 
             write_atomically(out, page(found).encode())

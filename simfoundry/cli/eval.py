@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,7 +45,7 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 @click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
 @click.option(
-    "--world", "worlds", multiple=True, type=click.Choice(["mujoco", "pybullet"]), default=["mujoco"],
+    "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
     show_default=True, help="The engine; two are compared from the same starts.",
 )  # fmt: skip
 @click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
@@ -169,10 +170,10 @@ def _interruptible(out: Path) -> Iterator[None]:
 def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
     import json
 
-    from simfoundry.evaluate.page import page
-    from simfoundry.evaluate.records import read_all
-    from simfoundry.evaluate.results import cells, results
     from simfoundry.evaluate.run import pending
+    from simfoundry.evaluate.statistics.records import read_all
+    from simfoundry.evaluate.statistics.results import cells, results
+    from simfoundry.reports.evaluation import page
     from simfoundry.runtime.files import write_atomically
 
     records = [record for _, record in read_all(plan.folder)]
@@ -202,7 +203,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -227,8 +228,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.engines import compare_engines
-    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
+    from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+    from simfoundry.evaluate.statistics.pools import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:

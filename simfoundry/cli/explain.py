@@ -22,18 +22,18 @@ def command(code: str | None, as_json: bool) -> None:
 
     CODE is written as in a finding, SF201, or shorter, 201. Without one, all codes are listed.
     """
-    from simfoundry.spec.check.pages import code_of, grouped, page
-    from simfoundry.spec.diagnostics import CODES, nearest
+    from simfoundry.spec.check.pages import code_of, grouped, page, titles
+    from simfoundry.spec.diagnostics import nearest
 
     if code is None:
         if as_json:
-            print_json({"groups": {title: {c: CODES[c] for c in codes} for title, codes in grouped().items()}})
+            print_json({"groups": grouped()})
         else:
             click.echo(_listed(grouped()))
         return
     known = code_of(code)
     if known is None:
-        similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", CODES)
+        similar = nearest(code if code.lower().startswith("sf") else f"SF{code}", titles())
         hint = similar if similar.startswith("did") else "`simfoundry explain` lists all"
         raise CannotError(f"there is no code `{code}`; {hint}")
     found = page(known)
@@ -45,10 +45,8 @@ def command(code: str | None, as_json: bool) -> None:
         click.echo(found.markdown, nl=False)
 
 
-def _listed(groups: dict[str, list[str]]) -> str:
-    from simfoundry.spec.diagnostics import CODES
-
-    blocks = ("\n".join((title, *(f"  {c}  {CODES[c]}" for c in codes))) for title, codes in groups.items())
+def _listed(groups: dict[str, dict[str, str]]) -> str:
+    blocks = ("\n".join((title, *(f"  {c}  {t}" for c, t in codes.items()))) for title, codes in groups.items())
     return "\n\n".join(blocks)
 
 

@@ -11,9 +11,9 @@ import click
 from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
 
 if TYPE_CHECKING:
-    from simfoundry.frontends.importer import Options, Report
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import ImportReport
 
-SUFFIXES = (".urdf", ".xml", ".usd", ".usda", ".usdc", ".usdz", ".json")
 HEADINGS = {
     "dropped": ("thing was left out", "things were left out"),
     "changed": ("thing is said in another way", "things are said in another way"),
@@ -92,13 +92,14 @@ def command(
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
     Nothing is written for a file that is refused. Exit code 2 where one was refused.
     """
-    from simfoundry.frontends.importer import Options, import_file
+    from simfoundry.frontends.draft import ImportOptions
+    from simfoundry.frontends.importer import import_file
 
     if onto is not None or (len(files) == 1 and _is_ours(files[0])):
         if len(files) > 1:
             raise CannotError("--onto takes one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
-    options = Options(packages, force, scene, bound, density)
+    options = ImportOptions(packages, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
@@ -117,7 +118,7 @@ def _is_ours(path: Path) -> bool:
     """Whether a file is a stage that was compiled from one of our documents."""
     if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
         return False
-    from simfoundry.frontends.fault_guard import refusing_faults
+    from simfoundry.frontends.errors import refusing_faults
     from simfoundry.frontends.usd.compiled import StageError, carrier
     from simfoundry.frontends.usd.compiled.stage import open_stage
 
@@ -147,7 +148,9 @@ def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict:
     return FINDINGS if strict and (imported.notes or imported.disputed) else DONE
 
 
-def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bool, as_json: bool) -> int:
+def _import_all(files: tuple[Path, ...], out: Path, options: ImportOptions, strict: bool, as_json: bool) -> int:
+    from simfoundry.frontends.registry import SUFFIXES
+
     jobs = list(_jobs(files, out))
     if not jobs:
         raise CannotError(
@@ -168,31 +171,33 @@ def _import_all(files: tuple[Path, ...], out: Path, options: Options, strict: bo
     return FINDINGS if strict and any(report.notes for report in reports) else DONE
 
 
-def _guarded(source: Path, target: Path, options: Options) -> Report:
+def _guarded(source: Path, target: Path, options: ImportOptions) -> ImportReport:
     """The report on one file of many: what goes wrong with it stops no other."""
     from simfoundry.errors import SimfoundryError
-    from simfoundry.frontends.importer import Report, import_file
+    from simfoundry.frontends.importer import ImportReport, import_file
     from simfoundry.spec.diagnostics import SpecError
 
     try:
         return _brought_back(source, target, options) if _is_ours(source) else import_file(source, target, options)
     except (SimfoundryError, SpecError, OSError) as error:
-        return Report(str(source), None, error=str(error))
+        return ImportReport(str(source), None, error=str(error))
 
 
-def _brought_back(source: Path, target: Path, options: Options) -> Report:
+def _brought_back(source: Path, target: Path, options: ImportOptions) -> ImportReport:
     """The report on a stage of ours, whose own document is written."""
-    from simfoundry.frontends.draft import Note, NoteKind
-    from simfoundry.frontends.importer import Report
+    from simfoundry.frontends.draft import ImportNote, ImportNoteKind
+    from simfoundry.frontends.importer import ImportReport
     from simfoundry.frontends.usd.compiled import import_stage
 
     imported = import_stage(source, target, None, options.force)
-    notes = tuple(Note(NoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
-    return Report(str(source), str(target), "a compiled stage", notes=notes)
+    notes = tuple(ImportNote(ImportNoteKind.DROPPED, note.prim, note.message, note.hint) for note in imported.notes)
+    return ImportReport(str(source), str(target), "a compiled stage", notes=notes)
 
 
 def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
     """Each file with the document that it becomes; folders keep their shape."""
+    from simfoundry.frontends.registry import SUFFIXES
+
     for path in files:
         if path.is_file():
             yield path, out / _default_name(path)
@@ -214,14 +219,15 @@ def _is_model(path: Path) -> bool:
 
 
 def _default_name(path: Path) -> str:
-    from simfoundry.frontends.importer import ASSET, BDDL, SCENE, TASK, TASKS
+    from simfoundry.frontends.importer import ASSET, SCENE, TASK
+    from simfoundry.frontends.registry import TASK_FRONTENDS
 
-    if path.suffix.lower() in (*TASKS, BDDL):
+    if path.suffix.lower() in TASK_FRONTENDS:
         return f"{path.stem}{TASK}"
     return f"{path.stem}{ASSET if path.suffix.lower() == '.urdf' else SCENE}"
 
 
-def _described(report: Report) -> str:
+def _described(report: ImportReport) -> str:
     """What was imported, and every way in which it is not what the file says."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
@@ -241,7 +247,7 @@ def _described(report: Report) -> str:
     return "\n".join(lines)
 
 
-def _warned_of_masses(report: Report) -> list[str]:
+def _warned_of_masses(report: ImportReport) -> list[str]:
     """A warning of links that state no mass, with what they came to weigh as solids of water: often far too much."""
     masses = sorted(report.assumed_masses.items(), key=lambda entry: -entry[1])
     if not masses:
@@ -260,14 +266,14 @@ def _listed(things: list[str], most: int = 4) -> str:
     return ", ".join(things[:most]) + more
 
 
-def _counts(report: Report) -> str:
+def _counts(report: ImportReport) -> str:
     words = (("bodies", "body"), ("links", "link"), ("joints", "joint"), ("cameras", "camera"), ("lights", "light"),
              ("meshes", "mesh"))  # fmt: skip
     found = [(getattr(report, plural), plural, single) for plural, single in words]
     return ", ".join(f"{n} {single if n == 1 else plural}" for n, plural, single in found if n)
 
 
-def _table(reports: list[Report]) -> str:
+def _table(reports: list[ImportReport]) -> str:
     """One line a file, and a total."""
     width = max(len(report.source) for report in reports)
     lines = []

@@ -4,50 +4,16 @@ from __future__ import annotations
 
 import gc
 import importlib
-import importlib.util
 import os
 import sys
-import types
 from itertools import pairwise
 
 import click
 
 from simfoundry import __version__
 
-
-class _Later(types.ModuleType):
-    """Stands in for a module of a package, which is loaded when something of it is used, not when it is imported.
-
-    The lazy loader of the standard library is of no use for this: the import system itself looks at what it loads.
-    """
-
-    def __getattr__(self, name: str) -> object:
-        if sys.modules.get(self.__name__) is self:
-            del sys.modules[self.__name__]
-        return getattr(importlib.import_module(self.__name__), name)
-
-
-def _postpone(name: str, function: str) -> None:
-    """Let a module of a package wait until it is used; ``function`` is taken from it by name before that."""
-    spec = importlib.util.find_spec(name)
-    if name in sys.modules or spec is None:
-        return
-    module = _Later(name)
-    module.__spec__, module.__path__ = spec, list(spec.submodule_search_locations or ())
-
-    def later(*args: object, **more: object) -> object:
-        return module.__getattr__(function)(*args, **more)  # type: ignore[operator]
-
-    setattr(module, function, later)
-    package, _, own = name.rpartition(".")
-    setattr(sys.modules[package], own, module)
-    sys.modules[name] = module
-
-
 # Pydantic looks for plugins, in a module that takes long to load: a tenth of a check.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-_postpone("importlib.metadata", "entry_points")
-_postpone("simfoundry.worlds", "open_world")  # to build needs none of its simulators
 gc.set_threshold(100_000)  # modules and documents are built by the ten thousand and stay; looking for cycles is in vain
 
 COMMANDS = {

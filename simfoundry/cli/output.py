@@ -103,9 +103,9 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
     if as_json:
         print_json({"findings": [d.to_json() for d in findings]})
     elif findings:
-        from simfoundry.spec.check.report import as_text
+        from simfoundry.spec.check.report import findings_text
 
-        click.echo(as_text.findings(findings, in_colour(sys.stderr)), err=True, color=True)
+        click.echo(findings_text(findings, in_colour(sys.stderr)), err=True, color=True)
 
 
 def in_colour(stream: TextIO) -> bool:

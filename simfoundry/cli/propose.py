@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
-    from simfoundry.cousins.tasks.enumerate import Proposal
-    from simfoundry.cousins.tasks.setting import Setting
+    from simfoundry.cousins.tasks.context import TaskContext
+    from simfoundry.cousins.tasks.enumeration import Proposal
 
 
 @click.command()
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 @click.option("--form", type=click.Choice(["typed", "paper"]), default="typed", show_default=True,
               help="How the model answers: in a type, or in the text of the paper's prompt.")  # fmt: skip
 @click.option("-c", "--camera", help="The camera whose picture the model sees; default: the scene's first.")
-@click.option("--engine", "engines", type=click.Choice(["mujoco", "pybullet"]), multiple=True, default=("mujoco",),
+@click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
               help="Where what a task asks for lasts, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
 @json_option
@@ -52,12 +53,12 @@ def command(
     take and reach its things, and no other means the same. Exit code 1 where there are fewer than asked for.
     """
     from simfoundry.assets.cache import Cache
-    from simfoundry.cousins.tasks.setting import Setting
-    from simfoundry.cousins.tasks.written import checked, scene_reference, write
-    from simfoundry.cousins.tasks.written import to_json as row
+    from simfoundry.cousins.tasks.context import TaskContext
+    from simfoundry.cousins.tasks.enumeration import checked, scene_reference, write
+    from simfoundry.cousins.tasks.enumeration import to_json as row
 
     folder = out or scene.parent
-    setting = Setting.load(scene, Cache.default(), payload, engines)
+    setting = TaskContext.load(scene, Cache.default(), payload, engines)
     _known(about, [o.name for o in setting.twin.scene.objects])
     reference = scene_reference(scene, folder)
     if vlm is None:
@@ -86,9 +87,9 @@ def _known(about: tuple[str, ...], names: list[str]) -> None:
 
 
 def _enumerated(
-    setting: Setting, count: int, seed: int, reference: str, about: tuple[str, ...], quiet: bool
+    setting: TaskContext, count: int, seed: int, reference: str, about: tuple[str, ...], quiet: bool
 ) -> list[Proposal]:
-    from simfoundry.cousins.tasks.enumerate import enumerate_tasks
+    from simfoundry.cousins.tasks.enumeration import enumerate_tasks
 
     with progress_bar(quiet) as progress:
         return enumerate_tasks(
@@ -97,7 +98,7 @@ def _enumerated(
 
 
 def _asked(
-    setting: Setting,
+    setting: TaskContext,
     scene: Path,
     model: str,
     base_url: str | None,
@@ -107,7 +108,7 @@ def _asked(
     reference: str,
     about: tuple[str, ...],
 ) -> list[Proposal]:
-    from simfoundry.cousins.tasks.propose import propose_tasks
+    from simfoundry.cousins.tasks.proposals import propose_tasks
     from simfoundry.models.vlm import Vlm
 
     asked: Any = Vlm(model, base_url)
@@ -115,7 +116,7 @@ def _asked(
     return propose_tasks(asked, setting, picture, count, "paper" if form == "paper" else "typed", reference, about)
 
 
-def _picture(setting: Setting, scene: Path, name: str | None) -> bytes:
+def _picture(setting: TaskContext, scene: Path, name: str | None) -> bytes:
     """The scene as a camera sees it, as PNG."""
     import tempfile
 

@@ -16,12 +16,13 @@ from simfoundry.cli.output import (
     progress_bar,
     reporting,
 )
+from simfoundry.cli.worlds import WorldName
 
 
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 @click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where to write the settled scene.")
-@click.option("--engine", type=click.Choice(["mujoco", "pybullet"]), default="mujoco", show_default=True)
+@click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
 @force_option
 @json_option
 @reporting

@@ -22,9 +22,9 @@ from simfoundry.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from simfoundry.verify.engines import Found
-    from simfoundry.verify.rest import Rested
-    from simfoundry.verify.run import Measured, Reading, Subject
+    from simfoundry.verify.engines import InstalledEngine, VerifyEngine
+    from simfoundry.verify.rest import RestResult
+    from simfoundry.verify.run import BehaviourResult, ReadbackResult, SceneBuilds
 
 
 @click.command()
@@ -62,7 +62,7 @@ def command(
     is reported and the rest goes on. Exit code 1 where a quantity differs from the scene without the loss report saying
     so, a behaviour is off without a known reason, or an engine fails.
     """
-    from simfoundry.verify.engines import ENGINES, engine_called, find, interpreters
+    from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 
     paths = list(_scenes(specs))
     if build is not None and len(paths) != 1:
@@ -73,23 +73,23 @@ def command(
         from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(html, paths, force)
-    wanted = [engine_called(name) for name in dict.fromkeys((*engines, *require))] if engines else list(ENGINES)
-    for name in require:
-        engine_called(name)
-    found = find(wanted, interpreters(pythons))
+    required = [find_engine(name) for name in require]
+    chosen = [find_engine(name) for name in engines] or all_engines()
+    wanted = {engine.name: engine for engine in (*chosen, *required)}
+    found = find_installed(wanted, interpreters(pythons, wanted.values()))
     with ExitStack() as stack:
         progress = stack.enter_context(progress_bar(as_json))
         subjects = _subjects(stack, paths, build, found, progress)
         if build is not None:
-            found = {n: f for n, f in found.items() if f is None or f.engine.target in subjects[0].builds}
+            found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
         readings, results, rested = _verify(subjects, found, behaviours, jobs, timeout, progress)
         if html is not None:
             _write_page(html, readings, results, rested, found, subjects)
-    missing = [name for name in require if found.get(name) is None]
+    missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
-        print_json(_finite(_json(readings, results, rested, found)))
+        print_json(_finite(_json(readings, results, rested, found, wanted)))
     else:
-        _print(readings, results, rested, found)
+        _print(readings, results, rested, found, wanted)
     for name in missing:
         click.echo(f"{name} is required and was not found, or has nothing to read", err=True)
     bad = not _all_fine(readings, results, rested)
@@ -111,28 +111,29 @@ def _subjects(
     stack: ExitStack,
     paths: Sequence[Path],
     build: Path | None,
-    found: Mapping[str, Found | None],
+    found: Mapping[str, InstalledEngine | None],
     progress: Callable[[str, float], None],
-) -> list[Subject]:
+) -> list[SceneBuilds]:
     """Every scene lowered and compiled for the engines that are there."""
     import tempfile
 
     from simfoundry.assets.cache import Cache
     from simfoundry.scene.lower import lower_file
-    from simfoundry.verify.run import Subject, built
+    from simfoundry.verify.run import SceneBuilds, built
 
-    targets = list(dict.fromkeys(f.engine.target for f in found.values() if f is not None))
+    here = [f.engine for f in found.values() if f is not None]
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="simfoundry-verify-")))
     subjects = []
     for k, path in enumerate(paths):
         progress(f"compile {path.name}", 0.3 * k / len(paths))
         scene = lower_file(path, Cache.default())
-        subject = built(_name(path, paths), scene, targets, folder / str(k))
+        subject = built(_name(path, paths), scene, here, folder / str(k))
         if build is not None:
-            there = {target: build / target for target in targets if (build / target).is_dir()}
+            there = {engine.name: folder for engine in here if (folder := engine.folder_in(build)) is not None}
             if not there:
-                raise CannotError(f"{build} holds none of {', '.join(targets)}: name the folder that `compile -o` made")
-            subject = Subject(subject.name, scene, there, subject.losses)
+                targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
+                raise CannotError(f"{build} holds none of {targets}: name the folder that `compile -o` made")
+            subject = SceneBuilds(subject.name, scene, there, subject.losses)
         subjects.append(subject)
     return subjects
 
@@ -145,20 +146,20 @@ def _name(path: Path, paths: Sequence[Path]) -> str:
 
 
 def _verify(
-    subjects: Sequence[Subject],
-    found: Mapping[str, Found | None],
+    subjects: Sequence[SceneBuilds],
+    found: Mapping[str, InstalledEngine | None],
     behaviours: bool,
     jobs: int,
     timeout: float,
     progress: Callable[[str, float], None],
-) -> tuple[list[Reading], list[Measured], list[Rested]]:
+) -> tuple[list[ReadbackResult], list[BehaviourResult], list[RestResult]]:
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.rest import settle_subjects
     from simfoundry.verify.run import measure_behaviours, read_subjects
 
     here = [f for f in found.values() if f is not None]
-    readable = [f for f in here if all(f.engine.target in s.builds for s in subjects)]
-    stepping = sum(f.engine.steps for f in here)
+    readable = [f for f in here if all(f.engine.name in s.builds for s in subjects)]
+    stepping = sum(f.engine.spec.steps for f in here)
     work = len(subjects) * len(readable) + (stepping * (len(BEHAVIOURS) + len(subjects)) if behaviours else 0)
     done = 0
 
@@ -175,42 +176,43 @@ def _verify(
 
 def _write_page(
     path: Path,
-    readings: Sequence[Reading],
-    results: Sequence[Measured],
-    rested: Sequence[Rested],
-    found: Mapping[str, Found | None],
-    subjects: Sequence[Subject],
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
+    rested: Sequence[RestResult],
+    found: Mapping[str, InstalledEngine | None],
+    subjects: Sequence[SceneBuilds],
 ) -> None:
+    from simfoundry.reports.verification import page
     from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviours import BEHAVIOURS
-    from simfoundry.verify.page import page
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
     write_atomically(path, page(readings, results, BEHAVIOURS, found, pictures, rested).encode())
 
 
-def _all_fine(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested]) -> bool:
-    from simfoundry.verify.run import Verdict
+def _all_fine(
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult]
+) -> bool:
+    from simfoundry.verify.run import ProofStatus
 
-    outcomes: list[Reading | Measured | Rested] = [*readings, *results, *rested]
-    return all(outcome.verdict in (Verdict.OK, Verdict.KNOWN) for outcome in outcomes)
+    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
+    return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
 
 
 def _json(
-    readings: Sequence[Reading],
-    results: Sequence[Measured],
-    rested: Sequence[Rested],
-    found: Mapping[str, Found | None],
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
+    rested: Sequence[RestResult],
+    found: Mapping[str, InstalledEngine | None],
+    wanted: Mapping[str, VerifyEngine],
 ) -> dict[str, Any]:
-    from simfoundry.verify.engines import engine_called
-
     return {
         "ok": _all_fine(readings, results, rested),
         "engines": {
-            name: {"found": False, "install": engine_called(name).install}
+            name: {"found": False, "install": wanted[name].spec.install}
             if f is None
-            else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.target}
+            else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
             for name, f in found.items()
         },
         "readings": [r.to_json() for r in readings],
@@ -229,15 +231,15 @@ def _finite(data: Any) -> Any:
 
 
 def _print(
-    readings: Sequence[Reading],
-    results: Sequence[Measured],
-    rested: Sequence[Rested],
-    found: Mapping[str, Found | None],
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
+    rested: Sequence[RestResult],
+    found: Mapping[str, InstalledEngine | None],
+    wanted: Mapping[str, VerifyEngine],
 ) -> None:
+    from simfoundry.reports.verification import summary
     from simfoundry.verify import tables
     from simfoundry.verify.behaviours import BEHAVIOURS
-    from simfoundry.verify.engines import engine_called
-    from simfoundry.verify.page import summary
 
     if readings:
         click.echo(tables.readings_table(readings, found) + "\n")
@@ -249,7 +251,7 @@ def _print(
         "differences": tables.details(readings, results, rested),
         "not kept, and said so": tables.known_lines(readings, results),
         "notes": tables.stale_lines(readings),
-        "not found": [tables.absent_line(engine_called(n)) for n, f in found.items() if f is None],
+        "not found": [tables.absent_line(wanted[n]) for n, f in found.items() if f is None],
     }
     for title, lines in sections.items():
         if lines:

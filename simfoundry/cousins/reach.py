@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.grasps import jaws
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene

@@ -20,15 +20,14 @@ from simfoundry.assets.cache import Cache
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.control import Controller, physics_steps
-from simfoundry.evaluate.expert.grasps import down, grasps
-from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.grasps import down, grasps, jaws
 from simfoundry.evaluate.expert.places import places
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ActionSpace, Image
-from simfoundry.evaluate.rollout import Rollout, rollout
-from simfoundry.evaluate.starts import Start
-from simfoundry.evaluate.task import Task, load_task
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.rollouts.control import Controller, physics_steps
+from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
+from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
@@ -43,7 +42,8 @@ from simfoundry.scene.object_shapes import solid, world_bounds
 from simfoundry.scene.robot import Robot
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
-from simfoundry.spec.models.robot import ROBOTS, RobotSpec
+from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.spec.project import Project, find_project, markers
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
@@ -216,13 +216,15 @@ def _bases(scene: Scene, thing: SceneObject, target: SceneObject) -> Iterator[tu
     ground = min(float(boxes[item.name][0][2]) for item in scene.objects if not item.fixed)
     seen_from = scene.cameras[0].X_WC.p - middle if scene.cameras else np.array([-1.0, 0.0, 0.0])
     towards = math.atan2(seen_from[1], seen_from[0])
+    arm = find_robot(ARM)
+    assert arm is not None
     found: list[tuple[bool, int, Array, float]] = []
     for side in SIDES:
         for near in NEAR:
             angle = towards + math.radians(side)
             base = np.array([middle[0] + near * math.cos(angle), middle[1] + near * math.sin(angle), ground])
             away = [float(np.linalg.norm(end[:2] - base[:2])) for end in ends]
-            if min(away) < NEAREST or max(away) > ROBOTS[ARM].reach - MARGIN:
+            if min(away) < NEAREST or max(away) > arm.reach - MARGIN:
                 continue
             if any(not item.fixed and _distance(base, boxes[item.name]) < APART for item in scene.objects):
                 continue

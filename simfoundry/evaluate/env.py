@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import Controller, checked_action, physics_steps
-from simfoundry.evaluate.judging import Progress, judge_of
-from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
-from simfoundry.evaluate.starts import Start, starts
-from simfoundry.evaluate.task import Task, load_task, need_robots
+from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
+from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
+from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import ENGINES, open_world
+from simfoundry.worlds import is_world, open_world, world_names
 from simfoundry.worlds.base import Image
 from simfoundry.worlds.robot import WorldRobot
 
@@ -69,8 +69,8 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         render_size: tuple[int, int] = (640, 480),
         cache: bool = True,
     ) -> None:
-        if engine not in ENGINES:
-            raise SimfoundryError(f"no engine `{engine}`; there are: {', '.join(ENGINES)}")
+        if not is_world(engine):
+            raise SimfoundryError(f"no engine `{engine}`; there are: {', '.join(world_names())}")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise SimfoundryError(f"no render mode `{render_mode}`; there is: rgb_array")
         if action_space not in list(ActionSpace):

@@ -15,7 +15,7 @@ from simfoundry.spec.models.robot import RobotSpec
 
 
 def robot_draft(path: Path, name: str, words: Mapping[str, Any], X_WB: Pose) -> RobotDraft:
-    """A robot with what differs from what is known of its kind. Raises :class:`ImportRefusedError`."""
+    """Return a robot with the fields that differ from its model's. Raises :class:`ImportRefusedError`."""
     try:
         spec = RobotSpec.model_validate(words)
     except ValidationError as error:

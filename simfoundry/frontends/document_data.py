@@ -1,4 +1,4 @@
-"""What documents are written with: where their files go, digits of their numbers, poses and colours."""
+"""Values of imported documents: paths of their files, digits of their numbers, poses and colours."""
 
 from __future__ import annotations
 
@@ -20,22 +20,25 @@ from simfoundry.spec.yaml.write import to_data, write_tree
 DIGITS = 9
 """Significant digits of imported numbers: more than any simulator keeps, and no rounding noise."""
 
+NO_LENGTH_M, NO_TURN = 1e-12, 1e-10
+"""Positions [m] and parts of quaternions below these are rounding noise of double precision."""
+
 
 @dataclass
-class Built:
-    """Documents by file name, the asked-for one first, and other files; names are relative to the folder of it."""
+class BuiltDocuments:
+    """Documents by file name, the asked-for one first, and other files; names are relative to its folder."""
 
     documents: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
-    """What had to be renamed: the name in the file, qualified by its body, and the name in the documents."""
+    """Renamed elements: the name in the file, qualified by its body, and the name in the documents."""
     parts: dict[tuple[str, str, str], tuple[LinkDraft, PartDraft]] = field(default_factory=dict)
-    """By asset, link and part as the documents call them: what they were made from."""
+    """The draft of each part, by asset, link and part as the documents call them."""
 
 
 @dataclass
-class Shelf:
-    """Where files go: into ``folder`` (relative to ``base``), or nowhere if they lie below ``root`` already."""
+class FileShelf:
+    """Files to be written into ``folder`` (relative to ``base``); those that lie below ``root`` already stay there."""
 
     base: Path
     folder: str
@@ -44,13 +47,10 @@ class Shelf:
     taken: dict[int, str] = field(default_factory=dict)
 
     def place(self, mesh: MeshDraft) -> str:
-        """The path of a mesh, relative to ``base``; equal files are stored once."""
-        if (
-            mesh.source is not None
-            and self.root is not None
-            and mesh.source.resolve().is_relative_to(self.root.resolve())
-        ):
-            return Path(os.path.relpath(mesh.source.resolve(), self.base.resolve())).as_posix()
+        """Return the path of a mesh, relative to ``base``; equal files are stored once."""
+        source = None if mesh.source is None else mesh.source.resolve()
+        if source is not None and self.root is not None and source.is_relative_to(self.root.resolve()):
+            return Path(os.path.relpath(source, self.base.resolve())).as_posix()
         if id(mesh) not in self.taken:
             self.taken[id(mesh)] = self._store(mesh.files)
         return self.taken[id(mesh)].removeprefix("./")
@@ -67,41 +67,42 @@ class Shelf:
 
 
 def rounded(value: Any) -> Any:
-    """Plain data with its numbers at :data:`DIGITS` significant digits."""
+    """Return plain data with its numbers at :data:`DIGITS` significant digits."""
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") + 0.0
     if isinstance(value, dict):
         return {key: rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return tuple(rounded(item) for item in value)
-    return value
+    return tuple(map(rounded, value)) if isinstance(value, list | tuple) else value
 
 
-def text_of(spec: Model, comment: str = "") -> str:
-    """The canonical text of a document, with all digits of its numbers."""
-    tree = plain_tree(rounded(to_data(spec)))
-    lines = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-    return lines + write_tree(tree, type(spec))
+def document_text(spec: Model) -> str:
+    """Return the canonical text of a document, with all digits of its numbers."""
+    return write_tree(plain_tree(rounded(to_data(spec))), type(spec))
 
 
 def pose_data(X_AB: Pose) -> dict[str, Any]:
-    """A pose as a document writes it: the plainest of the rotations that say it."""
+    """Return a pose as a document writes it, with the plainest of the rotations that express it."""
     out: dict[str, Any] = {}
-    if np.abs(X_AB.p).max() > 1e-12:
-        out["xyz"] = tuple(float(v) for v in X_AB.p)
-    if abs(abs(X_AB.q[0]) - 1) < 1e-15 or np.abs(X_AB.q[1:]).max() < 1e-10:
+    if np.abs(X_AB.p).max() > NO_LENGTH_M:
+        out["xyz"] = tuple(X_AB.p.tolist())
+    if abs(abs(X_AB.q[0]) - 1) < 1e-15 or np.abs(X_AB.q[1:]).max() < NO_TURN:
         return out
-    roll, pitch, yaw = (math.degrees(v) for v in rpy_from_quat(X_AB.q))
-    if np.abs(X_AB.q[1:3]).max() < 1e-10:
-        out["yaw_deg"] = yaw
-    elif all(abs(v - round(v, 3)) < 1e-7 for v in (roll, pitch, yaw)):
-        out["rpy_deg"] = (roll, pitch, yaw)
+    rpy = tuple(math.degrees(v) for v in rpy_from_quat(X_AB.q))
+    if np.abs(X_AB.q[1:3]).max() < NO_TURN:
+        out["yaw_deg"] = rpy[2]
+    elif all(abs(v - round(v, 3)) < 1e-7 for v in rpy):
+        out["rpy_deg"] = rpy
     else:
-        out["quat_wxyz"] = tuple(float(v) for v in X_AB.q)
+        out["quat_wxyz"] = tuple(X_AB.q.tolist())
     return out
 
 
 def color_data(color: Rgba) -> tuple[float, ...]:
-    """A colour at the precision of a screen; single precision leaves noise behind that."""
+    """Return a colour at the precision of a screen; single precision leaves noise behind that."""
     values = tuple(round(v, 4) for v in color)
     return values if values[3] < 1 else values[:3]
+
+
+def relative_path(file: Path, document: Path) -> str:
+    """Return the path of a file as a document at another path writes it."""
+    return Path(os.path.relpath(file.resolve(), document.resolve().parent)).as_posix()

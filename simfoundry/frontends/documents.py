@@ -1,126 +1,248 @@
-"""Drafts to documents: an asset for each body, or a scene that uses them, with the mesh files beside."""
+"""Write drafts as documents: an asset for each body, or a scene that uses them, with the mesh files beside."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.document_data import Built, Shelf, color_data, pose_data, rounded, text_of
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft, MeshDraft, PartDraft
-from simfoundry.frontends.names import Names, plain_name
+from simfoundry.frontends.document_data import BuiltDocuments, FileShelf, color_data, document_text, pose_data, rounded
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    ContactDraft,
+    JointDraft,
+    LinkDraft,
+    LinkPath,
+    MeshDraft,
+    ModelDraft,
+    PartDraft,
+)
+from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.write import to_data
 
+Data = dict[str, Any]
 
-def asset_spec(body: BodyDraft, name: str, shelf: Shelf, built: Built) -> AssetSpec:
+MATERIAL_KEYS = {
+    "friction": "friction",
+    "restitution": "restitution",
+    "torsional": "torsional_friction",
+    "rolling": "rolling_friction",
+}
+"""Keys of a material by the fields of :class:`ContactDraft`."""
+
+LINK_KEYS = {"friction", "restitution"}
+"""Those of them that a link may state without a material."""
+
+PLAIN_INERTIA = 1e-6
+"""Relative difference up to which an inertia counts as that of its shape; files have six digits and more."""
+
+
+def build_asset(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
+    """Build NAME.asset.yaml, to lie in the folder ``base``, from a draft of one body."""
+    built = BuiltDocuments()
+    shelf = FileShelf(base, f"{name}_files", root, built.files)
+    spec = _asset_spec(draft.bodies[0], plain_name(name), shelf, built)
+    built.documents[f"{name}.asset.yaml"] = document_text(spec)
+    return built
+
+
+def build_scene(draft: ModelDraft, name: str, base: Path, root: Path | None) -> BuiltDocuments:
+    """Build NAME.scene.yaml, to lie in the folder ``base``, with an asset for each body that needs one."""
+    return _SceneBuilder(draft, f"{name}_files", base, root).build(name)
+
+
+class _SceneBuilder:
+    """A scene while it is built from a draft; ``assets`` are its asset documents by the names of their objects."""
+
+    def __init__(self, draft: ModelDraft, folder: str, base: Path, root: Path | None) -> None:
+        self.draft, self.folder, self.built = draft, folder, BuiltDocuments()
+        self.shelf = FileShelf(base / folder, ".", root)
+        self.names = NameTable()
+        self.assets: dict[str, AssetSpec] = {}
+        self.objects: dict[str, str] = {}
+        """Names of objects by the names of their bodies."""
+        self.bodies = {body.name: body for body in draft.bodies}
+
+    def build(self, name: str) -> BuiltDocuments:
+        draft, built = self.draft, self.built
+        data: Data = {"simfoundry": "scene/1", "name": plain_name(name, "scene")}
+        data["objects"] = {}
+        for body in draft.bodies:
+            self.objects[body.name] = called = self.names.name(body.name)
+            data["objects"][called] = self.object_data(body, called)
+        built.names |= self.names.renamed
+        if draft.gravity is not None:
+            data["gravity"] = draft.gravity
+        data["robots"] = {
+            self.names.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB), **r.changed} for r in draft.robots
+        }
+        data["cameras"], data["lights"] = self.cameras(), self.lights()
+        data["no_contact"], data["relations"] = self.no_contact(), tuple(draft.relations)
+        if draft.background is not None:
+            data["background"] = {"mesh": f"{self.folder}/{self.shelf.place(draft.background)}"}
+        spec = SceneSpec.model_validate(_without_empty(rounded(data)))
+        built.documents[f"{name}.scene.yaml"] = document_text(spec)
+        for called, asset in self.assets.items():
+            built.documents[f"{self.folder}/{called}.asset.yaml"] = document_text(asset)
+        built.files = {f"{self.folder}/{path.removeprefix('./')}": data for path, data in self.shelf.files.items()}
+        return built
+
+    def object_data(self, body: BodyDraft, called: str) -> Data:
+        """An object: with its own shape where it has but one, else with an asset document."""
+        inline = inline_data(body)
+        if inline is not None:
+            return inline
+        asset = self.assets[called] = _asset_spec(body, called, self.shelf, self.built)
+        data: Data = {"asset": f"{self.folder}/{called}.asset.yaml", **_placement(body)}
+        states = {
+            name: pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
+            for name, joint in zip(asset.joints, body.joints, strict=True)
+            if joint.mimic is None
+        }
+        return data | _without_empty({"joints": {name: state for name, state in states.items() if state}})
+
+    def link_path(self, body: str, link: str) -> str:
+        """A link as ``object.link``, or the object alone where that has no asset document."""
+        called = self.objects[body]
+        if called not in self.assets:
+            return called
+        return f"{called}.{list(self.assets[called].links)[self.bodies[body].link_order.index(link)]}"
+
+    def no_contact(self) -> tuple[tuple[str, str], ...]:
+        """Pairs that pass through each other: whole objects where all their links do."""
+        pairs: dict[tuple[str, str], list[tuple[LinkPath, LinkPath]]] = {}
+        for one, other in self.draft.no_contact:
+            pairs.setdefault((one[0], other[0]), []).append((one, other))
+        out: list[tuple[str, str]] = []
+        for (a, b), ends in pairs.items():
+            if len(set(ends)) == len(self.bodies[a].links) * len(self.bodies[b].links):
+                out.append((self.objects[a], self.objects[b]))
+            else:
+                out += [(self.link_path(*one), self.link_path(*other)) for one, other in ends]
+        return tuple(out)
+
+    def cameras(self) -> Data:
+        names, out = NameTable("camera"), {}
+        for camera in self.draft.cameras:
+            data: Data = {"size": camera.size, "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+            data = {key: value for key, value in data.items() if value is not None}
+            data["pose"] = {"xyz": tuple(camera.X_WC.p.tolist()), "quat_wxyz": tuple(camera.X_WC.q.tolist())}
+            if camera.mount is not None:
+                body, link = camera.mount
+                if body not in self.objects:  # a robot, whose frames have names of their own
+                    data["mount"] = f"{body}.{link}" if link else body
+                else:
+                    is_root = link == self.bodies[body].root
+                    data["mount"] = self.objects[body] if is_root else self.link_path(body, link)
+            out[names.name(camera.name)] = data
+        return out
+
+    def lights(self) -> Data:
+        names, out = NameTable("light"), {}
+        for light in self.draft.lights:
+            data = {"type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1))}
+            if light.type == "distant":
+                data["direction"] = light.direction
+            elif light.type == "point":
+                data["xyz"] = light.xyz
+            out[names.name(light.name)] = data
+        return out
+
+
+def _asset_spec(body: BodyDraft, name: str, shelf: FileShelf, built: BuiltDocuments) -> AssetSpec:
     """The asset document of a body."""
-    links, joints = Names("link"), Names("joint")
-    order = [body.root, *(n for n in body.links if n != body.root)]
-    link_names = {n: links.name(n) for n in order}
+    links, joints = NameTable("link"), NameTable("joint")
+    link_names = {n: links.name(n) for n in body.link_order}
     joint_names = {j.name: joints.name(j.name) for j in body.joints}
-    for renamed in (links.renamed, joints.renamed):
-        built.names |= {f"{body.name}/{old}": new for old, new in renamed.items()}
-    materials: dict[str, Any] = {}
-    data: dict[str, Any] = {"simfoundry": "asset/1", "name": name, "materials": materials}
-    if body.category is not None:
-        data["category"] = plain_name(body.category)
+    built.names |= {f"{body.name}/{old}": new for old, new in (links.renamed | joints.renamed).items()}
+    materials: Data = {}
     for link in body.links.values():
         for called, part in zip(part_names(link), link.parts, strict=True):
             built.parts[name, link_names[link.name], called] = (link, part)
-    data["links"] = {link_names[n]: _link(body.links[n], shelf, materials) for n in order}
-    data["joints"] = {joint_names[j.name]: _joint(j, link_names, joint_names) for j in body.joints}
-    if body.no_contact:
-        data["no_contact"] = tuple((link_names[a], link_names[b]) for a, b in body.no_contact)
+    data: Data = {
+        "simfoundry": "asset/1",
+        "name": name,
+        "materials": materials,
+        "links": {link_names[n]: _link_data(body.links[n], shelf, materials) for n in body.link_order},
+        "joints": {joint_names[j.name]: _joint_data(j, link_names, joint_names) for j in body.joints},
+        "no_contact": tuple((link_names[a], link_names[b]) for a, b in body.no_contact),
+    }
+    if body.category is not None:
+        data["category"] = plain_name(body.category)
     return AssetSpec.model_validate(_without_empty(rounded(data)))
 
 
-def _without_empty(data: dict[str, Any]) -> dict[str, Any]:
+def _without_empty(data: Data) -> Data:
     return {key: value for key, value in data.items() if value not in ({}, ())}
 
 
-def _link(link: LinkDraft, shelf: Shelf, materials: dict[str, Any]) -> dict[str, Any]:
-    out = _surface(link)
-    names = part_names(link)
-    uniform = _uniform(link)
-    parts = {}
-    for name, part in zip(names, link.parts, strict=True):
-        parts[name] = _part(part, shelf)
-        if uniform is None and part.use != "visual":
-            parts[name]["material"] = _material(part, link, materials)
-    if uniform is not None:
-        out |= uniform
-    if any(isinstance(part.geometry, MeshDraft) and part.use != "visual" for part in link.parts):
+def _link_data(link: LinkDraft, shelf: FileShelf, materials: Data) -> Data:
+    out, uniform, parts = _mass_data(link), _uniform_contact(link), {}
+    for name, part in zip(part_names(link), link.parts, strict=True):
+        parts[name] = _part_data(part, shelf)
+        if uniform is None and part.collides:
+            parts[name]["material"] = _material_name(_contact_data(part, link), materials)
+    out |= uniform or {}
+    if any(isinstance(part.geometry, MeshDraft) for part in link.colliders):
         out["collision"] = link.collision
         if link.inertia is None:
             out["solid"] = "hull"
-    return _without_empty({**out, "parts": parts}) if parts else out
+    return _without_empty({**out, "parts": parts})
 
 
-def _surface(link: LinkDraft) -> dict[str, Any]:
-    """Mass and inertia of a link."""
-    out: dict[str, Any] = {}
+def _mass_data(link: LinkDraft) -> Data:
+    """Mass, density and inertia of a link."""
+    out: Data = {}
 
     def quantity(value: float) -> Any:
-        return {"value": value, "by": link.assumed} if link.assumed else value
+        return {"value": float(value), "source": link.assumed} if link.assumed else float(value)
 
     if link.mass:
-        out["mass"] = quantity(float(link.mass))
-        com = None if link.com is None else tuple(float(v) for v in link.com)
+        out["mass"] = quantity(link.mass)
+        com = (0.0, 0.0, 0.0) if link.com is None else tuple(float(v) for v in link.com)
         if link.inertia is not None:
             i = link.inertia
             tensor = tuple(float(v) for v in (i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
-            out["inertial"] = {"com": com or (0.0, 0.0, 0.0), "inertia": tensor}
-        elif com is not None:
+            out["inertial"] = {"com": com, "inertia": tensor}
+        elif link.com is not None:
             out["inertial"] = {"com": com}
     elif link.density is not None:
-        out["density"] = quantity(float(link.density))
+        out["density"] = quantity(link.density)
     return out
 
 
-WORDS = (
-    ("friction", "friction"), ("restitution", "restitution"),
-    ("torsional", "torsional_friction"), ("rolling", "rolling_friction"),
-)  # fmt: skip
-"""What a surface says, in drafts and in documents."""
-
-
-def _uniform(link: LinkDraft) -> dict[str, float] | None:
-    """What all parts of a link say of their surface; None where they differ, or where only a material can say it."""
-    touching = [_contact(part, link) for part in link.parts if part.use != "visual"]
-    if not touching:
+def _uniform_contact(link: LinkDraft) -> dict[str, float] | None:
+    """Contact parameters of all parts of a link; None where they differ, or where only a material can state them."""
+    found = [_contact_data(part, link) for part in link.colliders]
+    if not found:
         return {}
-    alike = all(surface == touching[0] for surface in touching)
-    return touching[0] if alike and touching[0].keys() <= {"friction", "restitution"} else None
+    alike = all(contact == found[0] for contact in found)
+    return found[0] if alike and found[0].keys() <= LINK_KEYS else None
 
 
-def _contact(part: PartDraft, link: LinkDraft) -> dict[str, float]:
-    """What is said of the surface of a part, by the part or else by its link."""
-    said = {}
-    for word, name in WORDS:
-        value = getattr(link, word) if getattr(part, word) is None else getattr(part, word)
-        if value is not None and (value or name in ("friction", "restitution")):
-            said[name] = float(value)
-    return said
+def _contact_data(part: PartDraft, link: LinkDraft) -> dict[str, float]:
+    """Contact parameters of a part, or else of its link; no resistance to spinning or rolling is not written."""
+    contact: ContactDraft = part.contact.or_else(link.contact)
+    named = ((MATERIAL_KEYS[field], value) for field, value in asdict(contact).items() if value is not None)
+    return {key: float(value) for key, value in named if value or key in LINK_KEYS}
 
 
-def _material(part: PartDraft, link: LinkDraft, materials: dict[str, Any]) -> str:
-    """The name of a material with the surface of a part."""
-    data = _contact(part, link)
-    name = next((n for n, known in materials.items() if known == data), None)
-    if name is None:
-        name = f"surface_{len(materials) + 1}"
-        materials[name] = data
+def _material_name(data: dict[str, float], materials: Data) -> str:
+    """The name of a material with these parameters, which is added where there is none."""
+    name = next((n for n, known in materials.items() if known == data), f"surface_{len(materials) + 1}")
+    materials[name] = data
     return name
 
 
 def part_names(link: LinkDraft) -> Iterator[str]:
-    """A name for each part; none starts like that of a mesh of the same use, whose pieces are numbered after it."""
+    """Yield a name for each part; none starts with that of a mesh of the same use, whose pieces are numbered."""
     taken: list[tuple[str, PartDraft]] = []
     for part in link.parts:
         plain = plain_name(part.name, "part")[:50]
@@ -131,22 +253,18 @@ def part_names(link: LinkDraft) -> Iterator[str]:
 
 
 def _clash(one: tuple[str, PartDraft], other: tuple[str, PartDraft]) -> bool:
-    """Whether two parts, or pieces of them, would be called alike; what is seen and what touches are called apart."""
+    """Return whether two parts, or pieces of them, would share a name; visuals and colliders are named apart."""
     (short, mesh), (long, part) = sorted((one, other), key=lambda named: len(named[0]))
     alike = mesh.use == part.use or "both" in (mesh.use, part.use)
     return short == long or (alike and isinstance(mesh.geometry, MeshDraft) and long.startswith(f"{short}_"))
 
 
-def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
-    out: dict[str, Any] = {}
+def _part_data(part: PartDraft, shelf: FileShelf) -> Data:
     if isinstance(part.geometry, MeshDraft):
-        out["mesh"] = shelf.place(part.geometry)
-        out["scale"] = float(part.geometry.scale)
+        out: Data = {"mesh": shelf.place(part.geometry), "scale": float(part.geometry.scale)}
     else:
-        out["shape"] = to_data(part.geometry)
-    pose = pose_data(part.X_LG)
-    if pose:
-        out["pose"] = pose
+        out = {"shape": to_data(part.geometry)}
+    out |= _without_empty({"pose": pose_data(part.X_LG)})
     if part.color is not None and part.use != "collision":
         out["color"] = color_data(part.color)
     if part.use != "both":
@@ -154,11 +272,9 @@ def _part(part: PartDraft, shelf: Shelf) -> dict[str, Any]:
     return out
 
 
-def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> dict[str, Any]:
-    out: dict[str, Any] = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
-    pose = pose_data(joint.X_PC)
-    if pose:
-        out["pose"] = pose
+def _joint_data(joint: JointDraft, links: Mapping[str, str], joints: Mapping[str, str]) -> Data:
+    out: Data = {"type": joint.type, "parent": links[joint.parent], "child": links[joint.child]}
+    out |= _without_empty({"pose": pose_data(joint.X_PC)})
     if joint.type in ("fixed", "free"):
         return out
     if joint.type != "ball":
@@ -171,65 +287,45 @@ def _joint(joint: JointDraft, links: dict[str, str], joints: dict[str, str]) -> 
         out["closed"] = joint.closed
     out |= {key: float(getattr(joint, key)) for key in ("damping", "friction", "armature") if getattr(joint, key)}
     if joint.mimic is not None:
-        out["mimic"] = {
-            "joint": joints[joint.mimic.joint],
-            "multiplier": joint.mimic.multiplier,
-            "offset": joint.mimic.offset,
-        }
+        out["mimic"] = asdict(joint.mimic) | {"joint": joints[joint.mimic.joint]}
     if joint.drive is not None:
-        given = {k: getattr(joint.drive, k) for k in ("stiffness", "damping", "target", "force_limit")}
-        out["drive"] = {k: float(v) for k, v in given.items() if v is not None}
+        out["drive"] = {key: float(value) for key, value in asdict(joint.drive).items() if value is not None}
     return out
 
 
-def object_data(body: BodyDraft, asset: str) -> dict[str, Any]:
-    """An object of a scene that is a body, described in an asset document."""
-    out: dict[str, Any] = {"asset": asset}
-    return out | _placed(body)
+def _placement(body: BodyDraft) -> Data:
+    out: Data = {"fixed": True} if body.fixed else {}
+    out |= _without_empty({"pose": pose_data(body.X_WO), "labels": body.labels})
+    return out | ({"origin": {"note": body.note}} if body.note else {})
 
 
-def _placed(body: BodyDraft) -> dict[str, Any]:
-    out: dict[str, Any] = {}
-    if body.fixed:
-        out["fixed"] = True
-    pose = pose_data(body.X_WO)
-    if pose:
-        out["pose"] = pose
-    if body.labels:
-        out["labels"] = body.labels
-    if body.note:
-        out["origin"] = {"note": body.note}
-    return out
-
-
-def inline_data(body: BodyDraft) -> dict[str, Any] | None:
-    """A body of one shape as an object that says so itself; None for any other."""
+def inline_data(body: BodyDraft) -> Data | None:
+    """Return a body of one shape as an object that states it; None for any other."""
     if body.joints or len(body.links) != 1:
         return None
     (link,) = body.links.values()
-    if body.exact and (link.name, *(part.name for part in link.parts)) != ("base", "shape"):
-        return None
     if len(link.parts) != 1 or link.parts[0].use != "both":
         return None
-    part = link.parts[0]
-    if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or not _is_plain(link, part):
+    (part,) = link.parts
+    if body.exact and (link.name, part.name) != ("base", "shape"):
         return None
-    if _uniform(link) is None:
+    contact = _uniform_contact(link)
+    if isinstance(part.geometry, MeshDraft) or pose_data(part.X_LG) or contact is None or not _is_plain(link, part):
         return None
-    out = {"shape": to_data(part.geometry)} | _surface(link)
+    out: Data = {"shape": to_data(part.geometry)} | _mass_data(link)
     out.pop("inertial", None)
     if body.fixed and link.assumed:
         out.pop("density", None)
-    out |= _uniform(link) or {}
+    out |= contact
     if part.color is not None:
         out["color"] = color_data(part.color)
     if body.category is not None:
         out["category"] = plain_name(body.category)
-    return out | _placed(body)
+    return out | _placement(body)
 
 
 def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
-    """Whether the inertia of a link is that of its one shape at uniform density."""
+    """Return whether the inertia of a link is that of its one shape at uniform density."""
     from simfoundry.scene.shape_bodies import shape_body
 
     assert not isinstance(part.geometry, MeshDraft)
@@ -239,121 +335,5 @@ def _is_plain(link: LinkDraft, part: PartDraft) -> bool:
         return False
     solid = shape_body(part.geometry).solid
     inertia = solid.inertia * (link.mass / solid.volume)
-    return link.inertia is None or bool(
-        np.allclose(link.inertia, inertia, rtol=1e-6, atol=1e-6 * np.abs(inertia).max())
-    )
-
-
-def build_asset(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
-    """The documents and files of a draft that is one body, as NAME.asset.yaml in the folder ``base``."""
-    built = Built()
-    shelf = Shelf(base, f"{name}_files", root, built.files)
-    spec = asset_spec(draft.bodies[0], plain_name(name, "thing"), shelf, built)
-    built.documents[f"{name}.asset.yaml"] = text_of(spec, _head(draft))
-    return built
-
-
-def build_scene(draft: Draft, name: str, base: Path, root: Path | None) -> Built:
-    """The documents and files of a draft, as NAME.scene.yaml in the folder ``base``."""
-    built = Built()
-    folder = f"{name}_files"
-    shelf = Shelf(base / folder, ".", root)
-    names, objects, assets = Names("thing"), {}, {}
-    bodies: dict[str, str] = {}
-    for body in draft.bodies:
-        bodies[body.name] = called = names.name(body.name)
-        inline = inline_data(body)
-        if inline is None:
-            assets[called] = asset_spec(body, called, shelf, built)
-            inline = object_data(body, f"{folder}/{called}.asset.yaml")
-            joints = dict(zip((j.name for j in body.joints), assets[called].joints, strict=True))
-            state = {joints[j.name]: _state(j) for j in body.joints if j.mimic is None}
-            if any(state.values()):
-                inline["joints"] = {joint: value for joint, value in state.items() if value}
-        objects[called] = inline
-    built.names |= names.renamed
-    data: dict[str, Any] = {"simfoundry": "scene/1", "name": plain_name(name, "scene"), "objects": objects}
-    if draft.gravity is not None:
-        data["gravity"] = draft.gravity
-    data["robots"] = {
-        names.name(r.name): {"model": r.model, "pose": pose_data(r.X_WB), **r.changed} for r in draft.robots
-    }
-    data["cameras"] = _cameras(draft, bodies, assets)
-    data["no_contact"] = _no_contact(draft, bodies, assets)
-    data["relations"] = tuple(draft.relations)
-    if draft.background is not None:
-        data["background"] = {"mesh": f"{folder}/{shelf.place(draft.background)}"}
-    lights = Names("light")
-    data["lights"] = {
-        lights.name(light.name): {
-            "type": light.type, "intensity": round(light.intensity, 4), "color": color_data((*light.color, 1.0)),
-            **({"direction": light.direction} if light.type == "distant" else {}),
-            **({"xyz": light.xyz} if light.type == "point" else {}),
-        }
-        for light in draft.lights
-    }  # fmt: skip
-    spec = SceneSpec.model_validate(_without_empty(rounded(data)))
-    built.documents[f"{name}.scene.yaml"] = text_of(spec, _head(draft))
-    built.documents |= {f"{folder}/{called}.asset.yaml": text_of(asset) for called, asset in assets.items()}
-    built.files = {f"{folder}/{path.removeprefix('./')}": data for path, data in shelf.files.items()}
-    return built
-
-
-def _state(joint: JointDraft) -> Any:
-    """Where a joint stands, as a scene says it; nothing where it is at zero."""
-    return pose_data(joint.motion) if joint.type in ("ball", "free") else float(joint.position)
-
-
-def _no_contact(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> tuple[tuple[str, str], ...]:
-    """Pairs that pass through each other: whole things where all their links do."""
-    links: dict[tuple[str, str], list[tuple[str, str]]] = {}
-    for (a, one), (b, other) in draft.no_contact:
-        links.setdefault((a, b), []).append((one, other))
-    by_name = {body.name: body for body in draft.bodies}
-    out = []
-    for (a, b), pairs in links.items():
-        if len(set(pairs)) == len(by_name[a].links) * len(by_name[b].links):
-            out.append((bodies[a], bodies[b]))
-        else:
-            ends = [[_link_path(by_name[n], link, bodies, assets) for n, link in ((a, x), (b, y))] for x, y in pairs]
-            out += [(one, other) for one, other in ends]
-    return tuple(out)
-
-
-def _link_path(body: BodyDraft, link: str, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> str:
-    """A link as a scene names it: ``object.link``, or the object alone where that has no document of its own."""
-    called = bodies[body.name]
-    if called not in assets:
-        return called
-    order = [body.root, *(n for n in body.links if n != body.root)]
-    return f"{called}.{list(assets[called].links)[order.index(link)]}"
-
-
-def _cameras(draft: Draft, bodies: dict[str, str], assets: dict[str, AssetSpec]) -> dict[str, Any]:
-    names, out = Names("camera"), {}
-    originals = {body.name: body for body in draft.bodies}
-    for camera in draft.cameras:
-        data: dict[str, Any] = {"size": camera.size, "fx": camera.fx, "fy": camera.fy}
-        data |= {k: v for k, v in (("cx", camera.cx), ("cy", camera.cy)) if v is not None}
-        data["pose"] = {
-            "xyz": tuple(float(v) for v in camera.X_WC.p),
-            "quat_wxyz": tuple(float(v) for v in camera.X_WC.q),
-        }
-        if camera.mount is not None:
-            body, link = camera.mount
-            if body not in bodies:  # a robot, whose frames have names of their own
-                data["mount"] = f"{body}.{link}" if link else body
-                out[names.name(camera.name)] = data
-                continue
-            order = [originals[body].root, *(n for n in originals[body].links if n != originals[body].root)]
-            asset = assets.get(bodies[body])
-            called = (
-                list(asset.links)[order.index(link)] if asset is not None and link != originals[body].root else None
-            )
-            data["mount"] = bodies[body] if called is None else f"{bodies[body]}.{called}"
-        out[names.name(camera.name)] = data
-    return out
-
-
-def _head(draft: Draft) -> str:
-    return draft.description
+    tolerance = PLAIN_INERTIA * np.abs(inertia).max()
+    return link.inertia is None or bool(np.allclose(link.inertia, inertia, rtol=PLAIN_INERTIA, atol=tolerance))

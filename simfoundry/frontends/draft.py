@@ -1,4 +1,4 @@
-"""What the frontends read before it becomes documents: bodies of links, joints and parts, in SI units.
+"""Drafts: bodies of links, joints and parts in SI units, between a file that is read and the documents made of it.
 
 Drafts may be changed while a file is read; names are still those of the file.
 """
@@ -6,7 +6,7 @@ Drafts may be changed while a file is read; names are still those of the file.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,29 @@ from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, S
 
 PrimitiveShape = BoxShape | SphereShape | CylinderShape | CapsuleShape
 Rgba = tuple[float, float, float, float]
-Place = tuple[str, str]
+LinkPath = tuple[str, str]
 """A body and a link of it, by name."""
 
 
-class NoteKind(StrEnum):
-    """How what the documents say differs from what the file said."""
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of an import: folders of packages by name, and whether files that exist are replaced."""
+
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    force: bool = False
+    scene: Path | None = None
+    """The scene document that a task is for."""
+    bound: Mapping[str, str] = field(default_factory=dict)
+    """Objects of that scene by the names that a task of BDDL has for them."""
+    density: float | None = None
+    """Density [kg/m^3] of links that state no mass; None for that of water, which simulators take."""
+
+
+DEFAULTS = ImportOptions()
+
+
+class ImportNoteKind(StrEnum):
+    """Differences between the file and the documents."""
 
     DROPPED = "dropped"
     CHANGED = "changed"
@@ -31,26 +48,25 @@ class NoteKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Note:
+class ImportNote:
     """One thing that could not be taken over as it stood.
 
-    ``what`` it is in the file, ``why``, the same for all things of that kind, and the ``detail`` of this one.
+    ``what`` names it in the file, ``why`` is the same for everything of that kind, ``detail`` is that of this one.
     """
 
-    kind: NoteKind
+    kind: ImportNoteKind
     what: str
     why: str
     detail: str = ""
 
     def to_json(self) -> dict[str, str]:
-        """A plain mapping for ``--json``."""
-        shown = {"kind": str(self.kind), "what": self.what, "why": self.why, "detail": self.detail}
-        return {key: value for key, value in shown.items() if value}
+        """Return a plain mapping for ``--json``."""
+        return {key: str(value) for key, value in asdict(self).items() if value}
 
 
 @dataclass(eq=False)
 class MeshDraft:
-    """A mesh file with what belongs to it.
+    """A mesh file with the files that belong to it.
 
     ``files`` holds name and bytes, the mesh first; ``scale`` [m per unit]; ``source`` is the file that the first of
     them equals, so that a document nearby may name it where it lies.
@@ -59,6 +75,21 @@ class MeshDraft:
     files: dict[str, bytes]
     scale: float = 1.0
     source: Path | None = None
+
+
+@dataclass
+class ContactDraft:
+    """Contact parameters of a part or a link; None where nothing is said. ``torsional`` and ``rolling`` in metres."""
+
+    friction: float | None = None
+    restitution: float | None = None
+    torsional: float | None = None
+    rolling: float | None = None
+
+    def or_else(self, other: ContactDraft) -> ContactDraft:
+        """Return the parameters of this one, or those of the other where this one says nothing."""
+        given = {f.name: value for f in fields(self) if (value := getattr(self, f.name)) is not None}
+        return replace(other, **given)
 
 
 @dataclass(eq=False)
@@ -70,11 +101,12 @@ class PartDraft:
     use: str = "both"
     X_LG: Pose = IDENTITY
     color: Rgba | None = None
-    friction: float | None = None
-    restitution: float | None = None
-    torsional: float | None = None
-    rolling: float | None = None
-    """Resistance against spinning and rolling [m]."""
+    contact: ContactDraft = field(default_factory=ContactDraft)
+
+    @property
+    def collides(self) -> bool:
+        """Return whether the part takes part in contact."""
+        return self.use != "visual"
 
 
 @dataclass(eq=False)
@@ -82,7 +114,7 @@ class LinkDraft:
     """A rigid body.
 
     ``mass`` [kg], ``com`` [m] and ``inertia`` [kg m^2], about the centre of mass in link axes, are None where the file
-    does not give them; ``density`` [kg/m^3] then weighs the parts. ``frame_only``: it may melt into its neighbour.
+    does not give them; ``density`` [kg/m^3] then weighs the parts.
     """
 
     name: str
@@ -91,13 +123,15 @@ class LinkDraft:
     com: Array | None = None
     inertia: Array | None = None
     density: float | None = None
-    friction: float | None = None
-    restitution: float | None = None
-    torsional: float | None = None
-    rolling: float | None = None
+    contact: ContactDraft = field(default_factory=ContactDraft)
     collision: str = "hull"
     assumed: str = ""
-    """Who assumed the mass or density, where the file gives none."""
+    """Author of an assumed mass or density, where the file gives none."""
+
+    @property
+    def colliders(self) -> list[PartDraft]:
+        """Return the parts that take part in contact."""
+        return [part for part in self.parts if part.collides]
 
 
 @dataclass(eq=False)
@@ -123,8 +157,8 @@ class DriveDraft:
 class JointDraft:
     """A joint at the origin of its child: ``X_PC`` the child's frame in the parent's at zero, ``axis`` in the child's.
 
-    ``type`` is one of fixed, revolute, continuous, prismatic, ball, free; ``limits`` [rad or m]; ``closed`` is the one
-    at which it is closed, `lower` or `upper`, where that is said.
+    ``type`` is one of fixed, revolute, continuous, prismatic, ball, free; ``limits`` [rad or m]; ``closed`` names the
+    limit at which it is closed, `lower` or `upper`, where the file says so.
     """
 
     name: str
@@ -142,12 +176,12 @@ class JointDraft:
     closed: str | None = None
     position: float = 0.0
     motion: Pose = IDENTITY
-    """The state of a ball or free joint: the pose of the child's frame in where it is at zero."""
+    """The state of a ball or free joint: the pose of the child's frame in its frame at zero."""
 
 
 @dataclass(eq=False)
 class BodyDraft:
-    """A thing of one or more links, of which ``root`` carries the others; ``X_WO`` is the pose of its frame."""
+    """An object of one or more links, of which ``root`` carries the others; ``X_WO`` is the pose of its frame."""
 
     name: str
     root: str
@@ -159,13 +193,18 @@ class BodyDraft:
     no_contact: list[tuple[str, str]] = field(default_factory=list)
     labels: tuple[str, ...] = ()
     note: str = ""
-    """Where it comes from, for people and for tasks that call it so."""
+    """Its origin, for people and for tasks that use this name."""
     exact: bool = False
-    """Whether its names are those of a scene, so that they are to come through as they are."""
+    """True if its names are those of a scene, so that they come through unchanged."""
 
     def carrier(self, link: str) -> JointDraft | None:
-        """The joint whose child a link is."""
+        """Return the joint whose child a link is."""
         return next((j for j in self.joints if j.child == link), None)
+
+    @property
+    def link_order(self) -> list[str]:
+        """Return the names of the links, the root first."""
+        return [self.root, *(name for name in self.links if name != self.root)]
 
 
 @dataclass(eq=False)
@@ -179,7 +218,7 @@ class CameraDraft:
     X_WC: Pose
     cx: float | None = None
     cy: float | None = None
-    mount: tuple[str, str] | None = None
+    mount: LinkPath | None = None
     """Body and link that carry it; its pose is then in the link's frame."""
 
 
@@ -197,7 +236,7 @@ class LightDraft:
 
 @dataclass(eq=False)
 class RobotDraft:
-    """A robot that the language knows, with the pose of its base, and the fields in which it is not as usual."""
+    """A robot that the language knows, with the pose of its base, and the fields that differ from its defaults."""
 
     name: str
     model: str
@@ -206,8 +245,8 @@ class RobotDraft:
 
 
 @dataclass(eq=False)
-class Draft:
-    """All that one file says, and ``notes`` on what it says beyond that."""
+class ModelDraft:
+    """The content of one file, with ``notes`` on what the language cannot express."""
 
     name: str
     format: str
@@ -218,22 +257,34 @@ class Draft:
     gravity: tuple[float, float, float] | None = None
     relations: list[str] = field(default_factory=list)
     background: MeshDraft | None = None
-    """What is seen around everything, in the frame of the world."""
-    no_contact: list[tuple[Place, Place]] = field(default_factory=list)
+    """The visual surroundings, in the frame of the world."""
+    no_contact: list[tuple[LinkPath, LinkPath]] = field(default_factory=list)
     """Links of different bodies that pass through each other."""
-    notes: list[Note] = field(default_factory=list)
-    description: str = ""
+    notes: list[ImportNote] = field(default_factory=list)
     density: float | None = None
-    """Density [kg/m^3] that the user gives to what states no mass; None for what the format takes."""
+    """Density [kg/m^3] that the user gives to links without a mass; None for that of the format."""
 
     def dropped(self, what: str, why: str, detail: str = "") -> None:
-        """Note what is left out."""
-        self.notes.append(Note(NoteKind.DROPPED, what, why, detail))
+        """Note something that is left out."""
+        self.notes.append(ImportNote(ImportNoteKind.DROPPED, what, why, detail))
 
     def changed(self, what: str, why: str, detail: str = "") -> None:
-        """Note what is said in another way than the file says it."""
-        self.notes.append(Note(NoteKind.CHANGED, what, why, detail))
+        """Note something that is expressed in another way than in the file."""
+        self.notes.append(ImportNote(ImportNoteKind.CHANGED, what, why, detail))
 
     def assumed(self, what: str, why: str, detail: str = "") -> None:
-        """Note what the file does not say, and what is taken for it."""
-        self.notes.append(Note(NoteKind.ASSUMED, what, why, detail))
+        """Note something that the file does not say, with the value taken for it."""
+        self.notes.append(ImportNote(ImportNoteKind.ASSUMED, what, why, detail))
+
+    def free_name(self, wish: str) -> str:
+        """Return a name for another body: the wish, with a number behind it where a body has that name."""
+        return free_name(wish, {body.name for body in self.bodies})
+
+
+def free_name(wish: str, taken: set[str] | list[str]) -> str:
+    """Return the wish, with a number behind it where the name is taken; the first of several stays without one."""
+    name, count = wish, 1
+    while name in taken:
+        count += 1
+        name = f"{wish}_{count}"
+    return name

@@ -1,14 +1,29 @@
-"""Why a file cannot be imported."""
+"""Refusals of files that cannot be imported, and faults of an importer itself as such refusals."""
 
 from __future__ import annotations
 
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from pydantic import ValidationError
+
+import simfoundry
+from simfoundry.assets.errors import MeshError
 from simfoundry.errors import SimfoundryError
+from simfoundry.spec.diagnostics import SpecError
+
+LONGEST_MESSAGE = 200
+"""Characters of a library's error that are shown: some print whole arrays."""
+
+MAX_BYTES = 50_000_000
+"""Larger files are not searched for a line: it is no help among a million others."""
 
 
 class ImportRefusedError(SimfoundryError):
-    """A file that cannot be imported: where, why, and what to do about it."""
+    """A file that cannot be imported: the place, the reason, and the remedy."""
 
     def __init__(self, file: Path | str, message: str, line: int = 0, hint: str = "") -> None:
         place = f"{file}:{line}" if line else str(file)
@@ -17,3 +32,55 @@ class ImportRefusedError(SimfoundryError):
 
     def __reduce__(self) -> tuple[type[ImportRefusedError], tuple[str, str, int, str]]:
         return type(self), (self.file, self.reason, self.line, self.hint)
+
+
+@contextmanager
+def refusing_faults(file: Path) -> Iterator[None]:
+    """Turn an error that nobody foresaw while ``file`` is imported into a refusal of it.
+
+    Errors that explain themselves pass, and so do those of the operating system.
+    """
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers that overflow are refused where they are used
+            yield
+    except (SimfoundryError, SpecError, ModuleNotFoundError):
+        raise
+    except MeshError as error:
+        raise ImportRefusedError(file, str(error), _line(file, error), error.hint) from error
+    except ValidationError as error:  # documents state the values of the file unchanged, and refuse some
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        message = f"its `{where}` would be {first.get('input')!r:.60}, and a document cannot say that: {first['msg']}"
+        raise ImportRefusedError(file, message, _line(file, error), "check its numbers and names") from error
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        shown = " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_MESSAGE]
+        message = f"the importer failed on it, which is a fault of simfoundry ({shown}{_place(error)})"
+        hint = "please report it with this file, and remove what stands here until then"
+        raise ImportRefusedError(file, message, _line(file, error), hint) from error
+
+
+def _place(error: Exception) -> str:
+    """The line of simfoundry at which an error arose."""
+    root = Path(simfoundry.__file__).parent
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).is_relative_to(root)]
+    return f", at {Path(frames[-1].filename).relative_to(root).as_posix()}:{frames[-1].lineno}" if frames else ""
+
+
+def _line(file: Path, error: Exception) -> int:
+    """The line of ``file`` that was being read: of an element at hand, else of something that is named; 0 for none."""
+    from simfoundry.frontends.draft import BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft
+    from simfoundry.frontends.xmltree import Element
+
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][::-1]
+    at_hand = [value for frame in frames for value in frame.f_locals.values()]
+    element = next((v for v in at_hand if isinstance(v, Element) and v.file == file), None)
+    if element is not None:
+        return element.line
+    drafts = (BodyDraft, CameraDraft, JointDraft, LinkDraft, PartDraft)
+    names = [*(arg for arg in error.args if isinstance(arg, str)), *(v.name for v in at_hand if isinstance(v, drafts))]
+    if not file.is_file() or file.stat().st_size > MAX_BYTES or b"\0" in (data := file.read_bytes()):
+        return 0
+    lines = data.decode("utf-8", "replace").splitlines()
+    return next((k for name in names for k, line in enumerate(lines, 1) if name and f'"{name}"' in line), 0)

@@ -1,4 +1,4 @@
-"""The files that an imported file names: found in its folder or its packages, and nowhere else."""
+"""Search for the files that an imported file names: in its folder or its packages, and nowhere else."""
 
 from __future__ import annotations
 
@@ -11,19 +11,24 @@ from urllib.parse import unquote
 from simfoundry.frontends.errors import ImportRefusedError
 
 MAX_FILE_BYTES = 500_000_000
+"""Larger files are no meshes or textures of a scene, and would fill the memory while they are read."""
+
 LEVELS = 5
-"""How many folders up a package is looked for."""
+"""Folders upward in which a package is looked for: ROS nests share/package/robots/name/urdf."""
+
+MAX_REFERENCE = 1000
+"""Characters of a reference: file systems allow fewer."""
 
 _PACKAGE = re.compile(r"(?:package|model)://(.*)\Z", re.DOTALL)
 
 
 class NotFoundError(Exception):
-    """Why a file that another names is not to be had; the message is the end of a sentence."""
+    """The reason why a file that another names is not available, as the end of a sentence."""
 
 
 @dataclass(frozen=True)
-class Search:
-    """Where the files that ``file`` names may lie: below ``root``, or in the folder of one of ``packages``."""
+class FileSearch:
+    """Files that ``file`` names: below ``root``, or in the folder of one of ``packages``."""
 
     file: Path
     packages: Mapping[str, Path] = field(default_factory=dict)
@@ -38,12 +43,15 @@ class Search:
         return folder.parent if folder.parent != Path(folder.anchor) else folder
 
     def find(self, reference: str, folder: Path | None = None) -> Path:
-        """The file that ``reference`` means, in ``folder`` (by default that of the file); raises NotFoundError."""
-        if "\0" in reference or len(reference) > 1000:
+        """Return the file of a reference, looked for in ``folder`` (by default the file's own).
+
+        Raises :class:`NotFoundError`.
+        """
+        if "\0" in reference or len(reference) > MAX_REFERENCE:
             raise NotFoundError("is no file name")
         reference = reference.replace("\\", "/")
         package = _PACKAGE.match(reference)
-        candidates = self._packaged(unquote(package[1])) if package else self._beside(reference, folder)
+        candidates = self._in_package(unquote(package[1])) if package else self._beside(reference, folder)
         outside = False
         for candidate, root in candidates:
             target = candidate.resolve()
@@ -56,21 +64,26 @@ class Search:
                 raise NotFoundError(f"is larger than {MAX_FILE_BYTES // 1_000_000} MB")
             return target
         if outside:
-            raise NotFoundError(
-                f"lies outside {self.root}; name the folder that it belongs to with `--package NAME=PATH`"
-            )
+            hint = "name the folder that it belongs to with `--package NAME=PATH`"
+            raise NotFoundError(f"lies outside {self.root}; {hint}")
         if package:
             name = package[1].lstrip("/").partition("/")[0]
             raise NotFoundError(f"is not found; say where its package lies: `--package {name}=PATH`")
         raise NotFoundError("does not exist")
 
+    def need(self, reference: str, file: Path, line: int, folder: Path | None = None) -> Path:
+        """Return the file of a reference at a line of ``file``; raises :class:`ImportRefusedError` there."""
+        try:
+            return self.find(reference, folder)
+        except NotFoundError as error:
+            raise missing_file(file, line, reference, error) from None
+
     def _beside(self, reference: str, folder: Path | None) -> Iterator[tuple[Path, Path]]:
         reference = reference.removeprefix("file://")
         yield (folder or self.file.resolve().parent) / reference, self.root
-        for place in self.packages.values():
-            yield place / reference, place
+        yield from ((place / reference, place) for place in self.packages.values())
 
-    def _packaged(self, path: str) -> Iterator[tuple[Path, Path]]:
+    def _in_package(self, path: str) -> Iterator[tuple[Path, Path]]:
         """Candidates for ``package://NAME/REST``: named packages, then folders upward, then without any name."""
         path = path.lstrip("/")
         name, _, rest = path.partition("/")
@@ -85,12 +98,10 @@ class Search:
             if folder.name == name:
                 yield folder / rest, folder
             yield folder / name / rest, folder / name
-        for place in self.packages.values():
-            yield place / path, place
-        for folder in above[:3]:
-            yield folder / path, self.root
+        yield from ((place / path, place) for place in self.packages.values())
+        yield from ((folder / path, self.root) for folder in above[:3])
 
 
-def refused(file: Path, line: int, reference: str, error: NotFoundError) -> ImportRefusedError:
-    """The error for a file that is needed and not to be had."""
+def missing_file(file: Path, line: int, reference: str, error: NotFoundError) -> ImportRefusedError:
+    """Return the refusal of a file that names another, which is not available."""
     return ImportRefusedError(file, f"`{reference[:120]}` {error}", line)

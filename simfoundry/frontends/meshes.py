@@ -1,10 +1,12 @@
-"""Mesh files taken over as they are where the language reads them, and written anew as OBJ where it does not."""
+"""Mesh files: copied where the language reads them, else written anew as OBJ; and the groups of an OBJ apart."""
 
 from __future__ import annotations
 
 import io
+import re
 import tempfile
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,36 +15,41 @@ import numpy as np
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, extent, read_parts
 from simfoundry.frontends.draft import MeshDraft
-from simfoundry.frontends.file_search import NotFoundError, Search
+from simfoundry.frontends.file_search import FileSearch, NotFoundError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.files import MESH_SUFFIXES
 
+Scale = tuple[float, float, float]
+
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff")
 
+EVEN_SCALE = 1e-12
+"""Relative difference up to which scales count as one: rounding of double precision."""
 
-def mesh_draft(path: Path, scale: tuple[float, float, float], search: Search) -> MeshDraft:
-    """A mesh file at a scale [m per unit]; it is copied if the language can say that, and baked into an OBJ if not.
+_GROUP = re.compile(rb"^[ \t]*[og][ \t]", re.MULTILINE)
+"""Starts of lines at which Bullet's reader (tiny_obj_loader.cpp) starts a shape of its own; a bare `g` is none."""
+
+
+def mesh_draft(path: Path, scale: Scale, search: FileSearch) -> MeshDraft:
+    """Return a mesh file at a scale [m per unit]: copied if the language can express that, else baked into an OBJ.
 
     Raises :class:`MeshError`.
     """
     x, y, z = scale
     if 0.0 in scale:
         raise MeshError("SF301", f"{path.name} is scaled to nothing: {scale}")
-    suffix = path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
+    is_even = x > 0 and abs(y - x) <= EVEN_SCALE * x and abs(z - x) <= EVEN_SCALE * x
+    if path.suffix.lower() not in MESH_SUFFIXES or not is_even:
         return _baked(path, scale)
-    if not (x > 0 and abs(y - x) <= 1e-12 * x and abs(z - x) <= 1e-12 * x):
-        return _baked(path, scale)
-    files = {file_name(path): path.read_bytes()}
-    if suffix == ".obj":
+    files = {_file_name(path): path.read_bytes()}
+    if path.suffix.lower() == ".obj":
         _add_materials(files, path, search)
-    source = path if list(files) == [path.name] or len(files) > 1 else None
-    return MeshDraft(files, x, source)
+    return MeshDraft(files, x, path if list(files) == [path.name] or len(files) > 1 else None)
 
 
-def width(mesh: MeshDraft) -> float:
-    """The longest side of the bounds of a mesh [m]; 0 where it cannot be read, which is found where it is used."""
+def mesh_width(mesh: MeshDraft) -> float:
+    """Return the longest side of a mesh's bounds [m]; 0 if it cannot be read, which is reported where it is used."""
     name, data = next(iter(mesh.files.items()))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -53,49 +60,46 @@ def width(mesh: MeshDraft) -> float:
             return 0.0
 
 
-def file_name(path: Path) -> str:
-    """The name of a file as it is, if every format can hold it; else a plain one."""
+def _file_name(path: Path) -> str:
+    """The name of a file unchanged if every format can hold it; else a plain one."""
     name = path.name
     simple = name.isascii() and name.replace("_", "").replace("-", "").replace(".", "").isalnum()
     return name if simple else f"{plain_name(path.stem, 'mesh')}{path.suffix.lower()}"
 
 
-def _add_materials(files: dict[str, bytes], path: Path, search: Search) -> None:
-    """Add the material libraries of an OBJ, and their textures, under the names by which they are called."""
-    main = next(iter(files))
-    for line in files[main].splitlines():
-        if not line.startswith(b"mtllib "):
-            continue
-        name = line[7:].decode("utf-8", "replace").strip()
-        found = _near(name, path.parent, search)
+def _add_materials(files: dict[str, bytes], path: Path, search: FileSearch) -> None:
+    """Add the material libraries of an OBJ, and their textures, under the names that the files use."""
+    for name in _names_after(files[next(iter(files))], "mtllib"):
+        found = _beside(name, path.parent, search)
         if found is None or "/" in name or "\\" in name or name in files:
             continue
-        data = found.read_bytes()
-        files[name] = data
-        for entry in data.splitlines():
-            words = entry.decode("utf-8", "replace").split()
-            if len(words) > 1 and words[0].lower() == "map_kd":
-                texture = words[-1]
-                image = _near(texture, path.parent, search)
-                if image is not None and image.suffix.lower() in TEXTURE_SUFFIXES and "/" not in texture:
-                    files[texture] = image.read_bytes()
+        files[name] = found.read_bytes()
+        for texture in (entry.split()[-1] for entry in _names_after(files[name], "map_kd")):
+            image = _beside(texture, path.parent, search)
+            if image is not None and image.suffix.lower() in TEXTURE_SUFFIXES and "/" not in texture:
+                files[texture] = image.read_bytes()
 
 
-def _near(name: str, folder: Path, search: Search) -> Path | None:
+def _names_after(data: bytes, keyword: str) -> list[str]:
+    """The rest of each line of an OBJ or MTL file that starts with a keyword."""
+    lines = (line.decode("utf-8", "replace").strip().partition(" ") for line in data.splitlines())
+    return [rest.strip() for word, _, rest in lines if word.lower() == keyword and rest.strip()]
+
+
+def _beside(name: str, folder: Path, search: FileSearch) -> Path | None:
     try:
         return search.find(name, folder)
     except NotFoundError:
         return None
 
 
-def _baked(path: Path, scale: tuple[float, float, float]) -> MeshDraft:
+def _baked(path: Path, scale: Scale) -> MeshDraft:
     """The mesh as an OBJ in metres."""
-    suffix = path.suffix.lower()
-    if suffix == ".dae":
+    if path.suffix.lower() == ".dae":
         from simfoundry.frontends.collada import read_collada
 
         parts = read_collada(path, scale)
-    elif suffix in (*MESH_SUFFIXES, ".gltf"):
+    elif path.suffix.lower() in (*MESH_SUFFIXES, ".gltf"):
         parts = read_parts(path, scale)
     else:
         raise MeshError("SF301", f"{path.name} is of a kind that is not read", "convert it to OBJ, STL, PLY or GLB")
@@ -103,11 +107,11 @@ def _baked(path: Path, scale: tuple[float, float, float]) -> MeshDraft:
 
 
 def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
-    """An OBJ in metres with a material for each part that has a colour or texture of its own."""
+    """Return an OBJ in metres with a material for each part that has a colour or texture of its own."""
     out, library = io.StringIO(), io.StringIO()
     pictures: dict[str, bytes] = {}
     for k, part in enumerate(parts):
-        _material(library, pictures, part, name, k)
+        _add_material(library, pictures, part, name, k)
     if library.getvalue():
         out.write(f"mtllib {name}.mtl\n")
     points = textured = 1
@@ -133,7 +137,7 @@ def mesh_of_parts(parts: Sequence[MeshPart], name: str) -> MeshDraft:
     return MeshDraft(files | pictures)
 
 
-def _material(library: io.StringIO, pictures: dict[str, bytes], part: MeshPart, name: str, k: int) -> None:
+def _add_material(library: io.StringIO, pictures: dict[str, bytes], part: MeshPart, name: str, k: int) -> None:
     if part.texture is None and part.rgba is None:
         return
     r, g, b, a = part.rgba or (1.0, 1.0, 1.0, 1.0)
@@ -147,3 +151,55 @@ def _material(library: io.StringIO, pictures: dict[str, bytes], part: MeshPart, 
 
 def _rows(form: str, values: Array | np.ndarray[Any, Any]) -> str:
     return (form * len(values)) % tuple((np.asarray(values) + 0).ravel().tolist())
+
+
+Groups = list[tuple[str, list[tuple[int, int, int]]]]
+
+
+def group_drafts(path: Path, scale: Scale) -> list[tuple[str, MeshDraft]]:
+    """Return a mesh [m] for each group of an OBJ that has several, by the group's name; none for any other file.
+
+    PyBullet makes a convex hull of each where a URDF collides with it. What is wrong with an OBJ is for the reader of
+    meshes to report.
+    """
+    data = path.read_bytes() if path.suffix.lower() == ".obj" else b""
+    if not _GROUP.search(data):
+        return []
+    try:
+        points, groups = _groups(data.decode("utf-8", "replace"))
+    except (ValueError, IndexError):
+        return []
+    if len(groups) < 2:
+        return []
+    vertices = np.array(points, dtype=np.float64).reshape(-1, 3) * scale
+    out = []
+    for k, (name, triangles) in enumerate(groups, 1):
+        used, corners = np.unique(np.array(triangles, dtype=np.int64), return_inverse=True)
+        faces = corners.reshape(-1, 3).astype(np.int32)
+        part = MeshPart(vertices[used], faces if np.prod(scale) > 0 else np.ascontiguousarray(faces[:, ::-1]))
+        out.append((name or f"group_{k}", mesh_of_parts([part], plain_name(f"{path.stem}_{k}", "mesh"))))
+    return out
+
+
+def _groups(text: str) -> tuple[list[list[float]], Groups]:
+    """Vertices and, by group, triangles of an OBJ; groups without faces are left out."""
+    points: list[list[float]] = []
+    groups: Groups = [("", [])]
+    for words in filter(None, map(str.split, text.splitlines())):
+        if words[0] == "v":
+            points.append([float(word) for word in words[1:4]])
+        elif words[0] in ("o", "g") and len(words) > 1:
+            groups.append((words[1], []))
+        elif words[0] == "f":
+            corners = [_vertex(word, len(points)) for word in words[1:]]
+            groups[-1][1].extend((corners[0], a, b) for a, b in pairwise(corners[1:]))
+    return points, [(name, triangles) for name, triangles in groups if triangles]
+
+
+def _vertex(word: str, count: int) -> int:
+    """The index of the vertex that a corner names, from 1 or, where it is negative, from the last before it."""
+    number = int(word.partition("/")[0])
+    index = number - 1 if number > 0 else count + number
+    if not 0 <= index < count:
+        raise IndexError(word)
+    return index

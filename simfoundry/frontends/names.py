@@ -8,10 +8,11 @@ import unicodedata
 from simfoundry.spec.models.base import WORLD
 
 LONGEST = 64
+"""Characters of a name: the language allows no more."""
 
 
 def plain_name(text: str, otherwise: str = "thing") -> str:
-    """A name of the language that is as close as can be to a text."""
+    """Return the name of the language that is closest to a text."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z][a-z])", "_", text)
     ascii_only = unicodedata.normalize("NFKD", spaced).encode("ascii", "ignore").decode().lower()
     name = re.sub(r"[^a-z0-9]+", "_", ascii_only).strip("_")
@@ -20,10 +21,10 @@ def plain_name(text: str, otherwise: str = "thing") -> str:
     return (name if name[0].isalpha() else f"{otherwise}_{name}")[:LONGEST].rstrip("_")
 
 
-class Names:
-    """Gives each thing of one kind a name of its own; ``renamed`` says which names had to change.
+class NameTable:
+    """Unique names for the elements of one kind; ``renamed`` has those that had to change.
 
-    None is called ``world``, which formats keep for what does not move.
+    None is called ``world``, which formats keep for the static world.
     """
 
     def __init__(self, otherwise: str = "thing") -> None:
@@ -32,7 +33,7 @@ class Names:
         self.renamed: dict[str, str] = {}
 
     def name(self, text: str) -> str:
-        """A name for a thing called ``text``, unlike all that were given before."""
+        """Return a name for an element called ``text``, unlike all that were given before."""
         plain = plain_name(text, self.otherwise)
         name, count = plain, 1
         while name in self.taken:

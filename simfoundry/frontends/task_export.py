@@ -1,6 +1,6 @@
-"""A task of ours in the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
+"""Export tasks to the formats that others read: LIBERO's and BEHAVIOR's BDDL, and the authors' task YAML.
 
-What a format cannot say is refused where the goal would change its meaning, and noted where only the start would.
+A task is refused where a format would change the meaning of its goal; losses at the start are noted.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from simfoundry.spec.models.task import TaskSpec
 FORMATS = ("libero", "behavior", "omnigibson")
 
 
-class ExportError(SimfoundryError):
-    """A task that a format cannot say; the message says what, and which format can."""
+class TaskExportError(SimfoundryError):
+    """A task that a format cannot express; the message names the reason, and the format that can."""
 
 
 @dataclass
-class Export:
-    """A file's text, and what of the task is not in it or was assumed for it."""
+class TaskExport:
+    """A file's text, with notes on what was left out or assumed."""
 
     text: str = ""
     notes: list[str] = field(default_factory=list)
 
 
-def export_task(spec: TaskSpec, scene: Scene, format_: str) -> Export:
-    """The task in one of :data:`FORMATS`; raises :class:`ExportError`."""
-    export = Export()
+def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
+    """Return the task in one of :data:`FORMATS`; raises :class:`TaskExportError`."""
+    export = TaskExport()
     if spec.start.place or spec.start.pose:
         export.notes.append("poses at the start: the format has the scene's own")
     if format_ == "omnigibson":
@@ -46,7 +46,7 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> Export:
 
 
 def atoms(condition: Any) -> list[tuple[Call, bool]]:
-    """The predicates of a conjunction, each with whether it must hold; raises :class:`ExportError` for another goal."""
+    """Return the predicates of a conjunction, each with its truth value; raises :class:`TaskExportError` for others."""
     tag, below = parts(condition)
     if tag == "text":
         return [(parse_call(below[0]), True)]
@@ -54,22 +54,22 @@ def atoms(condition: Any) -> list[tuple[Call, bool]]:
         return [atom for item in below for atom in atoms(item)]
     if tag == "not" and parts(below[0])[0] == "text":
         return [(parse_call(below[0]), False)]
-    raise ExportError("the goal joins predicates by `any`, or negates several: only `behavior` can say that")
+    raise TaskExportError("the goal joins predicates by `any`, or negates several: only `behavior` can say that")
 
 
 def owner(name: str) -> str:
-    """The object of ``object.part``."""
+    """Return the object of ``object.part``."""
     return name.partition(".")[0]
 
 
 def support(scene: Scene, name: str) -> SceneObject:
-    """What an object stands on by the scene's relations; else the first fixed object."""
+    """Return the object that another stands on by the scene's relations; else the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
             return scene.object(owner(relation.args[1]))
     fixed = next((item for item in scene.objects if item.fixed), None)
     if fixed is None:
-        raise ExportError(f"nothing tells what `{name}` stands on; add a relation `OnTop({name}, …)` to the scene")
+        raise TaskExportError(f"nothing tells what `{name}` stands on; add a relation `OnTop({name}, …)` to the scene")
     return fixed
 
 
@@ -85,13 +85,13 @@ _UNSAID = ("Released",)
 """Predicates that may be left out: the others' `On` and `In` ask for contact and nothing of the gripper."""
 
 
-def _bddl(spec: TaskSpec, scene: Scene, format_: str, export: Export) -> str:
+def _bddl(spec: TaskSpec, scene: Scene, format_: str, export: TaskExport) -> str:
     libero = format_ == "libero"
     names = {o.name: o.name for o in scene.objects} if libero else _synsets(scene, export)
     regions: dict[str, list[str]] = {}
     goal = _libero_goal(spec, regions, export) if libero else _behavior_goal(spec.goal, names, export)
     if not goal:
-        raise ExportError("nothing of the goal can be said in this format")
+        raise TaskExportError("nothing of the goal can be said in this format")
     init = list(_init(spec, scene, names, regions, libero, export))
     fixed = {o.name for o in scene.objects if o.fixed or o.joints}
     # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
@@ -124,7 +124,7 @@ def _interest(spec: TaskSpec) -> list[str]:
     return list(dict.fromkeys(owner(arg) for call, _ in atoms(spec.goal) for arg in call.args))
 
 
-def _synsets(scene: Scene, export: Export) -> dict[str, str]:
+def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
     """BEHAVIOR's names: a synset of WordNet and a number."""
     counts: dict[str, int] = {}
     names = {}
@@ -136,13 +136,13 @@ def _synsets(scene: Scene, export: Export) -> dict[str, str]:
     return names
 
 
-def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: Export) -> str:
+def _libero_goal(spec: TaskSpec, regions: dict[str, list[str]], export: TaskExport) -> str:
     said = []
     for call, wanted in atoms(spec.goal):
         if call.predicate in _UNSAID:
             export.notes.append(f"{call}: the format asks nothing of the gripper")
         elif call.predicate not in _LIBERO or not wanted:
-            raise ExportError(f"LIBERO has no predicate for `{'' if wanted else 'not '}{call}`")
+            raise TaskExportError(f"LIBERO has no predicate for `{'' if wanted else 'not '}{call}`")
         else:
             said.append(f"({_LIBERO[call.predicate]} {' '.join(_region(arg, regions) for arg in call.args)})")
     return f"(And {' '.join(said)})" if said else ""
@@ -157,7 +157,7 @@ def _region(name: str, regions: dict[str, list[str]]) -> str:
     return f"{thing}_{part}_region"
 
 
-def _behavior_goal(condition: Any, names: dict[str, str], export: Export) -> str | None:
+def _behavior_goal(condition: Any, names: dict[str, str], export: TaskExport) -> str | None:
     tag, below = parts(condition)
     if tag == "text":
         call = parse_call(below[0])
@@ -165,7 +165,7 @@ def _behavior_goal(condition: Any, names: dict[str, str], export: Export) -> str
             export.notes.append(f"{call}: the format asks nothing of the gripper")
             return None
         if call.predicate not in _BEHAVIOR or any(owner(arg) not in names for arg in call.args):
-            raise ExportError(f"BEHAVIOR has no predicate for `{call}`")
+            raise TaskExportError(f"BEHAVIOR has no predicate for `{call}`")
         for arg in call.args:
             if "." in arg:
                 export.notes.append(f"{call}: the whole of `{owner(arg)}` is meant, not `{arg}`")
@@ -178,7 +178,7 @@ def _behavior_goal(condition: Any, names: dict[str, str], export: Export) -> str
 
 
 def _init(
-    spec: TaskSpec, scene: Scene, names: dict[str, str], regions: dict[str, list[str]], libero: bool, export: Export
+    spec: TaskSpec, scene: Scene, names: dict[str, str], regions: dict[str, list[str]], libero: bool, export: TaskExport
 ) -> Iterator[str]:
     if not libero:
         for relation in scene.relations:
@@ -213,13 +213,13 @@ _STATES = {
 }  # fmt: skip
 
 
-def _omnigibson(spec: TaskSpec, scene: Scene, export: Export) -> str:
+def _omnigibson(spec: TaskSpec, scene: Scene, export: TaskExport) -> str:
     goal = [_predicate(call, wanted, scene, export) for call, wanted in atoms(spec.goal)]
     milestones: list[dict[str, Any]] = []
     for name, subtask in spec.subtasks.items():
         try:
             found = [_predicate(call, wanted, scene, export) for call, wanted in atoms(subtask.goal)]
-        except ExportError as error:
+        except TaskExportError as error:
             export.notes.append(f"sub-task `{name}`: {error}")
             continue
         requires = [m["name"] for m in milestones][-1:]
@@ -249,9 +249,9 @@ def _omnigibson(spec: TaskSpec, scene: Scene, export: Export) -> str:
     return str(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
 
 
-def _predicate(call: Call, wanted: bool, scene: Scene, export: Export) -> dict[str, Any]:
+def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> dict[str, Any]:
     if call.predicate not in _STATES:
-        raise ExportError(f"the release has no state for `{call}`")
+        raise TaskExportError(f"the release has no state for `{call}`")
     args = [owner(arg) for arg in call.args]
     if args != list(call.args):
         export.notes.append(f"{call}: the whole of the object is meant, not its part")
@@ -270,7 +270,7 @@ def _predicate(call: Call, wanted: bool, scene: Scene, export: Export) -> dict[s
     }
 
 
-def _ranges(spec: TaskSpec, scene: Scene, export: Export) -> dict[str, Any]:
+def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:
     """Half widths about the scene's poses, which is all that the release knows."""
     widths: dict[str, list[float]] = {}
     turns: dict[str, float] = {}

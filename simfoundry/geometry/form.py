@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -74,6 +75,12 @@ class Form:
         """A ball around it: centre [m], shape (3,), and radius [m]."""
         middle = (self.low[:3] + self.high[:3]) / 2
         return middle, float((np.linalg.norm(self.points - middle, axis=1) + self.radius).max())
+
+    @cached_property
+    def digest(self) -> bytes:
+        """The SHA-256 of the parts: equal for forms of the same parts."""
+        arrays = (self.parts.corners, self.parts.part, self.parts.radius, self.parts.triangles)
+        return hashlib.sha256(b"".join(np.ascontiguousarray(v).tobytes() for v in arrays)).digest()
 
     @cached_property
     def pieces(self) -> tuple[Array, Array, Array, Array]:

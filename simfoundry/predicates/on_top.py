@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from simfoundry.predicates.judging.thresholds import SETTLED, SUPPORT_DEG, TOUCH
+from simfoundry.predicates.judging.thresholds import CLOSE, FRICTION_SHARE, SETTLED, SUPPORT_DEG, TOUCH
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
@@ -23,10 +23,10 @@ def on_top(terms: Terms, a: Thing, b: Thing) -> None:
 
     terms.require_at_rest(a)
     contact = support.Contact(terms.context, a, b)
-    terms.require_if_open(contact.gap, lambda v: TOUCH - v, lambda v, ok: terms.gap_text(a, b, v))
+    terms.require_if_open(contact.gap, contact.margin, lambda v, ok: terms.gap_text(a, b, v))
     terms.require_if_open(
         contact.push,
-        lambda v: STEEP_SCALE * (v - support.STEEPEST),
+        lambda v: STEEP_SCALE * (v - contact.least_cosine),
         lambda v, ok: "" if ok else support.push_text(a, b, v),
     )
     balance = partial(support.balance, terms.context, a, b)
@@ -39,10 +39,12 @@ PREDICATE = Predicate(
     "the first rests on top of the second",
     ("thing", "thing"),
     on_top,
-    f"`b` supports `a`: it is at most {TOUCH * 1000:g} mm from it and pushes it within {SUPPORT_DEG:g} deg of straight "
-    "up; the centre of mass of `a` is over the outline of `b`, or another object touches it too; it moves no faster "
-    f"than {SETTLED * 100:g} cm/s, no robot holds it. What lies in a bowl rests on it, and so does what hangs on a "
-    "hook or leans on an edge",
+    f"`b` supports `a`: it is at most {TOUCH * 1000:g} mm from it and pushes it within {SUPPORT_DEG:g} deg of "
+    f"straight up, where friction turns the push by {FRICTION_SHARE:g} of its angle; the centre of mass of `a` is over "
+    "the outline of `b`, or another object touches it too; of objects under it, one that is farther than "
+    f"{CLOSE * 1000:g} mm does not count if another supports it; it moves no faster than "
+    f"{SETTLED * 100:g} cm/s, no robot holds it. What lies in a bowl rests on it, and so does what hangs on a hook or "
+    "leans on an edge",
     effect=Effect.PLACE,
     aliases=("ontop", "On", "OnTopAABB", "OnTopOf", "on_top"),
 )

@@ -14,7 +14,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 from simfoundry.errors import SimfoundryError
@@ -169,3 +171,15 @@ def _scan(group: str, path: tuple[str, ...]) -> Mapping[str, Plugin]:  # noqa: A
 def _distribution(entry: EntryPoint) -> str:
     """Return the name and version of the package that an entry point belongs to."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "of unknown name"
+
+
+def import_file(path: Path, place: Path | None = None) -> ModuleType:
+    """Run a file as a module of its own, as if it lay at ``place``; it is not entered in ``sys.modules``."""
+    spec = spec_from_file_location(f"{path.parent.name}_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is no Python file")
+    module = module_from_spec(spec)
+    if place is not None:
+        module.__file__ = str(place)
+    spec.loader.exec_module(module)
+    return module

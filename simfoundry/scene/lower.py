@@ -102,18 +102,20 @@ def lower_objects(lowering: Lowering, scene: Scene) -> Scene:
     """Lower the objects but for their places; raises :class:`SpecError` with every finding.
 
     What is to be inside of something, and all below it, comes first: whether it fits is known before the meshes of all
-    other objects are cut into convex parts, which may take minutes. Where it does not, these are looked at uncut.
+    other objects are cut into convex parts, which may take minutes, and often before its own. Where it does not, these
+    are looked at uncut.
     """
     spec = lowering.spec
     work = ObjectLowering(lowering.loaded, lowering.cache, lowering.progress, len(spec.objects), draft=lowering.draft)
     found: dict[str, SceneObject | None] = {}
     first = () if lowering.draft else _below_what_is_inside(spec)
-    misfits: list[Diagnostic] = []
+    misfits = _certain_misfits(lowering, first) if first else []
+    work.cuts = not misfits
     for name in (*first, *(name for name in spec.objects if name not in first)):
         work.report(name)
         found[name] = work.lower(name, spec.objects[name], spec)
         work.done += 1
-        if first and len(found) == len(first) and not work.findings:
+        if first and len(found) == len(first) and not work.findings and not misfits:
             misfits = list(_misfits(lowering, {k: item for k, item in found.items() if item is not None}))
             work.cuts = not misfits
     if work.findings or misfits:
@@ -135,6 +137,24 @@ def _below_what_is_inside(spec: SceneSpec) -> tuple[str, ...]:
             seen.add(name)
             todo += needs(places[name]) if name in places else ()
     return tuple(name for name in spec.objects if name in seen)
+
+
+def _certain_misfits(lowering: Lowering, names: tuple[str, ...]) -> list[Diagnostic]:
+    """What is wrong with places `inside`, as far as it is certain before meshes that no cache has are cut."""
+    from simfoundry.scene.misfits import certain_misfits, uncut
+
+    spec, loaded = lowering.spec, lowering.loaded
+    meshes = [name for name in names if spec.objects[name].shape is None]
+    draft = ObjectLowering(loaded, lowering.cache, draft=True)
+    for name in meshes:
+        draft.lower(name, spec.objects[name], spec)
+    if draft.findings or not draft.approximate:
+        return []
+    work = ObjectLowering(loaded, lowering.cache, cuts=False)
+    found = {name: item for name in names if (item := work.lower(name, spec.objects[name], spec)) is not None}
+    shapes = {name: uncut(item) if name in draft.approximate else item for name, item in found.items()}
+    wrong = certain_misfits(shapes, lowering.places, viewer(spec), draft.approximate)
+    return [loaded.finding("SF210", ("objects", name, "place"), e.message, e.hint) for name, e in wrong.items()]
 
 
 def _misfits(lowering: Lowering, objects: Mapping[str, SceneObject]) -> Iterator[Diagnostic]:

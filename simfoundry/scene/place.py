@@ -101,20 +101,27 @@ def solve(item: SceneObject, place: Place, placed: Mapping[str, SceneObject], vi
 
     ``viewer`` is a frame with x away from whom left, right, front and behind are seen by; without one it is the world.
     """
+    held, carrier, xy = approach(item, place, placed, viewer)
+    lift = _lift(held, carrier, walled=place.inside is not None)
+    if lift is None:
+        raise unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
+    at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
+    if not np.isfinite(at).all():
+        raise PlaceError(f"`{item.name}` would be beyond all numbers", "check the sizes and positions around it")
+    return Pose.of(at, _rotation(place))
+
+
+def approach(
+    item: SceneObject, place: Place, placed: Mapping[str, SceneObject], viewer: Pose | None
+) -> tuple[Hulls, _Carrier, Array]:
+    """The parts of a thing over its place, turned as it is written, what carries it, and the place in the plane [m]."""
     carrier = _Carrier.of(_carrier_name(place) or "", placed)
     upright = Pose.of(q=_rotation(place))
     shape = hulls(replace(item, X_WO=upright))
     if not len(shape.corners):
         raise PlaceError(f"`{item.name}` has no shape that could be placed")
     xy = _position(place, shape, upright, carrier, placed, viewer)
-    held = shape.moved(np.array([*xy, 0.0]))
-    lift = _lift(held, carrier, walled=place.inside is not None)
-    if lift is None:
-        raise _unfit(item.name, xy, held, carrier, "on" if place.inside is None else "inside")
-    at = np.round([*xy, lift + CLEARANCE], DIGITS) + 0.0
-    if not np.isfinite(at).all():
-        raise PlaceError(f"`{item.name}` would be beyond all numbers", "check the sizes and positions around it")
-    return Pose.of(at, upright.q)
+    return shape.moved(np.array([*xy, 0.0])), carrier, xy
 
 
 def seen_by_camera(X_WC: Pose) -> Pose:
@@ -246,7 +253,7 @@ def _spaces(low: Array, high: Array) -> Iterator[tuple[float, int]]:
         ceiling = min(ceiling, float(bottom))
 
 
-def _unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+def unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
     """Why a thing cannot lie where it is: it misses its carrier, or does not fit."""
     if not np.isfinite(heights(held, carrier.part)).any():
         spans = [" to ".join(map(_metres, carrier.part.extent(axis))) for axis in np.eye(3)[:2]]
@@ -258,6 +265,11 @@ def _unfit(name: str, xy: Array, held: Hulls, carrier: _Carrier, where: str) -> 
         return PlaceError(
             message, "write `on`, or give it a hollow: a lathe, a mesh with `collision: decompose`, parts"
         )
+    return misfit(name, held, carrier, where)
+
+
+def misfit(name: str, held: Hulls, carrier: _Carrier, where: str) -> PlaceError:
+    """The error of a thing for which there is no room on or inside of its carrier."""
     own = _size(held.size())
     room = _size(np.array([high - low for low, high in map(carrier.part.extent, carrier.X_WC.rotation.T)]))
     message = f"`{name}` ({own}) does not fit {where} `{carrier.name}` ({room} outside)"

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from types import MappingProxyType
 from weakref import WeakValueDictionary
 
-from simfoundry.errors import SimfoundryError
 from simfoundry.scene.poses import pose
 from simfoundry.scene.robot import FILES_ONLY, Attached, Follow, Gripper, LinkFrame, ModelFormat, NativeModel, Robot
 from simfoundry.scene.robot_files import digest, find_model, model_files
 from simfoundry.scene.robot_packages import NoModelError
 from simfoundry.spec.models.robot import RobotSpec
-from simfoundry.spec.models.robot_model import ModelSpec, RobotModelsSpec, read_models
-
-OWN_MODELS = "SIMFOUNDRY_ROBOTS"
-"""The environment variable that names a folder of one's own robot files, `franka_robotiq.yaml` and so on."""
+from simfoundry.spec.models.robot_file import (
+    ModelSpec,
+    RobotFileSpec,
+    known_robot_file,
+    own_folder,
+    read_robot_file,
+    robot_names,
+)
 
 _ROBOTS: WeakValueDictionary[tuple[object, ...], Robot] = WeakValueDictionary()
 _MODELS: WeakValueDictionary[tuple[object, ...], NativeModel] = WeakValueDictionary()
 """What is alive of each content: the scenes of a batch share a robot, and what backends have read of it."""
 
-_BUILT_IN = Path(__file__).parents[1] / "robots"
 _SUFFIX = {ModelFormat.MJCF: ".xml", ModelFormat.URDF: ".urdf", ModelFormat.USD: ".usd"}
 
 
@@ -31,26 +32,29 @@ def lower_robot(name: str, spec: RobotSpec, document: Path, fetch: bool = True) 
 
     Packages that fetch robots when they are first used do so with ``fetch`` only.
     """
-    known = spec.known()
     if isinstance(spec.model, str):
-        models, missing = _known_models(spec.model, fetch)
+        own_folder(must_exist=True)
+        found = known_robot_file(spec.model)
+        if found is None:
+            raise NoModelError(f"no robot is called `{spec.model}`; there are: {', '.join(robot_names())}")
+        described, file = found
     elif spec.model.file is not None:
         file = find_model(spec.model.file, document, ".yaml", fetch)
-        models, missing = _models(read_models(file), file, fetch)
+        described = read_robot_file(file)
     else:
-        models, missing = _models(RobotModelsSpec.model_validate(_as_models(spec)), document, fetch)
+        described, file = RobotFileSpec.model_validate(_as_models(spec)), document
+    models, missing = _models(described, file, fetch)
     if not models:
         raise NoModelError(missing)
-    home = dict(known.home) if known is not None else {}
-    positions = home | (spec.joints if isinstance(spec.joints, dict) else {})
+    positions = described.home_positions | (spec.joints if isinstance(spec.joints, dict) else {})
     key = (name, spec.model_dump_json(), *(id(model) for model in models.values()))
     robot = _ROBOTS.get(key) or Robot(
         name=name,
         kind=spec.model if isinstance(spec.model, str) else FILES_ONLY,
         X_WB=pose(spec.pose),
         positions=MappingProxyType(positions),
-        reach=spec.reach or (known.reach if known is not None else None),
-        opening=spec.opening or (known.opening if known is not None else None),
+        reach=spec.reach or described.reach,
+        opening=spec.opening or described.opening,
         models=MappingProxyType(models),
     )
     return _ROBOTS.setdefault(key, robot)
@@ -62,21 +66,7 @@ def _as_models(spec: RobotSpec) -> dict[str, ModelSpec]:
     return {key: ModelSpec(file=file) for key, file in files.items() if file is not None}
 
 
-def _known_models(name: str, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
-    """The models of a known robot; what one's own folder says of a format stands in place of what is built in."""
-    folder = os.environ.get(OWN_MODELS)
-    own = Path(folder).expanduser().resolve() / f"{name}.yaml" if folder else None
-    if own is not None and not own.parent.is_dir():
-        raise SimfoundryError(f"{OWN_MODELS} names {own.parent}, and there is no such folder")
-    built_in = _BUILT_IN / f"{name}.yaml"
-    models = read_models(built_in)
-    if own is None or not own.is_file():
-        return _models(models, built_in, fetch)
-    changed = read_models(own)
-    return _models(models.model_copy(update={k: getattr(changed, k) for k in changed.model_fields_set}), own, fetch)
-
-
-def _models(spec: RobotModelsSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
+def _models(spec: RobotFileSpec, document: Path, fetch: bool) -> tuple[dict[ModelFormat, NativeModel], str]:
     """The models that are there, and why the first that is not there is not."""
     found, missing = {}, ""
     for key in ModelFormat:

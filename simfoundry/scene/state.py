@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from simfoundry.geometry.frames import Pose
@@ -70,3 +70,17 @@ class SceneState:
 
 def _is_free(joint: Joint) -> bool:
     return joint.type in (JointType.BALL, JointType.FREE)
+
+
+def object_at(item: SceneObject, state: SceneState) -> SceneObject:
+    """Return an object with its pose and joints as in a state, and without its other variants."""
+    at = state.of_object(item)
+    joints = tuple(_moved(joint, at.get(joint.name)) for joint in item.joints)
+    return replace(item, X_WO=state.poses[item.name], joints=joints, variants=())
+
+
+def _moved(joint: Joint, to: float | Pose | None) -> Joint:
+    """Return a joint with another position or motion; None leaves it as it is."""
+    if to is None:
+        return joint
+    return replace(joint, motion=to) if isinstance(to, Pose) else replace(joint, position=to)

@@ -6,60 +6,9 @@ import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Any
-
-CODES = {
-    "SF001": "the file cannot be read",
-    "SF002": "the text is not YAML",
-    "SF003": "a key is written twice",
-    "SF004": "a YAML feature that specs do not use",
-    "SF005": "the document is too large or too deep",
-    "SF006": "the kind of document is not known",
-    "SF101": "an unknown key",
-    "SF102": "a missing key",
-    "SF103": "a value of the wrong type",
-    "SF104": "a value out of range",
-    "SF105": "a list of the wrong length",
-    "SF106": "a value that is not among the valid ones",
-    "SF107": "keys that exclude or need each other",
-    "SF108": "a body without a mass",
-    "SF201": "a name that nothing defines",
-    "SF202": "a relation that cannot be read",
-    "SF203": "a file that does not exist",
-    "SF204": "a path that leaves the project",
-    "SF205": "a joint state outside its limits",
-    "SF206": "links and joints that do not form a tree",
-    "SF207": "a document that extends itself",
-    "SF208": "places that depend on each other",
-    "SF209": "a merge conflict that is left to decide",
-    "SF210": "a place that cannot be solved",
-    "SF211": "a joint that follows nothing it can follow",
-    "SF212": "a pair without contact that is no pair",
-    "SF213": "a name that means two things",
-    "SF301": "a mesh that cannot be used",
-    "SF302": "a mesh that is not closed",
-    "SF303": "a mesh of an implausible size",
-    "SF401": "an unused material",
-    "SF402": "an implausible density",
-    "SF403": "an `allow` that silences nothing",
-    "SF404": "a goal that asks for nothing",
-    "SF405": "a goal that is true at the start",
-    "SF406": "a relation that does not hold",
-    "SF407": "a thing wider than the gripper",
-    "SF408": "a thing out of reach",
-    "SF409": "a thing out of every camera's view",
-    "SF410": "things that overlap",
-    "SF411": "a thing that nothing carries",
-    "SF412": "a texture that cannot be shown",
-    "SF421": "a change of a stage that a spec cannot say",
-    "SF501": "a capture whose files do not fit together",
-    "SF502": "a capture without usable depth",
-    "SF503": "a capture without a support plane",
-    "SF504": "a capture without objects",
-    "SF505": "an object that could not be fitted",
-}
-
 
 SHOWN = 160
 """How many columns of a line are shown."""
@@ -112,61 +61,13 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
     return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
-ELSEWHERE = {
-    "on": "OnTop",
-    "stackedon": "OnTop",
-    "in": "inside",
-    "beside": "NextTo",
-    "near": "NextTo",
-    "below": "Under",
-    "over": "Above",
-    "holding": "Grasped",
-    "held": "Grasped",
-    "and": "all",
-    "or": "any",
-    "steps": "subtasks",
-    "stages": "subtasks",
-    "success": "goal",
-    "done": "goal",
-    "language": "instruction",
-    "prompt": "instruction",
-    "maxsteps": "horizon",
-    "timeout": "horizon",
-    "frequency": "control_hz",
-    "hz": "control_hz",
-    "length": "height",
-    "position": "xyz",
-    "translation": "xyz",
-    "rotation": "rpy_deg",
-    "euler": "rpy_deg",
-    "rpy": "rpy_deg",
-    "yaw": "yaw_deg",
-    "orientation": "quat_wxyz",
-    "weight": "mass",
-    "static": "fixed",
-    "file": "asset",
-    "ball": "sphere",
-    "cuboid": "box",
-    "cube": "box",
-    "extrude": "prism",
-    "revolve": "lathe",
-    "cup": "lathe",
-    "mug": "lathe",
-    "bowl": "lathe",
-    "resolution": "size",
-    "target": "look_at",
-    "left": "left_of",
-    "right": "right_of",
-    "front": "in_front_of",
-    "infront": "in_front_of",
-    "distance": "gap",
-    "range": "limits",
-    "origin": "pose",
-    "slide": "prismatic",
-    "slider": "prismatic",
-    "hinge": "revolute",
-}
-"""What other formats and people call some keys and words, as `nearest` compares names, and what they are here."""
+@cache
+def _synonyms() -> dict[str, str]:
+    """Our key or word by that of other formats and of people, as `nearest` compares names."""
+    from simfoundry.spec.yaml.text import read
+
+    ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
+    return {other: word for word, others in ours.items() for other in others}
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
@@ -174,7 +75,7 @@ def nearest(word: str, choices: Iterable[str]) -> str:
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
     sought = _plain(word)
-    meant = _plain(ELSEWHERE.get(sought, ""))
+    meant = _plain(_synonyms().get(sought, ""))
     if meant in plain:
         return f"did you mean `{plain[meant]}`?"
     similar = [n for n in plain if len(plain) <= 1000 or n[:3] == sought[:3]]  # comparing takes its time

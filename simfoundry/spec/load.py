@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 from simfoundry.spec.check.allow import sift
@@ -10,7 +11,6 @@ from simfoundry.spec.check.validate import sound_part, validate
 from simfoundry.spec.compose import compose
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.loaders import LOADERS
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.text import Document, YamlError, parse, read
@@ -18,16 +18,24 @@ from simfoundry.spec.yaml.text import Document, YamlError, parse, read
 Known = dict[tuple[str, str], Loaded | None]
 """Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""
 
+_OTHER_FORMATS = dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), "simfoundry.frontends.usd.compiled:load_usd")
+"""Functions that read documents in other files than YAML, by suffix.
+
+They belong to a higher layer: they are named here, and imported for the first such file.
+"""
+
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
     """Read and check one document; the findings say what is wrong, nothing is raised.
 
     Documents that it uses are taken from ``known`` where they are, and added to it. With ``text``, that is checked as
-    if it were what the file holds. A file that is no YAML is read by the one of ``LOADERS`` for its suffix.
+    if it were what the file holds. A USD file is read as the scene that it was compiled from.
     """
     known = {} if known is None else known
-    if text is None and path.suffix.lower() in LOADERS:
-        return LOADERS[path.suffix.lower()](path, known)
+    if text is None and path.suffix.lower() in _OTHER_FORMATS:
+        module, _, function = _OTHER_FORMATS[path.suffix.lower()].partition(":")
+        other: Loaded = getattr(import_module(module), function)(path, known)
+        return other
     root = (root or project_root(path)).resolve()
     try:
         document = read(path) if text is None else parse(text, str(path))

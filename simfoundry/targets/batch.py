@@ -23,7 +23,7 @@ COMPILED, CURRENT, FAILED = "compiled", "up to date", "failed"
 
 
 @dataclass(frozen=True)
-class Job:
+class CompileJob:
     """A scene document, the targets to compile it for, and the folder of the build."""
 
     scene: Path
@@ -33,7 +33,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CompileOutcome:
     """What became of a job: ``state``, the entry file by target, how much was lost; where it failed, why.
 
     ``losses`` counts, by target, what was approximated or dropped. ``error`` is a sentence; ``findings`` are of the
@@ -55,18 +55,18 @@ class Outcome:
 
 
 def compile_all(
-    jobs: Sequence[Job],
+    jobs: Sequence[CompileJob],
     workers: int,
     report: Callable[[str, int], object] = lambda doing, done: None,
     limits: Limits | None = None,
     function: str = FUNCTION,
-) -> list[Outcome]:
+) -> list[CompileOutcome]:
     """The outcomes of jobs, in order, from ``workers`` processes that call ``function`` for each.
 
     ``report`` hears, from any thread, what is being done and how many jobs are done. A process that crashes, hangs or
     needs too much memory fails its job, with what it was doing, and another takes its place.
     """
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, CompileOutcome] = {}
     size = min(workers, len(jobs))
     pool = WorkerPool(
         size,
@@ -85,13 +85,13 @@ def compile_all(
     return [outcomes[k] for k in range(len(jobs))]
 
 
-def _failure(job: Job, error: WorkerError) -> Outcome:
+def _failure(job: CompileJob, error: WorkerError) -> CompileOutcome:
     """The outcome of a job whose process failed."""
     during = f", at {error.doing}" if error.doing else ""
-    return Outcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
+    return CompileOutcome(str(job.scene), str(job.out), FAILED, error=f"its process {error.how}{during}")
 
 
-def compile_job(job: Job) -> Outcome:
+def compile_job(job: CompileJob) -> CompileOutcome:
     """Compile one scene in this process, unless its build is up to date; what is wrong with it is in the outcome."""
     from simfoundry.assets.cache import Cache
     from simfoundry.errors import SimfoundryError
@@ -102,7 +102,7 @@ def compile_job(job: Job) -> Outcome:
     from simfoundry.targets.build import TargetsError, build, is_current
     from simfoundry.targets.find import find_target
 
-    failed = Outcome(str(job.scene), str(job.out), FAILED)
+    failed = CompileOutcome(str(job.scene), str(job.out), FAILED)
     try:
         report_progress("its documents")
         loaded = load_scene(job.scene)
@@ -115,20 +115,20 @@ def compile_job(job: Job) -> Outcome:
     except TargetsError as error:
         return replace(_outcome(job, FAILED, error.artifacts), error=str(error))
     except SpecError as error:
-        return Outcome(failed.scene, failed.out, FAILED, findings=tuple(error.diagnostics))
+        return CompileOutcome(failed.scene, failed.out, FAILED, findings=tuple(error.diagnostics))
     except SimfoundryError as error:
-        return Outcome(failed.scene, failed.out, FAILED, error=str(error))
+        return CompileOutcome(failed.scene, failed.out, FAILED, error=str(error))
     except OSError as error:
-        return Outcome(
+        return CompileOutcome(
             failed.scene, failed.out, FAILED, error=f"{error.filename or 'a file'}: {error.strerror or error}"
         )
     return _outcome(job, COMPILED, artifacts)
 
 
-def _outcome(job: Job, state: str, artifacts: Sequence[Artifact]) -> Outcome:
+def _outcome(job: CompileJob, state: str, artifacts: Sequence[Artifact]) -> CompileOutcome:
     """The outcome of a job that wrote ``artifacts``."""
     entries = {a.target: str(job.out / a.target / a.entry) for a in artifacts}
-    return Outcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
+    return CompileOutcome(str(job.scene), str(job.out), state, entries, {a.target: len(a.losses) for a in artifacts})
 
 
 def _object(loaded: Loaded, name: str) -> str:
@@ -138,7 +138,7 @@ def _object(loaded: Loaded, name: str) -> str:
     return f"object `{name}`" + (f" ({asset})" if asset is not None else "") + colon + doing
 
 
-def _read_back(job: Job) -> Outcome:
+def _read_back(job: CompileJob) -> CompileOutcome:
     """The outcome of a build that is up to date."""
     import json
 
@@ -146,7 +146,7 @@ def _read_back(job: Job) -> Outcome:
 
     losses = json.loads((job.out / LOSSES).read_bytes())
     entries = {target: json.loads((job.out / target / MANIFEST).read_bytes())["entry"] for target in losses}
-    return Outcome(
+    return CompileOutcome(
         str(job.scene),
         str(job.out),
         CURRENT,
@@ -155,20 +155,20 @@ def _read_back(job: Job) -> Outcome:
     )
 
 
-def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[Job]:
+def jobs_of(paths: Sequence[Path], targets: tuple[str, ...], out: Path, force: bool) -> Iterator[CompileJob]:
     """A job for each scene document among ``paths`` and below its folders, whose shape the builds keep.
 
     What lies in ``out``, and files and folders with a dot in front, are passed over.
     """
     for path in paths:
         if not path.is_dir():
-            yield Job(path, targets, out / _stem(path), force)
+            yield CompileJob(path, targets, out / _stem(path), force)
             continue
         for found in sorted(path.rglob("*.scene.yaml")):
             inside = found.relative_to(path)
             hidden = any(part.startswith(".") for part in inside.parts)
             if not hidden and not found.resolve().is_relative_to(out.resolve()):
-                yield Job(found, targets, out / inside.parent / _stem(found), force)
+                yield CompileJob(found, targets, out / inside.parent / _stem(found), force)
 
 
 def _stem(path: Path) -> str:

@@ -19,19 +19,22 @@ if TYPE_CHECKING:
 
 def compile_target(scene: Scene, target: Target) -> Artifact:
     """Compile ``scene`` for ``target``; the losses are those of its backend and of its simulator."""
+    artifact, profile = target_files(scene, target), target.profile
+    return replace(artifact, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+
+
+def target_files(scene: Scene, target: Target) -> Artifact:
+    """Compile the files of ``target``, with the losses of its backend alone."""
     artifact = replace(compile_scene(scene, target.backend, target.options), target=target.name)
-    profile = target.profile
-    if profile is None:
-        return artifact
     files = dict(artifact.files)
     if target.loader is not None:
         files = {path: data for path, data in files.items() if not path.startswith("load_")}
-        files["load.py"] = target.loader
-    for name in profile.writes:
+        files["load.py"] = target.loader.read_bytes()
+    for name in target.profile.writes:
         from simfoundry.targets.writers import WRITERS
 
         files |= WRITERS[name](scene)
-    return replace(artifact, files=files, losses=(*_left(artifact, scene, profile), *_own(scene, profile)))
+    return replace(artifact, files=files)
 
 
 def _left(artifact: Artifact, scene: Scene, profile: TargetSpec) -> Iterator[Loss]:

@@ -1,26 +1,30 @@
-"""Which targets there are, and their profiles read: those of the project, your own, and the plain backends."""
+"""Targets by name or path: those of the project, those of installed packages, your own, and the plain backends."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.backends import BACKENDS
 from simfoundry.backends.features import FEATURES
 from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.plugins import plugins
+from simfoundry.runtime.shipped import shipped
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 from simfoundry.spec.yaml.text import Document, YamlError, read
 
 if TYPE_CHECKING:
     from simfoundry.targets.profile import TargetSpec
 
+GROUP = "simfoundry.targets"
+PROFILE, LOADER, READBACK = "profile.yaml", "load.py", "readback.py"
+"""The files of a target's folder."""
+
 SUFFIXES = (".yaml", ".yml")
-_PACKAGED = Path(__file__).parent / "profiles"
-_CHECKOUT = Path(__file__).parents[2] / "targets"
-_TEMPLATES = Path(__file__).parents[1] / "backends" / "templates"
 
 
 class UnknownTargetError(SimfoundryError):
@@ -29,44 +33,86 @@ class UnknownTargetError(SimfoundryError):
 
 @dataclass(frozen=True)
 class Target:
-    """A target: its name, the backend with its options, the text of its loader (None: the backend's), its profile."""
+    """A format or simulator that scenes are compiled for: its profile, and the folder with its loader and read-back."""
 
-    name: str
-    backend: str
-    options: Mapping[str, float | bool | str] = field(default_factory=dict)
-    loader: bytes | None = None
-    profile: TargetSpec | None = None
+    profile: TargetSpec
+    folder: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Its name after ``-t``, and that of its folder in a build."""
+        return self.profile.name
+
+    @property
+    def backend(self) -> str:
+        """The backend that writes its files."""
+        return self.profile.backend
+
+    @property
+    def options(self) -> Mapping[str, float | bool | str]:
+        """The settings of the backend."""
+        return self.profile.options
+
+    @property
+    def loader(self) -> Path | None:
+        """Its own ``load.py``; None if builds have the one of the backend."""
+        if self.folder is None or self.name == self.backend:
+            return None
+        if self.profile.loader is not None:
+            return self.folder / self.profile.loader
+        return self._file(LOADER)
+
+    @property
+    def readback(self) -> Path | None:
+        """The module by which ``verify`` reads its builds; None if nothing reads them."""
+        return self._file(READBACK) if self.profile.engine is not None else None
+
+    def _file(self, name: str) -> Path | None:
+        path = None if self.folder is None else self.folder / name
+        return path if path is not None and path.is_file() else None
 
 
-def folder() -> Path:
-    """Where the profiles of the project are: in the package, or in the checkout that it is run from."""
-    return _PACKAGED if _PACKAGED.is_dir() else _CHECKOUT
-
-
-def profile_names() -> list[str]:
-    """The simulators that have a profile, sorted."""
-    return sorted(path.stem for path in folder().glob("*.yaml"))
+@cache
+def _own_folders() -> Mapping[str, Path]:
+    """The folders of the project's own targets by name, sorted."""
+    return {path.parent.name: path.parent for path in sorted(shipped("targets").glob(f"*/{PROFILE}"))}
 
 
 def target_names() -> list[str]:
-    """Every name that ``-t`` takes: the plain backends, then the simulators."""
-    return [*BACKENDS.names(), *(name for name in profile_names() if name not in BACKENDS)]
+    """Every name that ``-t`` takes: the plain backends, then the simulators, then those of installed packages."""
+    return list(dict.fromkeys((*BACKENDS.names(), *_own_folders(), *plugins(GROUP))))
 
 
 def find_target(name: str) -> Target:
-    """The target called ``name``, or that of the profile at the path ``name``.
+    """The target called ``name``, or that of the folder or the profile at the path ``name``.
 
-    Raises :class:`UnknownTargetError`, and :class:`SpecError` with every finding of a faulty profile.
+    Raises :class:`UnknownTargetError`, :class:`SpecError` with every finding of a faulty profile, and
+    :class:`PluginError` if the package that brings it is broken.
     """
     if name.endswith(SUFFIXES):
         return read_profile(Path(name))
-    path = folder() / f"{name}.yaml"
-    if "/" not in name and path.is_file():
-        return read_profile(path)
+    if "/" in name or "\\" in name:
+        return read_profile(Path(name) / PROFILE)
+    if name in _own_folders():
+        return read_profile(_own_folders()[name] / PROFILE)
     if name in BACKENDS:
-        return Target(name, name)
-    hint = nearest(name, target_names()) + " A profile of your own is named by its path, as `my_sim.yaml`."
+        return _plain(name)
+    plugin = plugins(GROUP).get(name)
+    if plugin is not None:
+        return read_profile(plugin.folder() / PROFILE)
+    hint = nearest(name, target_names()) + " A target of your own is named by its folder, as `./my_sim`."
     raise UnknownTargetError(f"no target is called `{name}`; {hint}")
+
+
+def _plain(backend: str) -> Target:
+    """The target of a backend that has no folder: its files as they are."""
+    from simfoundry.targets.profile import TargetSpec, Tested
+
+    description = "the plain files of the backend"
+    tested = Tested(how="checked", note="by the package that brings the backend")
+    return Target(
+        TargetSpec(simfoundry="target/1", name=backend, description=description, backend=backend, tested=tested)
+    )
 
 
 def read_profile(path: Path) -> Target:
@@ -84,21 +130,23 @@ def read_profile(path: Path) -> Target:
     findings += _findings(spec, document, path)
     if findings:
         raise SpecError(findings)
-    loader = None if spec.loader is None else _loader(spec.loader, path)
-    return Target(spec.name, spec.backend, spec.options, None if loader is None else loader.read_bytes(), spec)
+    # A profile of another name is a document by itself: only `profile.yaml` speaks for its folder.
+    return Target(spec, path.parent if path.name == PROFILE or spec.loader is not None else None)
 
 
 def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diagnostic]:
-    """What types cannot say about a profile."""
+    """Problems of a profile that its types cannot express."""
 
     def known(name: str, choices: Collection[str], place: tuple[str, ...], what: str) -> Iterator[Diagnostic]:
         if name not in choices:
             message = f"no {what} is called `{name}`"
             yield document.finding("SF201", place, message, nearest(name, choices) or "none is defined", of_key=True)
 
-    if spec.name != path.stem:
-        message = f"the profile is called `{spec.name}`, and its file `{path.name}`"
-        yield document.finding("SF106", ("name",), message, f"`{path.stem}`")
+    whole = path.name == PROFILE
+    own_name = path.resolve().parent.name if whole else path.stem
+    if spec.name != own_name:
+        place = f"its folder `{own_name}`" if whole else f"its file `{path.name}`"
+        yield document.finding("SF106", ("name",), f"the profile is called `{spec.name}`, and {place}", f"`{own_name}`")
     yield from known(spec.backend, BACKENDS.names(), ("backend",), "backend")
     if spec.backend in BACKENDS:
         options = backend_options(spec.backend)
@@ -110,23 +158,24 @@ def _findings(spec: TargetSpec, document: Document, path: Path) -> Iterator[Diag
     for key in ("restores", "gaps"):
         for name in getattr(spec, key):
             yield from known(name, FEATURES, (key, name), "feature")
-    if spec.loader is not None and _loader(spec.loader, path) is None:
-        hint = "it stands beside the profile"
-        yield document.finding("SF203", ("loader",), f"there is no file `{spec.loader}`", hint)
+    folder = path.parent.resolve()
+    if spec.loader is not None:
+        loader = (folder / spec.loader).resolve()
+        if not (loader.is_relative_to(folder) and loader.is_file()):
+            hint = "it stands beside the profile"
+            yield document.finding("SF203", ("loader",), f"there is no file `{spec.loader}`", hint)
+    if spec.engine is not None and not (whole and (folder / READBACK).is_file()):
+        hint = "an engine is read by the module of that name in the folder of `profile.yaml`"
+        yield document.finding("SF203", ("engine",), f"there is no file `{READBACK}`", hint)
+    if spec.engine is None and spec.tolerances:
+        hint = "describe the engine that is read back under `engine`, or remove the tolerances"
+        yield document.finding("SF107", ("tolerances",), "nothing is read back, so no tolerance is used", hint)
 
 
 _KINDS = {float: "a number", bool: "`true` or `false`", str: "a text"}
 
 
 def backend_options(backend: str) -> dict[str, float | bool | str]:
-    """The options of a backend by name, with the values that they have where nobody says otherwise."""
+    """The options of a backend by name, with their defaults."""
     parameters = list(inspect.signature(BACKENDS.load(backend).compile).parameters.values())
     return {p.name: p.default for p in parameters[1:]}
-
-
-def _loader(name: str, profile: Path) -> Path | None:
-    """The file of a loader: beside the profile, or one that the backends ship."""
-    beside, shipped = profile.parent / name, _TEMPLATES / name
-    inside = (profile.parent.resolve(), _TEMPLATES)
-    found = (p for p, root in zip((beside, shipped), inside, strict=True) if p.resolve().is_relative_to(root))
-    return next((p for p in found if p.is_file()), None)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -15,13 +14,15 @@ from pathlib import Path
 from typing import Any
 
 import simfoundry
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.robot_files import companions
 from simfoundry.scene.robot_packages import NoModelError
-from simfoundry.scene.robots import OWN_MODELS, lower_robot
+from simfoundry.scene.robots import lower_robot
 from simfoundry.spec.files import is_document
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.asset import AssetSpec
 from simfoundry.spec.models.robot import RobotSpec
+from simfoundry.spec.models.robot_file import own_folder
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.variants import variant_names, variant_of
 from simfoundry.spec.yaml.write import to_data
@@ -71,7 +72,8 @@ def software() -> dict[str, str]:
     """
     found = {"simfoundry": simfoundry.__version__}
     if (_PACKAGE.parent / "pyproject.toml").is_file():
-        files = sorted(p for p in _PACKAGE.rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+        folders = (_PACKAGE, shipped("targets"))
+        files = [p for f in folders for p in sorted(f.rglob("*")) if p.is_file() and "__pycache__" not in p.parts]
         total = hashlib.sha256(b"".join(hashlib.sha256(p.read_bytes()).digest() for p in files))
         found["simfoundry"] += f"+{total.hexdigest()[:16]}"
     for name in LIBRARIES:
@@ -127,7 +129,8 @@ def _of_file(path: Path) -> str:
 
 def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
     """A hash of the models of a robot, and of what one's own folder of robots says; or why there is no model."""
-    own = [_of_file(p) for p in sorted(Path(os.environ[OWN_MODELS]).glob("*.yaml"))] if OWN_MODELS in os.environ else []
+    folder = own_folder()
+    own = [_of_file(p) for p in sorted(folder.glob("*.yaml"))] if folder is not None else []
     try:
         models = lower_robot(name, spec, document).models
     except NoModelError as error:
@@ -136,9 +139,8 @@ def _of_robot(name: str, spec: RobotSpec, document: Path) -> str:
 
 
 def _of_target(target: Target) -> str:
-    profile = None if target.profile is None else target.profile.model_dump(mode="json")
-    loader = None if target.loader is None else hashlib.sha256(target.loader).hexdigest()
-    return _hash([target.name, target.backend, dict(target.options), loader, profile])
+    loader = None if target.loader is None else _of_file(target.loader)
+    return _hash([loader, target.profile.model_dump(mode="json")])
 
 
 def _hash(data: object) -> str:

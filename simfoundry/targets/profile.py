@@ -1,4 +1,4 @@
-"""``target/1``: one simulator in one document: its backend, its loader, what it keeps and what not."""
+"""``target/1``: one simulator in one document: its backend, what it keeps and what not, how builds are read back."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from simfoundry.spec.models.base import Model, Name, Positive
 
 Words = Annotated[str, StringConstraints(min_length=3, max_length=240)]
 Combine = Literal["average", "harmonic", "maximum", "minimum", "multiply"]
+EngineName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_-]*$", max_length=64)]
+PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*$", max_length=128)]
+
+READ_BACK = "read_back"
+"""The tolerance of every quantity that has none of its own."""
 
 
 class Gap(Model):
@@ -36,7 +41,9 @@ class Band(Model):
 class Tolerance(Model):
     """How far a quantity read back from the simulator may be from the scene."""
 
-    value: Positive = Field(description="In the unit that its name says.")
+    value: Positive = Field(
+        description="Relative for what is read back; in the unit of the behaviour for what is measured."
+    )
     reason: Words = Field(description="Why not less.")
 
 
@@ -57,11 +64,26 @@ class Combines(Model):
     restitution: Combine | None = Field(None, description="Of two restitutions.")
 
 
+class EngineSpec(Model):
+    """The simulator as `simfoundry verify` runs it, through the `readback.py` beside the profile."""
+
+    name: EngineName | None = Field(None, description="What `-e` and the tables call it; default: as the target.")
+    family: EngineName | None = Field(
+        None, description="What `--python FAMILY=PATH` may say for all engines of one package; default: its name."
+    )
+    modules: dict[PythonName, str] = Field(
+        min_length=1, description="Modules that it needs, each with the distribution that has it; itself first."
+    )
+    install: Words = Field(description="The line that installs them.")
+    note: Words = Field(description="Which of its solvers steps the build.")
+    steps: bool = Field(True, description="Whether it can step a build, or only read it.")
+
+
 class TargetSpec(Model):
     """A simulator as a target."""
 
     simfoundry: Literal["target/1"] = Field(description="The kind and version of this document.")
-    name: Name = Field(description="What it is called after `-t`, and its folder in the build; the name of the file.")
+    name: Name = Field(description="What it is called after `-t`, and its folder in the build; the name of its folder.")
     description: Words = Field(description="One line for people.")
     backend: Name = Field(description="Which backend writes the files: `mjcf`, `pybullet`, `urdf` or `usd`.")
     options: dict[Name, float | bool | str] = Field({}, description="Settings of the backend, as `timestep`.")
@@ -69,7 +91,7 @@ class TargetSpec(Model):
     loader: str | None = Field(
         None,
         max_length=200,
-        description="The `load.py` of the build, relative to this document; default: the backend's.",
+        description="The `load.py` of the build; default: the one in the folder of the profile, else the backend's.",
     )
     writes: tuple[Literal["objects", "environment", "omnigibson"], ...] = Field(
         (), description="Files beside those of the backend that its loader reads."
@@ -79,7 +101,13 @@ class TargetSpec(Model):
     )
     combines: Combines = Field(Combines(), description="How it combines the surfaces of a contact.")
     gaps: dict[Name, Gap] = Field({}, description="Features that it does not keep, with the reason.")
+    engine: EngineSpec | None = Field(None, description="How `simfoundry verify` runs it; needs a `readback.py`.")
     behaviours: dict[Name, Band] = Field(
         {}, description="What it is known to do otherwise than the laws of physics, by behaviour."
     )
-    tolerances: dict[Name, Tolerance] = Field({}, description="What may differ when its world is read back, and why.")
+    tolerances: dict[Name, Tolerance] = Field(
+        {}, description="By quantity or behaviour, or `read_back` for the rest: what `simfoundry verify` lets pass."
+    )
+    world: Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)] | None = Field(
+        None, description="The class of its `World`, as `module:Class`, where rollouts and settling can run in it."
+    )

@@ -25,7 +25,7 @@ class Column:
     def title(self) -> str:
         """Its name, with a star where nothing was run."""
         profile = self.target.profile
-        return self.target.name + ("*" if profile is not None and profile.tested.how == "checked" else "")
+        return self.target.name + ("*" if profile.tested.how == "checked" else "")
 
 
 _TITLES = {"scene": "Scenes", "object": "Objects", "body": "Bodies", "joint": "Joints"}
@@ -35,8 +35,6 @@ def cells_of(target: Target) -> dict[str, Cell]:
     """What a target makes of each feature: its backend's table, as its profile changes it."""
     cells = dict(features_of(target.backend))
     profile = target.profile
-    if profile is None:
-        return cells
     for name, how in profile.restores.items():
         cells[name] = Cell(None, how)
     for name in ("friction", "restitution"):
@@ -73,9 +71,8 @@ _INTRODUCTION = [
 def _matrices(columns: list[Column]) -> Iterator[str]:
     for column in columns:
         profile = column.target.profile
-        tested = "each change" if profile is None else ", ".join(profile.tested.versions) or "*not run*"
-        words = "the plain files of the backend" if profile is None else profile.description
-        yield f"| `{column.target.name}` | {column.target.backend} | {tested} | {words} |"
+        tested = ", ".join(profile.tested.versions) or "*not run*"
+        yield f"| `{column.target.name}` | {column.target.backend} | {tested} | {profile.description} |"
     for group in dict.fromkeys(feature.group for feature in FEATURES.values()):
         yield from ("", f"## {_TITLES[group]}", "")
         yield f"| | {' | '.join(c.title for c in columns)} |"
@@ -94,7 +91,8 @@ def _reasons(columns: list[Column]) -> Iterator[str]:
             yield f"What `{column.target.backend}` does not keep, and:" if own else f"As `{column.target.backend}`."
             yield ""
         yield from (f"- {MARKS[cell.fidelity]} {FEATURES[name].label}: {cell.reason}" for name, cell in own.items())
-        bands = column.target.profile.behaviours if column.target.profile is not None else {}
-        yield from (f"- ≈ measured `{n}`: {b.low:g} to {b.high:g}: {b.reason}" for n, b in bands.items())
-        if column.target.profile is not None and column.target.profile.tested.note:
-            yield from ("", f"Tested: {column.target.profile.tested.note}.")
+        profile = column.target.profile
+        bands = profile.behaviours.items()
+        yield from (f"- ≈ measured `{n}`: {b.low:g} to {b.high:g}: {b.reason}" for n, b in bands)
+        if profile.tested.note:
+            yield from ("", f"Tested: {profile.tested.note}.")

@@ -17,8 +17,8 @@ from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Cylinder, Sphere
 from simfoundry.scene.model import Drive, Scene
 from simfoundry.verify import rigs
-from simfoundry.verify.facts import Moment
 from simfoundry.verify.process import Run
+from simfoundry.verify.readback import Moment
 
 Moments = Sequence[Moment]
 

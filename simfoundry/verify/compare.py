@@ -1,7 +1,7 @@
 """What an engine holds against what the scene says: every quantity equal, or named in the loss report.
 
-Equal is within 1e-5, relative to the quantity or to a floor below which it is too small to matter. Single precision, in
-which USD, PhysX and Newton count, is a hundred times finer.
+Equal is within the tolerance of the target's profile, relative to the quantity or to a floor below which it is too
+small to matter.
 """
 
 from __future__ import annotations
@@ -19,12 +19,18 @@ from simfoundry.backends.pybullet.inset import SKIN, inset_hull
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.model import Scene
 from simfoundry.targets.profile import Gap
-from simfoundry.verify.engines import Engine
-from simfoundry.verify.expected import expected_facts, static_links
-from simfoundry.verify.facts import ColliderFacts, Facts, JointFacts, LinkFacts, Numbers, mesh_bounds, pose_of
-from simfoundry.verify.robots import RobotFacts, expected_robots, without_robots
-
-TOLERANCE = 1e-5
+from simfoundry.verify.engines import TOLERANCE, VerifyEngine
+from simfoundry.verify.expected import expected_readback, static_links
+from simfoundry.verify.readback import (
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Numbers,
+    WorldReadback,
+    mesh_bounds,
+    pose_of,
+)
+from simfoundry.verify.robots import RobotReadback, expected_robots, without_robots
 
 FLOORS = {
     "mass": 1e-3,
@@ -99,7 +105,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ReadbackComparison:
     """How many quantities were compared, those that differ without a reason, those with one, and stale losses."""
 
     compared: int
@@ -108,7 +114,7 @@ class Comparison:
     stale: tuple[str, ...] = field(default=())
 
 
-def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) -> Comparison:
+def compare(scene: Scene, facts: WorldReadback, engine: VerifyEngine, losses: Iterable[Loss]) -> ReadbackComparison:
     """Hold what an engine says against the scene; ``losses`` are those of the target that it read."""
     names = {robot.name for robot in scene.robots}
     # That a robot was converted excuses nothing of what is compared of it. That colliders are simpler than what is seen
@@ -119,9 +125,9 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
         if loss.feature != "collision_shape" and (loss.fidelity is Fidelity.DROPPED or loss.path not in names)
     ]
     ours, robots = without_robots(facts, names)
-    checker = _Checker(expected_facts(scene, engine.target), ours, static_links(scene))
+    checker = _Checker(expected_readback(scene, engine.target.backend), ours, static_links(scene), engine)
     checker.run()
-    for name, robot in expected_robots(scene, engine.target).items():
+    for name, robot in expected_robots(scene, engine.target.backend).items():
         checker.robot(name, robot, robots.get(name))
     mismatches, covered = [], []
     used: set[str] = set()
@@ -135,7 +141,7 @@ def compare(scene: Scene, facts: Facts, engine: Engine, losses: Iterable[Loss]) 
         else:
             mismatches.append(difference)
     stale = [lo.path for lo in lost if lo.path not in used and _should_show(lo, engine, checker)]
-    return Comparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
+    return ReadbackComparison(checker.compared, tuple(mismatches), tuple(covered), tuple(stale))
 
 
 def _gap_reason(gap: Gap | None, difference: Difference) -> str:
@@ -151,8 +157,8 @@ def _gap_reason(gap: Gap | None, difference: Difference) -> str:
 class _Checker:
     """Walks both facts and collects what differs, with the paths under which a loss report may name it."""
 
-    def __init__(self, expected: Facts, got: Facts, static: set[str]) -> None:
-        self.expected, self.got, self.static = expected, got, static
+    def __init__(self, expected: WorldReadback, got: WorldReadback, static: set[str], engine: VerifyEngine) -> None:
+        self.expected, self.got, self.static, self.engine = expected, got, static, engine
         self.compared = 0
         self.checked: set[str] = set()
         self.untold: set[str] = set()
@@ -172,7 +178,7 @@ class _Checker:
         if self.got.silent is not None:
             self._silent(set(self.expected.silent or ()), set(self.got.silent))
 
-    def robot(self, name: str, expected: RobotFacts | None, got: RobotFacts | None) -> None:
+    def robot(self, name: str, expected: RobotReadback | None, got: RobotReadback | None) -> None:
         """A robot, of which no more is known than that it is there where ``expected`` is None."""
         keys = frozenset({name})
         self.compared += 1
@@ -198,7 +204,7 @@ class _Checker:
             there, here = (name, None) if name in expected else (None, name)
             self._add(name, kind, there, here, math.inf, _keys(name, kind))
 
-    def _link(self, name: str, expected: LinkFacts, got: LinkFacts) -> None:
+    def _link(self, name: str, expected: LinkReadback, got: LinkReadback) -> None:
         if expected.pose is not None and got.pose is not None:
             self._pose(name, expected.pose, got.pose)
         for quantity in _WELDED:
@@ -216,7 +222,7 @@ class _Checker:
         self._numbers(name, "position", expected[:3], got[:3], keys)
         self._count(name, "rotation", expected[3:], got[3:], there.angle_to(here), keys)
 
-    def _colliders(self, link: str, expected: Sequence[ColliderFacts], got: Sequence[ColliderFacts]) -> None:
+    def _colliders(self, link: str, expected: Sequence[ColliderReadback], got: Sequence[ColliderReadback]) -> None:
         self.compared += 1
         if len(expected) != len(got):
             self._add(link, "colliders", len(expected), len(got), math.inf, _keys(link, "colliders"))
@@ -234,7 +240,7 @@ class _Checker:
                 keys = _keys(link, quantity, str(there.name))
                 self._numbers(name, quantity, getattr(there, field_name), getattr(here, field_name), keys)
 
-    def _kind(self, name: str, link: str, expected: ColliderFacts, got: ColliderFacts) -> None:
+    def _kind(self, name: str, link: str, expected: ColliderReadback, got: ColliderReadback) -> None:
         if got.kind is None:
             return
         self.compared += 1
@@ -242,7 +248,7 @@ class _Checker:
             keys = _keys(link, "colliders", str(expected.name))
             self._add(name, "shape", expected.kind, got.kind, math.inf, keys)
 
-    def _joint(self, name: str, expected: JointFacts, got: JointFacts) -> None:
+    def _joint(self, name: str, expected: JointReadback, got: JointReadback) -> None:
         if got.type is not None:
             self.compared += 1
             if expected.type != ("revolute" if got.type == "continuous" else got.type):
@@ -312,7 +318,7 @@ class _Checker:
     ) -> None:
         self.compared += 1
         self.checked |= keys
-        if not error <= TOLERANCE:  # NaN is a difference, too
+        if not error <= self.engine.tolerance(quantity):  # NaN is a difference, too
             self._add(name, quantity, expected, got, error, keys)
 
     def _add(self, name: str, quantity: str, expected: object, got: object, error: float, keys: frozenset[str]) -> None:
@@ -338,7 +344,7 @@ def _keys(name: str, quantity: str, part: str = "") -> frozenset[str]:
     return frozenset(keys)
 
 
-def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: Facts, scene: Scene) -> bool:
+def _covers(loss: Loss, keys: frozenset[str], difference: Difference, expected: WorldReadback, scene: Scene) -> bool:
     """Whether a loss speaks of a difference; one that approximates covers no more than it says."""
     path = loss.path
     if loss.fidelity is Fidelity.DROPPED:
@@ -372,16 +378,15 @@ def _tip(scene: Scene, name: str) -> float:
     return 0.0
 
 
-def _one_for_all(difference: Difference, expected: Facts) -> bool:
+def _one_for_all(difference: Difference, expected: WorldReadback) -> bool:
     """Whether a coefficient lies among those of the link, for which it may stand."""
     link = difference.name.rpartition(".")[0]
     colliders = expected.links[link].colliders or () if link in expected.links else ()
     values = [v for c in colliders if (v := getattr(c, difference.quantity)) is not None]
-    slack = TOLERANCE
-    return bool(values) and min(values) - slack <= float(difference.got) <= max(values) + slack
+    return bool(values) and min(values) - TOLERANCE <= float(difference.got) <= max(values) + TOLERANCE
 
 
-def _should_show(loss: Loss, engine: Engine, checker: _Checker) -> bool:
+def _should_show(loss: Loss, engine: VerifyEngine, checker: _Checker) -> bool:
     """Whether a loss is of something that was compared here, so that it should have been seen."""
     seen = loss.path in checker.checked and loss.path not in checker.untold
-    return "." in loss.path and seen and loss.feature not in engine.by_loader
+    return "." in loss.path and seen and loss.feature not in engine.restored

@@ -1,4 +1,4 @@
-"""The engines that can check a build: what each reads, how it is installed, and what it is known not to do."""
+"""The engines that can check a build: every target with a ``readback.py``, and the interpreters that have them."""
 
 from __future__ import annotations
 
@@ -11,128 +11,106 @@ from functools import cache
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.targets.find import find_target, profile_names
-from simfoundry.targets.profile import Band, Gap, TargetSpec
-from simfoundry.verify.process import ask_probe
+from simfoundry.targets.find import Target, find_target, target_names
+from simfoundry.targets.profile import READ_BACK, Band, EngineSpec, Gap
+from simfoundry.verify.process import EngineJob, Run, ask_probe
 
 VARIABLE = "SIMFOUNDRY_ENGINES"
 """Names interpreters, separated by commas: ``PATH`` is searched for every engine, ``ENGINE=PATH`` for that one."""
 
+TOLERANCE = 1e-5
+"""Relative tolerance of a profile that states none: a hundred times what single precision needs."""
 
 _FEATURES = {"joint friction": "joint_friction", "bounds": "convex_mesh"}
 """The features of profiles whose names are not those of the quantities that are compared."""
 
 
 @dataclass(frozen=True)
-class Engine:
-    """One engine reading one target.
+class VerifyEngine:
+    """A target whose builds can be read back, as its profile describes it."""
 
-    ``modules`` are what it needs, as ``module:distribution``, the engine itself first; ``family`` is what
-    ``--python FAMILY=PATH`` may say for all engines of one package. What it is known not to keep, and what its loader
-    brings back of what the target's format drops, is in the ``profile`` of that name; default: of its family.
-    """
-
-    name: str
-    family: str
-    target: str
-    modules: tuple[str, ...]
-    install: str
-    note: str
-    steps: bool = True
-    profile: str = ""
+    target: Target
 
     @property
-    def module(self) -> str:
-        """The module that is the engine."""
-        return self.modules[0].partition(":")[0]
+    def spec(self) -> EngineSpec:
+        """How it is called, what it needs, and how it steps."""
+        assert self.target.profile.engine is not None
+        return self.target.profile.engine
+
+    @property
+    def name(self) -> str:
+        """The name in tables and after ``-e``."""
+        return self.spec.name or self.target.name
+
+    @property
+    def family(self) -> str:
+        """The name that all engines of one package answer to."""
+        return self.spec.family or self.name
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """What it needs as ``module:distribution``, the engine itself first."""
+        return tuple(f"{module}:{distribution}" for module, distribution in self.spec.modules.items())
+
+    @property
+    def readback(self) -> Path:
+        """The module that reads a build into it."""
+        assert self.target.readback is not None
+        return self.target.readback
+
+    @property
+    def build(self) -> Target:
+        """The target whose build it reads: the plain one of the backend, unless its own has other files or options."""
+        profile = self.target.profile
+        return self.target if profile.options or profile.writes else find_target(profile.backend)
+
+    def folder_in(self, out: Path) -> Path | None:
+        """The folder in what ``compile -o`` wrote that it can read: that of its own target, else of its build."""
+        return next((p for p in (out / self.target.name, out / self.build.name) if p.is_dir()), None)
+
+    def job(self, build: Path, run: Run | None = None) -> EngineJob:
+        """The task of reading ``build`` with the loader that is meant for this engine."""
+        own = self.target.loader
+        if own is None or build.name == self.target.name:
+            return EngineJob(build, run)
+        beside = build / f"load_{self.target.name}.py"
+        return EngineJob(build, run, beside if beside.is_file() else own)
 
     def gap(self, quantity: str) -> Gap | None:
-        """What the profile says of a quantity that the engine does not keep although its build says it.
+        """What the profile says of a quantity that the engine does not keep although its build has it.
 
         The engine then has none of it, or, where there is a ``size``, one that is off by no more than that.
         """
-        profile = _profile(self.profile or self.family)
-        return profile.gaps.get(_FEATURES.get(quantity, quantity)) if profile is not None else None
+        return self.target.profile.gaps.get(_FEATURES.get(quantity, quantity))
 
     @property
-    def by_loader(self) -> frozenset[str]:
+    def restored(self) -> frozenset[str]:
         """The features that the target's format drops and the loader for this engine brings back."""
-        profile = _profile(self.profile or self.family)
-        if profile is None:
-            return frozenset()
+        profile = self.target.profile
         combined = {name for name in ("friction", "restitution") if getattr(profile.combines, name) is not None}
         return frozenset(profile.restores.keys() | combined)
 
     def band(self, behaviour: str) -> Band | None:
         """What it is known to do instead of the right answer."""
-        profile = _profile(self.profile or self.family)
-        return profile.behaviours.get(behaviour) if profile is not None else None
+        return self.target.profile.behaviours.get(behaviour)
 
+    def tolerance(self, quantity: str) -> float:
+        """The greatest relative error of a quantity that is read back."""
+        stated = self.target.profile.tolerances
+        found = stated.get(quantity.replace(" ", "_")) or stated.get(READ_BACK)
+        return TOLERANCE if found is None else found.value
 
-@cache
-def _profile(family: str) -> TargetSpec | None:
-    """The profile of a simulator; None of what is none, as OpenUSD itself."""
-    return find_target(family).profile if family in profile_names() else None
-
-
-_NEWTON = ("newton:newton", "warp:warp-lang", "mujoco_warp:mujoco-warp", "mujoco:mujoco")
-
-ENGINES: tuple[Engine, ...] = (
-    Engine("mujoco", "mujoco", "mjcf", ("mujoco:mujoco",), "pip install mujoco", "its own solver"),
-    Engine("pybullet", "pybullet", "pybullet", ("pybullet:pybullet",), "pip install pybullet", "its own solver"),
-    Engine(
-        "newton-usd",
-        "newton",
-        "usd",
-        (*_NEWTON, "pxr:usd-core"),
-        "pip install 'newton[importers,sim]'",
-        "SolverMuJoCo on the CPU",
-        profile="newton_usd",
-    ),
-    Engine(
-        "newton-mjcf",
-        "newton",
-        "mjcf",
-        _NEWTON,
-        "pip install 'newton[importers,sim]'",
-        "SolverMuJoCo on the CPU",
-    ),
-    Engine(
-        "sapien",
-        "sapien",
-        "urdf",
-        ("sapien:sapien",),
-        "pip install sapien",
-        "PhysX on the CPU",
-    ),
-    Engine(
-        "drake",
-        "drake",
-        "urdf",
-        ("pydrake:drake",),
-        "pip install drake",
-        "discrete, with the default contact solver",
-    ),
-    Engine(
-        "genesis",
-        "genesis",
-        "urdf",
-        ("genesis:genesis-world", "torch:torch"),
-        "pip install genesis-world torch",
-        "its rigid solver on the CPU",
-    ),
-    Engine(
-        "usd", "usd", "usd", ("pxr:usd-core",), "pip install usd-core", "the stage itself, no simulator", steps=False
-    ),
-)
-"""In the order of the table."""
+    def behaviour_tolerance(self, behaviour: str, default: float) -> float:
+        """The greatest error of a behaviour, in its unit."""
+        found = self.target.profile.tolerances.get(behaviour)
+        return default if found is None else found.value
 
 
 @dataclass(frozen=True)
-class Found:
+class InstalledEngine:
     """An engine, the interpreter that has it, and its version."""
 
-    engine: Engine
+    engine: VerifyEngine
     python: Path
     version: str
 
@@ -141,18 +119,32 @@ class UnknownEngineError(SimfoundryError):
     """A name that is no engine; the message lists those there are."""
 
 
-def engine_called(name: str) -> Engine:
-    """The engine called ``name``."""
-    for engine in ENGINES:
-        if engine.name == name:
+def all_engines() -> tuple[VerifyEngine, ...]:
+    """Every engine, in the order of the targets."""
+    targets = (find_target(name) for name in target_names())
+    return tuple(VerifyEngine(target) for target in targets if target.readback is not None)
+
+
+def find_engine(name: str) -> VerifyEngine:
+    """The engine called ``name``, or that of the target or folder of that name."""
+    engines = all_engines()
+    for engine in engines:
+        if name in (engine.name, engine.target.name):
             return engine
-    raise UnknownEngineError(f"no engine is called `{name}`; there are: {', '.join(e.name for e in ENGINES)}")
+    if "/" in name:
+        target = find_target(name)
+        if target.readback is not None:
+            return VerifyEngine(target)
+        raise UnknownEngineError(f"the target at {name} has no `readback.py`, so nothing can read its builds")
+    raise UnknownEngineError(f"no engine is called `{name}`; there are: {', '.join(e.name for e in engines)}")
 
 
-def interpreters(options: Sequence[str], environment: Mapping[str, str] = os.environ) -> dict[str, list[Path]]:
+def interpreters(
+    options: Sequence[str], engines: Iterable[VerifyEngine], environment: Mapping[str, str] = os.environ
+) -> dict[str, list[Path]]:
     """Where to look, by engine or family, ``""`` for all: what ``--python`` says, then the variable, then here."""
     places: dict[str, list[Path]] = {"": []}
-    families = {e.name for e in ENGINES} | {e.family for e in ENGINES}
+    families = {name for e in (*all_engines(), *engines) for name in (e.name, e.family)}
     for entry in (*options, *environment.get(VARIABLE, "").split(",")):
         name, _, path = entry.strip().rpartition("=")
         if not path:
@@ -166,23 +158,23 @@ def interpreters(options: Sequence[str], environment: Mapping[str, str] = os.env
     return places
 
 
-def find(engines: Iterable[Engine], places: Mapping[str, Sequence[Path]]) -> dict[str, Found | None]:
+def find_installed(
+    engines: Mapping[str, VerifyEngine], places: Mapping[str, Sequence[Path]]
+) -> dict[str, InstalledEngine | None]:
     """Each engine by name, with the first interpreter that has all it needs; None where there is none."""
-    return {engine.name: _find(engine, places) for engine in engines}
-
-
-def _find(engine: Engine, places: Mapping[str, Sequence[Path]]) -> Found | None:
-    for python in (*places.get(engine.name, ()), *places.get(engine.family, ()), *places.get("", ())):
-        versions = _versions(python)
-        if all(module in versions for module in engine.modules):
-            return Found(engine, python, versions[engine.modules[0]])
-    return None
+    modules = tuple(sorted({module for engine in engines.values() for module in engine.modules}))
+    found: dict[str, InstalledEngine | None] = {}
+    for engine in engines.values():
+        here = (*places.get(engine.name, ()), *places.get(engine.family, ()), *places.get("", ()))
+        versions = ((python, _versions(python, modules)) for python in here)
+        whole = ((python, has) for python, has in versions if all(module in has for module in engine.modules))
+        found[engine.name] = next((InstalledEngine(engine, p, has[engine.modules[0]]) for p, has in whole), None)
+    return found
 
 
 @cache
-def _versions(python: Path) -> dict[str, str]:
-    """What of all that any engine needs an interpreter has; nothing where it does not even start."""
-    modules = sorted({module for engine in ENGINES for module in engine.modules})
+def _versions(python: Path, modules: tuple[str, ...]) -> dict[str, str]:
+    """The versions of those modules that an interpreter has; none if it does not even start."""
     try:
         return ask_probe(python, modules)
     except (OSError, ValueError, subprocess.SubprocessError):

@@ -14,13 +14,13 @@ from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, S
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, Joint, JointType, Link, Scene, SceneObject, pair_friction
 from simfoundry.scene.touching import silent_pairs
-from simfoundry.verify.facts import (
+from simfoundry.verify.readback import (
     FREE,
     WORLD,
-    ColliderFacts,
-    Facts,
-    JointFacts,
-    LinkFacts,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    WorldReadback,
     mesh_bounds,
     numbers,
     pair_name,
@@ -35,17 +35,17 @@ _NO_JOINT = (JointType.FIXED, JointType.FREE)
 """A free joint holds nothing: it shows in what its link is held by, and where that is."""
 
 
-def expected_facts(scene: Scene, target: str) -> Facts:
+def expected_readback(scene: Scene, target: str) -> WorldReadback:
     """The facts of ``scene`` as ``target`` writes them, with every pair of colliders whose surfaces differ."""
-    links: dict[str, LinkFacts] = {}
-    joints: dict[str, JointFacts] = {}
+    links: dict[str, LinkReadback] = {}
+    joints: dict[str, JointReadback] = {}
     for item in scene.objects:
         X_OL = link_poses(item)
         for link in item.links:
             X_WL = item.X_WO @ X_OL[link.name]
             links[item.qualified(link.name)] = _link(X_WL, link, _held_by(item, link), target)
         joints |= {f"{item.name}.{j.name}": _joint(item, j) for j in item.joints if j.type not in _NO_JOINT}
-    return Facts(links, joints, numbers(scene.gravity), dict(_pairs(scene)), tuple(_silent(scene)))
+    return WorldReadback(links, joints, numbers(scene.gravity), dict(_pairs(scene)), tuple(_silent(scene)))
 
 
 def static_links(scene: Scene) -> set[str]:
@@ -74,16 +74,16 @@ def _held_by(item: SceneObject, link: Link) -> str:
     return FREE if joint.type is JointType.FREE else item.qualified(joint.parent)
 
 
-def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkFacts:
+def _link(X_WL: Pose, link: Link, held: str, target: str) -> LinkReadback:
     colliders = tuple(part for collider in link.colliders for part in _collider(collider, target))
-    return LinkFacts(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
+    return LinkReadback(pose_numbers(X_WL), link.mass, numbers(link.com), numbers(link.inertia), held, colliders)
 
 
-def _collider(collider: Collider, target: str) -> Iterator[ColliderFacts]:
+def _collider(collider: Collider, target: str) -> Iterator[ColliderReadback]:
     whole = [("", collider.geometry, Pose.of())]
     for suffix, geometry, X_GP in capsule_parts(collider.geometry) if target in SPLIT_CAPSULES else whole:
         kind, bounds = _shape(geometry, collider.X_LG @ X_GP)
-        yield ColliderFacts(
+        yield ColliderReadback(
             collider.name + suffix, kind, bounds, collider.friction, collider.restitution,
             collider.torsional_friction, collider.rolling_friction,
         )  # fmt: skip
@@ -103,10 +103,10 @@ def _shape(geometry: Geometry, X_LG: Pose) -> tuple[str, tuple[float, ...]]:
             return "mesh", mesh_bounds(vertices, X_LG)
 
 
-def _joint(item: SceneObject, joint: Joint) -> JointFacts:
+def _joint(item: SceneObject, joint: Joint) -> JointReadback:
     limited = joint.limits is not None and joint.type is not JointType.CONTINUOUS
     mimic, drive = joint.mimic, joint.drive
-    return JointFacts(
+    return JointReadback(
         type="revolute" if joint.type is JointType.CONTINUOUS else joint.type.value,
         axis=numbers(joint.axis / np.linalg.norm(joint.axis)) if joint.has_axis else None,
         limits=numbers(joint.limits) if limited else (),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import simfoundry
-from simfoundry.verify.facts import Facts, Moment
+from simfoundry.verify.readback import Moment, WorldReadback
 
 _PACKAGE = Path(simfoundry.__file__).resolve().parent
 
@@ -41,23 +41,25 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Job:
-    """A build folder to read, and to step where ``run`` says so."""
+class EngineJob:
+    """A build folder to read, and to step where ``run`` says so; ``loader``, by default its own, loads it."""
 
     build: Path
     run: Run | None = None
+    loader: Path | None = None
 
     def line(self) -> str:
         """The job as the reader takes it."""
         run = None if self.run is None else {"seconds": self.run.seconds, "every": self.run.every}
-        return json.dumps({"build": str(self.build.resolve()), "run": run}) + "\n"
+        build, loader = self.build.resolve(), (self.loader or self.build / "load.py").resolve()
+        return json.dumps({"build": str(build), "loader": str(loader), "run": run}) + "\n"
 
 
 @dataclass(frozen=True)
-class Answer:
+class EngineAnswer:
     """What a reader says to a job: facts, or moments where it ran; else ``error`` says what went wrong."""
 
-    facts: Facts | None
+    facts: WorldReadback | None
     moments: tuple[Moment, ...]
     error: str
     seconds: float
@@ -79,29 +81,28 @@ def ask_probe(python: Path, modules: Sequence[str]) -> dict[str, str]:
 
 def ask(
     python: Path,
-    engine: str,
-    jobs: Sequence[Job],
+    readback: Path,
+    jobs: Sequence[EngineJob],
     timeout: float = TIMEOUT_S,
     report: Callable[[int], None] = lambda done: None,
-) -> list[Answer]:
-    """The answers of one engine to jobs, in order; ``report`` hears how many are done.
+) -> list[EngineAnswer]:
+    """The answers of the engine of a ``readback.py`` to jobs, in order; ``report`` hears how many are done.
 
     One process serves all of them. When it dies or hangs, that job's answer says so and a new one goes on from there.
     """
-    answers: list[Answer] = []
+    answers: list[EngineAnswer] = []
     while len(answers) < len(jobs):
-        for answer in _serve(python, engine, jobs[len(answers) :], timeout):
+        for answer in _serve(python, readback, jobs[len(answers) :], timeout):
             answers.append(answer)
             report(len(answers))
     return answers
 
 
-def _serve(python: Path, engine: str, jobs: Sequence[Job], timeout: float) -> Iterator[Answer]:
+def _serve(python: Path, readback: Path, jobs: Sequence[EngineJob], timeout: float) -> Iterator[EngineAnswer]:
     """Answers of one process, up to and including the job at which it failed."""
     with tempfile.TemporaryFile() as log:
-        process = subprocess.Popen(
-            command(python, engine), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
-        )
+        serve = command(python, str(readback.resolve()))
+        process = subprocess.Popen(serve, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True)
         assert process.stdin is not None and process.stdout is not None
         lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         threading.Thread(target=_listen, args=(process.stdout, lines), daemon=True).start()
@@ -117,8 +118,8 @@ def _serve(python: Path, engine: str, jobs: Sequence[Job], timeout: float) -> It
 
 
 def _one(
-    process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: Job, timeout: float, log: IO[bytes]
-) -> tuple[Answer, bool]:
+    process: subprocess.Popen[str], lines: queue.SimpleQueue[str | None], job: EngineJob, timeout: float, log: IO[bytes]
+) -> tuple[EngineAnswer, bool]:
     """The answer to a job, and whether the process can take another."""
     start = time.monotonic()
     try:
@@ -135,13 +136,13 @@ def _one(
     data = json.loads(line)
     seconds = time.monotonic() - start
     if "error" in data:
-        return Answer(None, (), data["error"], seconds), True
+        return EngineAnswer(None, (), data["error"], seconds), True
     return _decoded(data, seconds), True
 
 
-def _decoded(data: dict[str, Any], seconds: float) -> Answer:
-    facts = None if data["facts"] is None else Facts.from_json(data["facts"])
-    return Answer(facts, tuple(Moment.from_json(m) for m in data["moments"]), "", seconds)
+def _decoded(data: dict[str, Any], seconds: float) -> EngineAnswer:
+    facts = None if data["facts"] is None else WorldReadback.from_json(data["facts"])
+    return EngineAnswer(facts, tuple(Moment.from_json(m) for m in data["moments"]), "", seconds)
 
 
 def _listen(stream: IO[str], lines: queue.SimpleQueue[str | None]) -> None:
@@ -160,9 +161,9 @@ def _how_it_ended(process: subprocess.Popen[str]) -> str:
         return f"crashed: signal {-code}"
 
 
-def _failure(what: str, log: IO[bytes], start: float) -> Answer:
+def _failure(what: str, log: IO[bytes], start: float) -> EngineAnswer:
     """What happened, and the last thing that the engine said."""
     log.seek(0)
     said = [line.strip() for line in log.read().decode(errors="replace").splitlines() if line.strip()]
     last = f"; it said: {said[-1][:200]}" if said else ""
-    return Answer(None, (), what + last, time.monotonic() - start)
+    return EngineAnswer(None, (), what + last, time.monotonic() - start)

@@ -1,8 +1,10 @@
-"""Read builds with one engine, in a process of its own: ``python -m simfoundry.verify.reader ENGINE``.
+"""Read builds with one engine, in a process of its own: ``python -m simfoundry.verify.reader READBACK``.
 
-Jobs come as lines of JSON on standard input, ``{"build": FOLDER, "run": null | {"seconds": s, "every": s}}``; each is
-answered by one line on standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints
-goes to standard error. ``--probe`` says, as a line of JSON, which engines this interpreter could import, with versions.
+READBACK is the ``readback.py`` of a target. Jobs come as lines of JSON on standard input,
+``{"build": FOLDER, "loader": FILE, "run": null | {"seconds": s, "every": s}}``; each is answered by one line on
+standard output, ``{"facts": …, "moments": […]}`` or ``{"error": …}``. What an engine prints goes to standard error.
+``--probe``
+says, as a line of JSON, which engines this interpreter could import, with versions.
 """
 
 from __future__ import annotations
@@ -13,9 +15,11 @@ import json
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from simfoundry.verify.readers import READERS, Session, open_build
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import Session
 
 
 def main(arguments: list[str]) -> int:
@@ -25,11 +29,9 @@ def main(arguments: list[str]) -> int:
     if arguments[:1] == ["--probe"]:
         print(json.dumps(probe(arguments[1:])), file=answers, flush=True)
         return 0
-    if len(arguments) != 1 or arguments[0] not in READERS:
-        print(f"name one engine: {', '.join(READERS)}", file=sys.stderr)
-        return 2
+    readback = import_file(Path(arguments[0]))
     for line in sys.stdin:
-        print(json.dumps(answer(arguments[0], json.loads(line))), file=answers, flush=True)
+        print(json.dumps(answer(readback, json.loads(line))), file=answers, flush=True)
     return 0
 
 
@@ -49,15 +51,16 @@ def probe(packages: list[str]) -> dict[str, str]:
     return found
 
 
-def answer(engine: str, job: dict[str, Any]) -> dict[str, Any]:
+def answer(readback: ModuleType, job: dict[str, Any]) -> dict[str, Any]:
     """What the engine holds of a build, and where things are while it runs."""
     try:
-        session = open_build(engine, Path(job["build"]))
+        build = Path(job["build"])
+        session: Session = readback.open_build(build, import_file(Path(job["loader"]), build / "load.py"))
     except Exception as error:  # whatever the engine says against the build is the answer
         return {"error": f"{type(error).__name__}: {error}"}
     try:
         moments = [] if job["run"] is None else run(session, job["run"]["seconds"], job["run"]["every"])
-        return {"facts": None if moments else session.facts().to_json(), "moments": moments}
+        return {"facts": None if moments else session.read().to_json(), "moments": moments}
     except Exception as error:
         return {"error": f"{type(error).__name__}: {error}"}
     finally:

@@ -12,10 +12,10 @@ import numpy as np
 
 from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.model import JointType, Scene
-from simfoundry.verify.engines import Found
-from simfoundry.verify.facts import Moment, pose_of
-from simfoundry.verify.process import TIMEOUT_S, Job, Run, ask
-from simfoundry.verify.run import Report, Subject, Verdict
+from simfoundry.verify.engines import InstalledEngine
+from simfoundry.verify.process import TIMEOUT_S, Run, ask
+from simfoundry.verify.readback import Moment, pose_of
+from simfoundry.verify.run import ProofStatus, Report, SceneBuilds
 
 LEFT_ALONE = Run(2.0, 2.0)
 
@@ -24,7 +24,7 @@ NEAR_MM, NEAR_DEG = 1.0, 0.5
 
 
 @dataclass(frozen=True)
-class Rested:
+class RestResult:
     """Where an engine left the things of a subject, held against the engine in the middle of all.
 
     ``mm`` and ``deg`` are those of ``worst``, a thing or a joint.
@@ -35,7 +35,7 @@ class Rested:
     mm: float
     deg: float
     worst: str
-    verdict: Verdict
+    verdict: ProofStatus
     error: str = ""
 
     def to_json(self) -> dict[str, Any]:
@@ -61,27 +61,32 @@ class _Place:
 
 
 def settle_subjects(
-    subjects: Sequence[Subject], engines: Sequence[Found], report: Report, workers: int = 1, timeout: float = TIMEOUT_S
-) -> list[Rested]:
+    subjects: Sequence[SceneBuilds],
+    engines: Sequence[InstalledEngine],
+    report: Report,
+    workers: int = 1,
+    timeout: float = TIMEOUT_S,
+) -> list[RestResult]:
     """Every subject in which something can move, in every engine that steps; nothing where that is only one."""
     moving = [s for s in subjects if _moves(s.scene)]
-    stepping = [f for f in engines if f.engine.steps]
+    stepping = [f for f in engines if f.engine.spec.steps]
     if len(stepping) < 2 or not moving:
         return []
 
-    def one(found: Found) -> list[Moment | str]:
+    def one(found: InstalledEngine) -> list[Moment | str]:
         engine = found.engine
-        jobs = [Job(s.builds[engine.target], LEFT_ALONE) for s in moving]
-        answers = ask(found.python, engine.name, jobs, timeout, lambda done: report(engine.name, 1))
+        jobs = [engine.job(s.builds[engine.name], LEFT_ALONE) for s in moving]
+        answers = ask(found.python, engine.readback, jobs, timeout, lambda done: report(engine.name, 1))
         return [a.moments[-1] if a.moments else a.error for a in answers]
 
     with ThreadPoolExecutor(max(1, workers)) as pool:
         ends = list(pool.map(one, stepping))
     names = [f.engine.name for f in stepping]
-    return [r for k, s in enumerate(moving) for r in judged(s, {n: e[k] for n, e in zip(names, ends, strict=True)})]
+    by_scene = [dict(zip(names, column, strict=True)) for column in zip(*ends, strict=True)]
+    return [r for s, last in zip(moving, by_scene, strict=True) for r in judge_rest(s, last)]
 
 
-def judged(subject: Subject, ends: Mapping[str, Moment | str]) -> list[Rested]:
+def judge_rest(subject: SceneBuilds, ends: Mapping[str, Moment | str]) -> list[RestResult]:
     """The verdict on each engine; ``ends`` are its last moments, or what went wrong."""
     places = {name: _places(subject.scene, end) for name, end in ends.items() if isinstance(end, Moment)}
     things = _things(subject.scene)
@@ -89,12 +94,14 @@ def judged(subject: Subject, ends: Mapping[str, Moment | str]) -> list[Rested]:
     results = []
     for name, end in ends.items():
         if isinstance(end, str):
-            results.append(Rested(subject.name, name, math.nan, math.nan, "", Verdict.FAILED, end))
+            results.append(RestResult(subject.name, name, math.nan, math.nan, "", ProofStatus.FAILED, end))
             continue
         apart = {thing: places[name][thing].apart(middle[thing]) for thing in things}
         worst = max(things, key=lambda t: max(apart[t][0] / NEAR_MM, apart[t][1] / NEAR_DEG))
         near = all(mm <= NEAR_MM and deg <= NEAR_DEG for mm, deg in apart.values())
-        results.append(Rested(subject.name, name, *apart[worst], worst, Verdict.OK if near else Verdict.MISMATCH))
+        results.append(
+            RestResult(subject.name, name, *apart[worst], worst, ProofStatus.OK if near else ProofStatus.MISMATCH)
+        )
     return results
 
 

@@ -14,7 +14,7 @@ from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, mujoco_mo
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
-from simfoundry.verify.facts import Facts, JointFacts, Numbers, numbers, pose_numbers
+from simfoundry.verify.readback import JointReadback, Numbers, WorldReadback, numbers, pose_numbers
 
 _READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}
 _OTHERS = (ModelFormat.URDF, ModelFormat.MJCF)
@@ -24,22 +24,22 @@ _MOVING = ("revolute", "continuous", "prismatic")
 
 
 @dataclass(frozen=True)
-class RobotFacts:
+class RobotReadback:
     """A robot: the ``pose`` of its base link in the world, the ``mass`` of all links [kg], its joints by their own
     names, of which limits and position count, and its ``actuators``; None is what is not told."""
 
     pose: Numbers | None
     mass: float | None
-    joints: Mapping[str, JointFacts]
+    joints: Mapping[str, JointReadback]
     actuators: tuple[str, ...] | None = None
 
 
-def expected_robots(scene: Scene, target: str) -> dict[str, RobotFacts | None]:
+def expected_robots(scene: Scene, target: str) -> dict[str, RobotReadback | None]:
     """What ``target`` should hold of each robot; None where it has no model that can be looked into."""
     return {robot.name: _expected(robot, target) for robot in scene.robots}
 
 
-def without_robots(facts: Facts, names: Iterable[str]) -> tuple[Facts, dict[str, RobotFacts]]:
+def without_robots(facts: WorldReadback, names: Iterable[str]) -> tuple[WorldReadback, dict[str, RobotReadback]]:
     """The facts of the objects, and those of the robots that are there."""
     robots = [name for name in names if any(_of(link, name) for link in facts.links)]
     ours = {
@@ -68,7 +68,7 @@ def _pairs(pairs: Mapping[str, float] | None, robots: list[str]) -> dict[str, fl
     return {p: mu for p, mu in pairs.items() if not any(_of(end, r) for r in robots for end in p.split("|"))}
 
 
-def _told(facts: Facts, robot: str) -> RobotFacts:
+def _told(facts: WorldReadback, robot: str) -> RobotReadback:
     links = {n: f for n, f in facts.links.items() if _of(n, robot)}
     # A base that is welded to the world has no mass in some engines: the rest is then compared without it.
     masses = [f.mass for f in links.values() if f.mass is not None]
@@ -78,10 +78,10 @@ def _told(facts: Facts, robot: str) -> RobotFacts:
         actuators = tuple(sorted(a.removeprefix(f"{robot}.") for a in facts.actuators if _of(a, robot)))
     base = links.get(robot)
     whole = len(masses) == len(links)
-    return RobotFacts(base.pose if base else None, sum(masses) if whole else None, joints, actuators)
+    return RobotReadback(base.pose if base else None, sum(masses) if whole else None, joints, actuators)
 
 
-def _expected(robot: Robot, target: str) -> RobotFacts | None:
+def _expected(robot: Robot, target: str) -> RobotReadback | None:
     native = robot.best(*_READS.get(target, _OTHERS))
     if native is None or native.format is ModelFormat.USD:
         return None
@@ -89,7 +89,7 @@ def _expected(robot: Robot, target: str) -> RobotFacts | None:
         read = read_robot(robot, native, f"{robot.name}.")
         joints = _joints(read, {})
         names = [read.model.actuator(k).name.removeprefix(read.prefix) for k in range(read.model.nu)]
-        return RobotFacts(pose_numbers(robot.X_WB), float(read.model.body_mass.sum()), joints, tuple(sorted(names)))
+        return RobotReadback(pose_numbers(robot.X_WB), float(read.model.body_mass.sum()), joints, tuple(sorted(names)))
     if native.format is ModelFormat.URDF and target != "usd":
         return _of_urdf(robot, native)
     source = mujoco_model(robot)
@@ -97,22 +97,22 @@ def _expected(robot: Robot, target: str) -> RobotFacts | None:
     read = read_robot(robot, source, f"{robot.name}.")
     made = as_object(robot, read)
     driven = sorted(j.name for j in made.item.joints if j.drive is not None and j.mimic is None)
-    return RobotFacts(pose_numbers(made.item.X_WO), float(read.model.body_mass.sum()), _joints(read, made.joints),
+    return RobotReadback(pose_numbers(made.item.X_WO), float(read.model.body_mass.sum()), _joints(read, made.joints),
                       tuple(driven))  # fmt: skip
 
 
-def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointFacts]:
+def _joints(read: MujocoRobot, names: Mapping[str, str]) -> dict[str, JointReadback]:
     """The joints as MuJoCo reads the robot's file, in the state at the start; ``names`` are those of a conversion."""
     model, found = read.model, {}
     for k in range(model.njnt):
         name = model.joint(k).name.removeprefix(read.prefix)
         limits = numbers(model.jnt_range[k]) if model.jnt_limited[k] else ()
         position = float(read.qpos[model.jnt_qposadr[k]])
-        found[names.get(name, name)] = JointFacts(limits=limits, position=position)
+        found[names.get(name, name)] = JointReadback(limits=limits, position=position)
     return found
 
 
-def _of_urdf(robot: Robot, native: NativeModel) -> RobotFacts:
+def _of_urdf(robot: Robot, native: NativeModel) -> RobotReadback:
     """A URDF says what it is itself; what follows other joints has no motor."""
     root = ET.parse(native.file).getroot()
     mass = sum(float(m.get("value", "0")) for m in root.findall("link/inertial/mass"))
@@ -120,11 +120,11 @@ def _of_urdf(robot: Robot, native: NativeModel) -> RobotFacts:
     start, gripper = robot.start(native), native.gripper
     joints = {str(j.get("name")): _urdf_joint(j, start.get(str(j.get("name")), 0.0)) for j in moving}
     led = {str(j.get("name")) for j in moving if j.find("mimic") is not None} | set(gripper.follow if gripper else ())
-    return RobotFacts(pose_numbers(robot.X_WB), mass, joints, tuple(sorted(joints.keys() - led)))
+    return RobotReadback(pose_numbers(robot.X_WB), mass, joints, tuple(sorted(joints.keys() - led)))
 
 
-def _urdf_joint(joint: ET.Element, position: float) -> JointFacts:
+def _urdf_joint(joint: ET.Element, position: float) -> JointReadback:
     limit = joint.find("limit")
     if limit is None or joint.get("type") == "continuous":
-        return JointFacts(limits=(), position=position)
-    return JointFacts(limits=(float(limit.get("lower", "0")), float(limit.get("upper", "0"))), position=position)
+        return JointReadback(limits=(), position=position)
+    return JointReadback(limits=(float(limit.get("lower", "0")), float(limit.get("upper", "0"))), position=position)

@@ -10,19 +10,20 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from simfoundry.backends import compile_scene
+from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.losses import Loss
 from simfoundry.scene.model import Scene
+from simfoundry.targets.compile import target_files
 from simfoundry.verify.behaviours import Behaviour, Measurement, Trial
-from simfoundry.verify.compare import Comparison, compare
-from simfoundry.verify.engines import Found, engine_called
-from simfoundry.verify.process import TIMEOUT_S, Answer, Job, ask
+from simfoundry.verify.compare import ReadbackComparison, compare
+from simfoundry.verify.engines import InstalledEngine, VerifyEngine
+from simfoundry.verify.process import TIMEOUT_S, EngineAnswer, EngineJob, ask
 
 Report = Callable[[str, int], None]
 """Hears which engine does what, and how many units of work it has done since."""
 
 
-class Verdict(StrEnum):
+class ProofStatus(StrEnum):
     """What came out."""
 
     OK = "ok"
@@ -32,8 +33,11 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Subject:
-    """A scene to verify, its name in the table, and for each target the folder of its build and what that lost."""
+class SceneBuilds:
+    """A scene to verify, its name in the table, and for each engine the build that it reads and what that lost.
+
+    The losses are those of the backend, of which the engine may make some good.
+    """
 
     name: str
     scene: Scene
@@ -42,23 +46,23 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadbackResult:
     """A subject in an engine: the comparison, or ``error`` where the engine could not load it."""
 
     subject: str
     engine: str
-    comparison: Comparison | None
+    comparison: ReadbackComparison | None
     error: str
     seconds: float
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ProofStatus:
         """Whether every quantity is equal or known to be lost."""
         if self.comparison is None:
-            return Verdict.FAILED
+            return ProofStatus.FAILED
         if self.comparison.mismatches:
-            return Verdict.MISMATCH
-        return Verdict.KNOWN if self.comparison.covered else Verdict.OK
+            return ProofStatus.MISMATCH
+        return ProofStatus.KNOWN if self.comparison.covered else ProofStatus.OK
 
     def to_json(self) -> dict[str, Any]:
         """A plain mapping."""
@@ -74,13 +78,13 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Measured:
+class BehaviourResult:
     """A behaviour in an engine: the value, or ``error``; ``reason`` where the engine is known to do otherwise."""
 
     behaviour: str
     engine: str
     value: float | None
-    verdict: Verdict
+    verdict: ProofStatus
     reason: str
     error: str
 
@@ -89,62 +93,70 @@ class Measured:
         return asdict(self) | {"verdict": self.verdict.value}
 
 
-def built(name: str, scene: Scene, targets: Iterable[str], folder: Path) -> Subject:
-    """Compile a scene for the targets below ``folder``."""
-    builds, losses = {}, {}
-    for target in dict.fromkeys(targets):
-        artifact = compile_scene(scene, target)
-        artifact.write(folder / target)
-        builds[target], losses[target] = folder / target, artifact.losses
-    return Subject(name, scene, builds, losses)
+def built(name: str, scene: Scene, engines: Iterable[VerifyEngine], folder: Path) -> SceneBuilds:
+    """Compile a scene for engines below ``folder``; engines with the same build share it."""
+    builds: dict[str, Path] = {}
+    losses: dict[str, tuple[Loss, ...]] = {}
+    compiled: dict[str, Artifact] = {}
+    for engine in engines:
+        target = engine.build
+        if target.name not in compiled:
+            compiled[target.name] = target_files(scene, target)
+            compiled[target.name].write(folder / target.name)
+        builds[engine.name], losses[engine.name] = folder / target.name, compiled[target.name].losses
+    return SceneBuilds(name, scene, builds, losses)
 
 
 def read_subjects(
-    subjects: Sequence[Subject], engines: Sequence[Found], report: Report, workers: int = 1, timeout: float = TIMEOUT_S
-) -> list[Reading]:
+    subjects: Sequence[SceneBuilds],
+    engines: Sequence[InstalledEngine],
+    report: Report,
+    workers: int = 1,
+    timeout: float = TIMEOUT_S,
+) -> list[ReadbackResult]:
     """Every subject in every engine, engine by engine; ``workers`` engines at a time."""
 
-    def one(found: Found) -> list[Reading]:
+    def one(found: InstalledEngine) -> list[ReadbackResult]:
         engine = found.engine
-        jobs = [Job(s.builds[engine.target]) for s in subjects]
-        answers = ask(found.python, engine.name, jobs, timeout, lambda done: report(engine.name, 1))
+        jobs = [engine.job(s.builds[engine.name]) for s in subjects]
+        answers = ask(found.python, engine.readback, jobs, timeout, lambda done: report(engine.name, 1))
         return [_reading(s, found, a) for s, a in zip(subjects, answers, strict=True)]
 
     with ThreadPoolExecutor(max(1, workers)) as pool:
         return [reading for readings in pool.map(one, engines) for reading in readings]
 
 
-def _reading(subject: Subject, found: Found, answer: Answer) -> Reading:
+def _reading(subject: SceneBuilds, found: InstalledEngine, answer: EngineAnswer) -> ReadbackResult:
     engine = found.engine
     if answer.facts is None:
-        return Reading(subject.name, engine.name, None, answer.error or "told nothing", answer.seconds)
-    comparison = compare(subject.scene, answer.facts, engine, subject.losses[engine.target])
-    return Reading(subject.name, engine.name, comparison, "", answer.seconds)
+        return ReadbackResult(subject.name, engine.name, None, answer.error or "told nothing", answer.seconds)
+    comparison = compare(subject.scene, answer.facts, engine, subject.losses[engine.name])
+    return ReadbackResult(subject.name, engine.name, comparison, "", answer.seconds)
 
 
 def measure_behaviours(
-    behaviours: Sequence[Behaviour], engines: Sequence[Found], report: Report, workers: int = 1,
+    behaviours: Sequence[Behaviour], engines: Sequence[InstalledEngine], report: Report, workers: int = 1,
     timeout: float = TIMEOUT_S,
-) -> list[Measured]:  # fmt: skip
+) -> list[BehaviourResult]:  # fmt: skip
     """Every behaviour in every engine that steps."""
 
-    def one(found: Found) -> list[Measured]:
+    def one(found: InstalledEngine) -> list[BehaviourResult]:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             return _Bench(found, Path(folder), report, timeout).measure(behaviours)
 
     with ThreadPoolExecutor(max(1, workers)) as pool:
-        stepping = [found for found in engines if found.engine.steps]
+        stepping = [found for found in engines if found.engine.spec.steps]
         return [measured for results in pool.map(one, stepping) for measured in results]
 
 
 class _Bench:
     """Runs the measurements of one engine: all trials that are asked for at a time go to one process."""
 
-    def __init__(self, found: Found, folder: Path, report: Report, timeout: float) -> None:
+    def __init__(self, found: InstalledEngine, folder: Path, report: Report, timeout: float) -> None:
         self.found, self.folder, self.report, self.timeout = found, folder, report, timeout
         self._trials = 0
 
-    def measure(self, behaviours: Sequence[Behaviour]) -> list[Measured]:
+    def measure(self, behaviours: Sequence[Behaviour]) -> list[BehaviourResult]:
         """All behaviours, in order."""
         running: dict[str, tuple[Measurement, Trial]] = {}
         for behaviour in behaviours:
@@ -153,7 +165,7 @@ class _Bench:
         results: dict[str, float | str] = {}
         while running:
             jobs = [self._job(trial) for _, trial in running.values()]
-            answers = ask(self.found.python, self.found.engine.name, jobs, self.timeout)
+            answers = ask(self.found.python, self.found.engine.readback, jobs, self.timeout)
             for (name, (measurement, _)), answer in zip(list(running.items()), answers, strict=True):
                 outcome = _advance(measurement, answer)
                 if isinstance(outcome, Trial):
@@ -162,16 +174,17 @@ class _Bench:
                 results[name] = outcome
                 del running[name]
                 self.report(self.found.engine.name, 1)
-        return [judged(behaviour, self.found.engine.name, results[behaviour.name]) for behaviour in behaviours]
+        return [judge_result(behaviour, self.found.engine, results[behaviour.name]) for behaviour in behaviours]
 
-    def _job(self, trial: Trial) -> Job:
+    def _job(self, trial: Trial) -> EngineJob:
         self._trials += 1
-        folder = self.folder / str(self._trials)
-        compile_scene(trial.scene, self.found.engine.target).write(folder)
-        return Job(folder, trial.run)
+        engine = self.found.engine
+        folder = self.folder / str(self._trials) / engine.build.name
+        target_files(trial.scene, engine.build).write(folder)
+        return engine.job(folder, trial.run)
 
 
-def _advance(measurement: Measurement, answer: Answer) -> Trial | float | str:
+def _advance(measurement: Measurement, answer: EngineAnswer) -> Trial | float | str:
     """The next trial, the value, or what went wrong."""
     if answer.error:
         return answer.error
@@ -183,13 +196,13 @@ def _advance(measurement: Measurement, answer: Answer) -> Trial | float | str:
         return str(error)
 
 
-def judged(behaviour: Behaviour, engine: str, outcome: float | str) -> Measured:
+def judge_result(behaviour: Behaviour, engine: VerifyEngine, outcome: float | str) -> BehaviourResult:
     """A value held against the analytic one, and against what the engine is known to do."""
     if isinstance(outcome, str):
-        return Measured(behaviour.name, engine, None, Verdict.FAILED, "", outcome)
-    if abs(outcome - behaviour.expected) <= behaviour.tolerance:
-        return Measured(behaviour.name, engine, outcome, Verdict.OK, "", "")
-    known = engine_called(engine).band(behaviour.name)
+        return BehaviourResult(behaviour.name, engine.name, None, ProofStatus.FAILED, "", outcome)
+    if abs(outcome - behaviour.expected) <= engine.behaviour_tolerance(behaviour.name, behaviour.tolerance):
+        return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.OK, "", "")
+    known = engine.band(behaviour.name)
     if known is not None and known.low <= outcome <= known.high:
-        return Measured(behaviour.name, engine, outcome, Verdict.KNOWN, known.reason, "")
-    return Measured(behaviour.name, engine, outcome, Verdict.MISMATCH, "", "")
+        return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.KNOWN, known.reason, "")
+    return BehaviourResult(behaviour.name, engine.name, outcome, ProofStatus.MISMATCH, "", "")

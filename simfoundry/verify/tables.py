@@ -6,16 +6,16 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from simfoundry.verify.behaviours import Behaviour
 from simfoundry.verify.compare import Difference
-from simfoundry.verify.engines import Engine, Found
-from simfoundry.verify.rest import Rested
-from simfoundry.verify.run import Measured, Reading, Verdict
+from simfoundry.verify.engines import InstalledEngine, VerifyEngine
+from simfoundry.verify.rest import RestResult
+from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
 
 ABSENT = "not installed"
 SHOWN = 12
 """How many differences of one subject in one engine are printed; JSON has all."""
 
 
-def reading_cell(reading: Reading) -> str:
+def reading_cell(reading: ReadbackResult) -> str:
     """``ok``, ``ok, 3 lost``, ``2 mismatches`` or ``failed``."""
     found = reading.comparison
     if found is None:
@@ -25,7 +25,7 @@ def reading_cell(reading: Reading) -> str:
     return f"ok, {len(found.covered)} lost" if found.covered else "ok"
 
 
-def readings_table(readings: Sequence[Reading], engines: Mapping[str, Found | None]) -> str:
+def readings_table(readings: Sequence[ReadbackResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     """Specs down, engines across."""
     cells = {(r.subject, r.engine): reading_cell(r) for r in readings}
     subjects = list(dict.fromkeys(r.subject for r in readings))
@@ -33,19 +33,19 @@ def readings_table(readings: Sequence[Reading], engines: Mapping[str, Found | No
     return _aligned(rows)
 
 
-def measured_cell(measured: Measured) -> str:
+def measured_cell(measured: BehaviourResult) -> str:
     """The value; marked where it is known to be off, or wrong."""
     if measured.value is None:
         return "failed"
-    marks = {Verdict.OK: "", Verdict.KNOWN: " *", Verdict.MISMATCH: " (!)"}
+    marks = {ProofStatus.OK: "", ProofStatus.KNOWN: " *", ProofStatus.MISMATCH: " (!)"}
     return f"{measured.value:.4g}{marks[measured.verdict]}"
 
 
 def behaviours_table(
-    results: Sequence[Measured], behaviours: Sequence[Behaviour], engines: Mapping[str, Found | None]
+    results: Sequence[BehaviourResult], behaviours: Sequence[Behaviour], engines: Mapping[str, InstalledEngine | None]
 ) -> str:
     """Behaviours down, engines across; a star marks what an engine is known not to do."""
-    names = [name for name, found in engines.items() if found is not None and found.engine.steps]
+    names = [name for name, found in engines.items() if found is not None and found.engine.spec.steps]
     cells = {(m.behaviour, m.engine): measured_cell(m) for m in results}
     rows = [["", "answer", *names]]
     for b in behaviours:
@@ -54,14 +54,14 @@ def behaviours_table(
     return _aligned(rows)
 
 
-def rested_cell(rested: Rested) -> str:
+def rested_cell(rested: RestResult) -> str:
     """How far an engine ends from the others."""
-    if rested.verdict is Verdict.FAILED:
+    if rested.verdict is ProofStatus.FAILED:
         return "failed"
-    return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is Verdict.MISMATCH else "")
+    return f"{rested.mm:.2f} mm {rested.deg:.2f}°" + (" (!)" if rested.verdict is ProofStatus.MISMATCH else "")
 
 
-def rested_table(rested: Sequence[Rested], engines: Mapping[str, Found | None]) -> str:
+def rested_table(rested: Sequence[RestResult], engines: Mapping[str, InstalledEngine | None]) -> str:
     """Specs down, engines across."""
     names = [name for name in engines if any(r.engine == name for r in rested)]
     cells = {(r.subject, r.engine): rested_cell(r) for r in rested}
@@ -69,7 +69,9 @@ def rested_table(rested: Sequence[Rested], engines: Mapping[str, Found | None]) 
     return _aligned([["after 2 s", *names], *([s, *(cells.get((s, n), "") for n in names)] for s in subjects)])
 
 
-def details(readings: Iterable[Reading], results: Iterable[Measured], rested: Iterable[Rested] = ()) -> list[str]:
+def details(
+    readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult], rested: Iterable[RestResult] = ()
+) -> list[str]:
     """A line for everything that is wrong, and for what an engine is known not to do."""
     lines: list[str] = []
     for reading in readings:
@@ -82,20 +84,20 @@ def details(readings: Iterable[Reading], results: Iterable[Measured], rested: It
         if len(wrong) > SHOWN:
             lines.append(f"{where}: and {len(wrong) - SHOWN} more")
     for m in results:
-        if m.verdict is Verdict.FAILED:
+        if m.verdict is ProofStatus.FAILED:
             lines.append(f"{m.behaviour} in {m.engine}: {m.error}")
-        elif m.verdict is Verdict.MISMATCH:
+        elif m.verdict is ProofStatus.MISMATCH:
             lines.append(f"{m.behaviour} in {m.engine}: {m.value:.5g} is outside of the tolerance")
     for r in rested:
-        if r.verdict is Verdict.FAILED:
+        if r.verdict is ProofStatus.FAILED:
             lines.append(f"{r.subject} left alone in {r.engine}: {r.error}")
-        elif r.verdict is Verdict.MISMATCH:
+        elif r.verdict is ProofStatus.MISMATCH:
             away = f"{r.mm:.2f} mm and {r.deg:.2f} deg from where other engines leave it"
             lines.append(f"{r.subject} left alone in {r.engine}: {r.worst} ends {away}")
     return lines
 
 
-def known_lines(readings: Iterable[Reading], results: Iterable[Measured]) -> list[str]:
+def known_lines(readings: Iterable[ReadbackResult], results: Iterable[BehaviourResult]) -> list[str]:
     """What engines do not keep, each reason once, with how often it was seen."""
     counts: dict[str, int] = {}
     for reading in readings:
@@ -106,7 +108,7 @@ def known_lines(readings: Iterable[Reading], results: Iterable[Measured]) -> lis
     return lines + [f"{m.engine}: {m.behaviour} {m.value:.4g}: {m.reason}" for m in results if m.reason]
 
 
-def stale_lines(readings: Iterable[Reading]) -> list[str]:
+def stale_lines(readings: Iterable[ReadbackResult]) -> list[str]:
     """Losses that a report claims and the engine does not show."""
     return [
         f"{r.subject} in {r.engine}: the loss report names {path}, but the engine holds it exactly"
@@ -130,9 +132,9 @@ def value_text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def absent_line(engine: Engine) -> str:
+def absent_line(engine: VerifyEngine) -> str:
     """How to get an engine that was not found."""
-    return f"{engine.name}: {ABSENT}: {engine.install}, or name its interpreter: --python {engine.family}=PATH"
+    return f"{engine.name}: {ABSENT}: {engine.spec.install}, or name its interpreter: --python {engine.family}=PATH"
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> str:

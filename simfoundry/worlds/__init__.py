@@ -1,36 +1,42 @@
 """Simulators that hold a scene, behind one protocol."""
 
-from collections.abc import Callable
+from importlib import import_module
 
-from simfoundry.errors import MissingEngineError
+from simfoundry.errors import MissingEngineError, SimfoundryError
 from simfoundry.scene.model import Scene
-from simfoundry.worlds.base import (
-    Contact,
-    JointFacts,
-    LinkFacts,
-    World,
-    read_back,
-)
-from simfoundry.worlds.mujoco_world import MujocoWorld
-from simfoundry.worlds.pybullet_world import PybulletWorld
+from simfoundry.targets.find import find_target, target_names
+from simfoundry.worlds.base import Contact, World
 
-ENGINES: dict[str, Callable[[Scene], World]] = {"mujoco": MujocoWorld, "pybullet": PybulletWorld}
+
+class UnknownWorldError(SimfoundryError):
+    """A name of no simulator that scenes can be run in here."""
+
+
+def world_names() -> tuple[str, ...]:
+    """The simulators that scenes can be run in: the targets whose profile names a ``world``."""
+    return tuple(name for name in target_names() if find_target(name).profile.world is not None)
 
 
 def open_world(scene: Scene, engine: str) -> World:
-    """A world of ``scene`` in the simulator called ``engine``; MissingEngineError says how to install it."""
-    return ENGINES[engine](scene)
+    """Open ``scene`` in the simulator called ``engine``.
+
+    Raises :class:`UnknownWorldError`, and :class:`MissingEngineError`, which says how to install it.
+    """
+    world = _world_class(engine)
+    if world is None:
+        raise UnknownWorldError(f"no world runs in `{engine}`; there are: {', '.join(world_names())}")
+    module, _, name = world.partition(":")
+    opened: World = getattr(import_module(module), name)(scene)
+    return opened
 
 
-__all__ = [
-    "ENGINES",
-    "Contact",
-    "JointFacts",
-    "LinkFacts",
-    "MissingEngineError",
-    "MujocoWorld",
-    "PybulletWorld",
-    "World",
-    "open_world",
-    "read_back",
-]
+def is_world(engine: str) -> bool:
+    """Return whether scenes can be run in the simulator called ``engine``."""
+    return _world_class(engine) is not None
+
+
+def _world_class(engine: str) -> str | None:
+    return find_target(engine).profile.world if engine in target_names() else None
+
+
+__all__ = ["Contact", "MissingEngineError", "World", "is_world", "open_world", "world_names"]

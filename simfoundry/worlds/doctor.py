@@ -95,16 +95,19 @@ def _robots() -> Iterator[Part]:
     """The known robots: whether a model of each is here, and else what brings it."""
     from simfoundry.scene.robot_packages import NoModelError
     from simfoundry.scene.robots import lower_robot
-    from simfoundry.spec.models.robot import ROBOTS, RobotSpec
+    from simfoundry.spec.models.robot import RobotSpec
+    from simfoundry.spec.models.robot_file import find_robot, robot_names
 
-    for name, known in ROBOTS.items():
-        found, remedy = "", ""
+    for name in robot_names():
+        found, remedy, purpose = "", "", ""
         try:
+            known = find_robot(name)
+            assert known is not None
+            purpose = f"{len(known.home)} joints, reach {known.reach:g} m, opens {1000 * known.opening:g} mm"
             robot = lower_robot(name, RobotSpec(model=name), Path(), fetch=False)
             found = ", ".join(robot.models)
         except (NoModelError, SimfoundryError) as error:
             remedy = str(error)
-        purpose = f"{len(known.home)} joints, reach {known.reach:g} m, opens {1000 * known.opening:g} mm"
         yield Part("robots", name, found, False, purpose, remedy)
 
 

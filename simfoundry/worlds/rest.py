@@ -37,7 +37,7 @@ def is_confined(item: SceneObject, before: Pose, after: Pose) -> bool:
 
 
 @dataclass(frozen=True)
-class Motion:
+class ObjectMotion:
     """How far an object got from where it started: displacement ``moved`` [m] and rotation ``turned_deg`` [deg]."""
 
     name: str
@@ -50,7 +50,7 @@ class Motion:
         return self.moved <= MAX_MOVED and self.turned_deg <= MAX_TURNED_DEG
 
 
-def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None) -> list[Motion]:
+def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None) -> list[ObjectMotion]:
     """Run a world from ``state``, by default that of its scene, and report the motion of every free object."""
     world.reset(state)
     before = world.state()
@@ -61,5 +61,5 @@ def simulate(world: World, seconds: float = 2.0, state: SceneState | None = None
         if not item.fixed:
             start, end = before.poses[item.name], after.poses[item.name]
             moved = float(np.linalg.norm(end.p - start.p))
-            out.append(Motion(item.name, moved, math.degrees(start.angle_to(end))))
+            out.append(ObjectMotion(item.name, moved, math.degrees(start.angle_to(end))))
     return out

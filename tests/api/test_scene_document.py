@@ -34,7 +34,7 @@ objects:
   mug:                                  # the one with a chip
     shape: {cylinder: {radius: 0.04, height: 0.095}}
     material: ceramic
-    mass: {value: 0.31, range: [0.2, 0.45], by: table}   # weigh it
+    mass: {value: 0.31, range: [0.2, 0.45], source: table}   # weigh it
     pose: {xyz: [0.42,0.12,0.0475], yaw_deg: 30}
 
 relations: [OnTop(mug, desk)]
@@ -66,7 +66,7 @@ def test_ten_lines_load_edit_save_compile_step_and_judge(tmp_path: Path) -> None
     assert len(SCRIPT.splitlines()) <= 10
     run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["build/mujoco/scene.xml", "True"]
-    edited = TEXT.replace("{value: 0.31, range: [0.2, 0.45], by: table}", "0.3")
+    edited = TEXT.replace("{value: 0.31, range: [0.2, 0.45], source: table}", "0.3")
     assert (tmp_path / "desk.scene.yaml").read_text() == edited.replace("[0.42,0.12,0.0475]", "[0.4, 0.1, 0.0475]")
 
 
@@ -120,7 +120,7 @@ def test_objects_come_go_and_change_their_names(scene: sf.SceneDocument) -> None
         ),
         (lambda s: s.objects.add("cup", shape={"bux": [1]}), sf.SpecError, "unknown key `bux`"),
         (lambda s: s.objects.add("mug", mass=1), sf.SimfoundryError, "there is an object `mug` already"),
-        (lambda s: s.open("unity"), sf.SimfoundryError, "no world runs in `unity`; valid: `mujoco`, `pybullet`"),
+        (lambda s: s.open("unity"), sf.SimfoundryError, "no world runs in `unity`; there are: mujoco, pybullet"),
         (lambda s: s.judge("OnTop(mog, desk)"), sf.SimfoundryError, "there is no `mog` in this scene"),
         (lambda s: s.compile("mujocoo", out="x"), sf.SimfoundryError, "did you mean `mujoco`?"),
         (lambda s: sf.load("gone.scene.yaml"), sf.SpecError, "No such file"),

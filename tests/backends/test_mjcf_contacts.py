@@ -18,15 +18,17 @@ from simfoundry.backends.losses import Size
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.contact_rules import MAX_PAIRS, PROXY, Surface, desired_contact, exact_model, solref
 from simfoundry.backends.mjcf.contacts import object_geoms
+from simfoundry.runtime.plugins import import_file
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
-from simfoundry.verify.readers import load_module
-from simfoundry.verify.readers.mujoco_contacts import Meetings
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid
 
 HULLS = 6
+
+Meetings = import_file(shipped("targets/mujoco") / "contacts.py").Meetings
 
 
 def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObject:
@@ -194,7 +196,7 @@ def edited(scene: Scene, folder: Path, *changes: tuple[str, str], contacts: str 
 
 
 def loaded(folder: Path) -> mujoco.MjModel:
-    return load_module(folder / "load.py").load()[0]
+    return import_file(folder / "load.py").load()[0]  # type: ignore[no-any-return]
 
 
 def opened(folder: Path) -> mujoco.MjModel:

@@ -12,13 +12,13 @@ from unittest import mock
 import pytest
 
 from simfoundry.backends import compile_scene
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.lower import lower_file
-from tests.conftest import PACKAGE
 from tests.scenes import full_scene, scene_of, solid
 from tests.scenes import pose as posed
 from tests.targets.everything import write_everything
 
-TEMPLATES = PACKAGE / "backends" / "templates"
+TARGETS = shipped("targets")
 
 
 def test_physics_holds_what_urdf_lacks() -> None:
@@ -57,9 +57,9 @@ def test_surfaces_stand_in_the_order_of_the_urdf() -> None:
 def sapien_loader() -> ModuleType:
     """SAPIEN's loader, without SAPIEN."""
     module = ModuleType("loader")
-    module.__file__ = str(TEMPLATES / "sapien_load.py")
+    module.__file__ = str(TARGETS / "sapien" / "load.py")
     with mock.patch.dict(sys.modules, {"sapien": mock.MagicMock(), "sapien.physx": mock.MagicMock()}):
-        exec((TEMPLATES / "sapien_load.py").read_text(), module.__dict__)
+        exec((TARGETS / "sapien" / "load.py").read_text(), module.__dict__)
     return module
 
 

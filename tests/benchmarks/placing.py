@@ -33,9 +33,9 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose, scatter
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.acceptance import examine
+from simfoundry.cousins.layout.propose import Layout, propose, scatter
+from simfoundry.cousins.layout.twin import Twin
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load

@@ -22,7 +22,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load
 from simfoundry.targets.build import TARGETS, build
-from simfoundry.worlds import ENGINES, open_world
+from simfoundry.worlds import open_world, world_names
 from simfoundry.worlds.rest import simulate
 from tests.conftest import REPOSITORY
 
@@ -110,7 +110,7 @@ def test_every_target_compiles(desk: Desk, tmp_path: Path) -> None:
         assert (tmp_path / "worlds" / artifact.target / artifact.entry).is_file()
 
 
-@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("engine", sorted(world_names()))
 def test_nothing_moves_in_two_seconds(desk: Desk, engine: str) -> None:
     if engine == "pybullet":
         pytest.importorskip("pybullet", reason="PyBullet is not installed")

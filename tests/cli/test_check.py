@@ -19,10 +19,17 @@ from hypothesis import strategies as st
 from simfoundry.errors import SimfoundryError
 from simfoundry.runtime import parallel
 from simfoundry.runtime.parallel import SERIAL_TRIAL, map_parallel
-from simfoundry.spec.check.pages import page
-from simfoundry.spec.check.report import as_github, as_text
-from simfoundry.spec.check.report.model import FORMATS, Checked, CheckReport, gather, renderer
-from simfoundry.spec.diagnostics import CODES, Diagnostic, Severity
+from simfoundry.spec.check.pages import page, titles
+from simfoundry.spec.check.report import (
+    FORMATS,
+    Checked,
+    CheckReport,
+    gather,
+    render_github,
+    render_text,
+    renderer,
+)
+from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.yaml.text import Document, read
 from tests.cli.command import MAIN, Done, python, run
 from tests.conftest import REPOSITORY
@@ -126,7 +133,7 @@ ANY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1,
 @given(message=ANY, hint=ANY, file=ANY.filter(lambda t: "/" not in t and t not in (".", "..")), line=st.integers(0, 9))
 def test_no_text_breaks_out_of_an_annotation(message: str, hint: str, file: str, line: int) -> None:
     finding = Diagnostic("SF101", Severity.ERROR, message, file, line, line, "", hint)
-    text = as_github.render(CheckReport((file,), 1, (finding,)))
+    text = render_github(CheckReport((file,), 1, (finding,)))
     match = re.fullmatch(r"::error ([^:]*)::([^\r\n]*)", text)
     assert match is not None
     properties = dict(part.split("=", 1) for part in match[1].split(","))
@@ -242,9 +249,9 @@ def test_sarif_holds_every_finding_with_the_page_of_its_rule(tree: Path) -> None
     (tree / "folder.scene.yaml").mkdir()
     found = sarif(run("check", "--format", "sarif"))
     rules = found["tool"]["driver"]["rules"]
-    assert [r["id"] for r in rules] == sorted(CODES)
+    assert [r["id"] for r in rules] == sorted(titles())
     for rule in rules:
-        assert rule["shortDescription"]["text"] == CODES[rule["id"]]
+        assert rule["shortDescription"]["text"] == titles()[rule["id"]]
         assert rule["help"]["markdown"] == page(rule["id"]).body
     places = []
     for result in found["results"]:
@@ -316,7 +323,7 @@ def test_a_format_that_does_not_exist_is_named() -> None:
 def test_every_format_renders_by_itself() -> None:
     report = gather(["a.yaml"], [Checked((Diagnostic("SF101", Severity.ERROR, "no", "a.yaml"),))])
     assert {form: "SF101" in renderer(form)(report) for form in FORMATS} == dict.fromkeys(FORMATS, True)
-    assert as_text.render(CheckReport(("a.yaml",), 1, ())) == "no findings in 1 document"
+    assert render_text(CheckReport(("a.yaml",), 1, ())) == "no findings in 1 document"
 
 
 def test_hidden_folders_are_left_out_and_where_one_stands_does_not_matter(
@@ -506,7 +513,7 @@ def test_explain_prints_the_page() -> None:
     assert run("explain", "201").out == run("explain", "error[SF201]").out == done.out
     assert run("explain", "SF201", "--json").json == {
         "code": "SF201",
-        "title": CODES["SF201"],
+        "title": titles()["SF201"],
         "markdown": page("SF201").markdown,
     }
 
@@ -514,9 +521,9 @@ def test_explain_prints_the_page() -> None:
 def test_explain_lists_all_codes() -> None:
     done = run("explain")
     lines = done.out.splitlines()
-    assert done.code == 0 and [ln.split()[0] for ln in lines if ln.startswith("  ")] == sorted(CODES)
+    assert done.code == 0 and [ln.split()[0] for ln in lines if ln.startswith("  ")] == sorted(titles())
     groups = run("explain", "--json").json["groups"]
-    assert {code: title for codes in groups.values() for code, title in codes.items()} == CODES
+    assert {code: title for codes in groups.values() for code, title in codes.items()} == titles()
     assert [ln for ln in lines if ln and not ln.startswith(" ")] == list(groups)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from simfoundry.cli.main import COMMANDS
 from simfoundry.runtime.extras import EXTRAS
-from simfoundry.spec.models.robot import ROBOTS
+from simfoundry.spec.models.robot_file import robot_names
 from tests.cli.command import MAIN, Done, absent, python, run, several, without
 
 SCENE = """\
@@ -283,7 +283,7 @@ def test_doctor_lists_extras_robots_renderers_and_models_with_what_brings_each()
     facts, sections = parts(done), list(dict.fromkeys(p["section"] for p in json.loads(done.out)["parts"]))
     assert sections == ["packages", "extras", "robots", "renderers", "models"]
     assert {name for name, part in facts.items() if part["section"] == "extras"} == set(EXTRAS)
-    assert {name for name, part in facts.items() if part["section"] == "robots"} == set(ROBOTS)
+    assert {name for name, part in facts.items() if part["section"] == "robots"} == set(robot_names())
     assert facts["expert"]["version"] == ""
     assert facts["expert"]["remedy"] == "pip install 'simfoundry[expert]' (missing: mink)"
     assert "SIMFOUNDRY_ROBOTS names /nowhere, and there is no such folder" in str(facts["yam"]["remedy"])

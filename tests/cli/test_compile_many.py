@@ -15,7 +15,7 @@ import pytest
 from simfoundry.assets import decompose
 from simfoundry.assets.prism import prism_mesh
 from simfoundry.runtime.workers import Limits, report_progress
-from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, Job, Outcome, compile_all, compile_job
+from simfoundry.targets.batch import COMPILED, CURRENT, FAILED, CompileJob, CompileOutcome, compile_all, compile_job
 from tests.assets.meshes import block, obj
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
@@ -101,7 +101,7 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 def test_what_changed_is_redone_and_nothing_else(project: Path) -> None:
-    jobs = [Job(Path(f"{name}.scene.yaml"), ("mjcf",), Path("build") / name) for name in "ab"]
+    jobs = [CompileJob(Path(f"{name}.scene.yaml"), ("mjcf",), Path("build") / name) for name in "ab"]
     assert [compile_job(job).state for job in jobs] == [COMPILED, COMPILED]
     for name, change in CHANGES.items():
         change(project)
@@ -110,7 +110,7 @@ def test_what_changed_is_redone_and_nothing_else(project: Path) -> None:
 
 
 def test_an_edited_output_is_kept_until_somebody_says_otherwise(project: Path) -> None:
-    job = Job(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
+    job = CompileJob(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
     assert compile_job(job).state == COMPILED
     (project / "build/a/mjcf/scene.xml").write_text("<mujoco/>")
     refused = compile_job(job)
@@ -120,27 +120,27 @@ def test_an_edited_output_is_kept_until_somebody_says_otherwise(project: Path) -
 
 
 def test_comments_and_other_targets(project: Path) -> None:
-    job = Job(Path("b.scene.yaml"), ("mjcf",), Path("build/b"))
+    job = CompileJob(Path("b.scene.yaml"), ("mjcf",), Path("build/b"))
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]
     (project / "b.scene.yaml").write_text(f"# with a comment\n{SCENE}")
     assert compile_job(job).state == CURRENT
-    assert compile_job(Job(job.scene, ("mjcf", "usd"), job.out)).state == COMPILED
-    assert compile_job(Job(job.scene, ("usd", "mjcf"), job.out)).state == CURRENT
+    assert compile_job(CompileJob(job.scene, ("mjcf", "usd"), job.out)).state == COMPILED
+    assert compile_job(CompileJob(job.scene, ("usd", "mjcf"), job.out)).state == CURRENT
 
 
 def test_textures_and_profiles_count(project: Path) -> None:
     corners, faces = block((0.1, 0.2, 0.3))
     (project / "one.obj").write_text(f"mtllib one.mtl\nusemtl m\n{obj(corners, faces)}")
     (project / "one.mtl").write_text("newmtl m\nKd 1 0 0\n")
-    profile = (REPOSITORY / "targets" / "mujoco.yaml").read_text()
-    (project / "mine.yaml").write_text(profile.replace("name: mujoco", "name: mine"))
-    job = Job(Path("a.scene.yaml"), ("mine.yaml",), Path("build/a"))
+    profile = (REPOSITORY / "targets" / "mjx" / "profile.yaml").read_text()
+    (project / "mine.yaml").write_text(profile.replace("name: mjx", "name: mine"))
+    job = CompileJob(Path("a.scene.yaml"), ("mine.yaml",), Path("build/a"))
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]
     (project / "one.mtl").write_text("newmtl m\nKd 0 1 0\n")
     assert [compile_job(job).state, compile_job(job).state] == [COMPILED, CURRENT]
-    (project / "mine.yaml").write_text(profile.replace("name: mujoco", "name: mine") + "\n# the same\n")
+    (project / "mine.yaml").write_text(profile.replace("name: mjx", "name: mine") + "\n# the same\n")
     assert compile_job(job).state == CURRENT
-    changed = profile.replace("name: mujoco", "name: mine").replace("description: ", "description: my own ")
+    changed = profile.replace("name: mjx", "name: mine").replace("description: ", "description: my own ")
     (project / "mine.yaml").write_text(changed)
     assert compile_job(job).state == COMPILED
 
@@ -155,7 +155,7 @@ def test_only_the_changed_object_is_decomposed(project: Path, monkeypatch: pytes
         return real(name, vertices, faces)
 
     monkeypatch.setattr(decompose, "decompose", counted)
-    job = Job(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
+    job = CompileJob(Path("a.scene.yaml"), ("mjcf",), Path("build/a"))
     assert compile_job(job).state == COMPILED and decomposed == ["one.obj", "two.obj"]
     (project / "two.obj").write_text(ell(0.07))
     assert compile_job(job).state == COMPILED and decomposed[2:] == ["two.obj"]
@@ -170,7 +170,7 @@ def crash(*_: object) -> None:
     ctypes.string_at(0)
 
 
-def crash_on_a(job: Job) -> Outcome:
+def crash_on_a(job: CompileJob) -> CompileOutcome:
     """What a segfault of a library does while the scene `a` is compiled."""
     if job.scene.name.startswith("a."):
         report_progress("object `one` (one.obj)")
@@ -178,7 +178,7 @@ def crash_on_a(job: Job) -> Outcome:
     return compile_job(job)
 
 
-def hang_on_a(job: Job) -> Outcome:
+def hang_on_a(job: CompileJob) -> CompileOutcome:
     if job.scene.name.startswith("a."):
         report_progress("object `one` (one.obj)")
         time.sleep(600)
@@ -192,7 +192,7 @@ def hang_on_a(job: Job) -> Outcome:
 @pytest.mark.usefixtures("project")
 def test_a_crash_or_a_hang_fails_one_scene(function: str, why: str) -> None:
     scenes = [Path(name) for name in ("a.scene.yaml", "b.scene.yaml", "more/c.scene.yaml")]
-    jobs = [Job(path, ("mjcf",), Path("build") / path.stem) for path in scenes]
+    jobs = [CompileJob(path, ("mjcf",), Path("build") / path.stem) for path in scenes]
     limits = Limits(6.0, 8 * 2**30)
     outcomes = compile_all(jobs, 2, limits=limits, function=f"tests.cli.test_compile_many:{function}")
     assert [o.state for o in outcomes] == [FAILED, COMPILED, COMPILED]

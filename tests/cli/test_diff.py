@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from simfoundry.review.labels import place_labels
-from simfoundry.review.page import COLORS
-from simfoundry.review.pictures import Tag, tints_of
+from simfoundry.reports.comparison import COLORS
+from simfoundry.reports.labels import place_labels
+from simfoundry.reports.pictures import Tag, tints_of
 from simfoundry.spec.change.git.revisions import GitError, export, files_of
 from tests.cli.command import Done, run
 from tests.conftest import REPOSITORY
@@ -300,9 +300,9 @@ def test_another_kind_of_document_cannot_be_compared(repository: Repository) -> 
 
 
 def test_json_can_be_applied(repository: Repository) -> None:
-    from simfoundry.spec.change.diff.changes import apply, from_json
     from simfoundry.spec.load import load_scene
     from simfoundry.spec.yaml.write import to_data
+    from tests.spec.changing import apply, from_json
 
     repository.write("b.scene.yaml", EDITED)
     done = run("diff", "table.scene.yaml", "b.scene.yaml", "--format", "json")

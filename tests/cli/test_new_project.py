@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.recipe import claim_project, read_recipe
+from simfoundry.cousins.recipe.document import claim_project, read_recipe
 from simfoundry.spec import project
 from simfoundry.spec.load import load
 from simfoundry.spec.project import MARKER, NoProjectError, common_project, find_project, markers

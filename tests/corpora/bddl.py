@@ -12,8 +12,9 @@ from collections import Counter
 from pathlib import Path
 
 from simfoundry.frontends.bddl import read_problem
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec
 from tests.conftest import REPOSITORY
@@ -46,7 +47,7 @@ def attempt(file: Path, place: Path) -> tuple[str, str]:
     scene = write_scene(read_problem(file), place)
     out = place / "x.task.yaml"
     try:
-        report = import_file(file, out, Options(scene=scene))
+        report = import_file(file, out, ImportOptions(scene=scene))
     except ImportRefusedError as error:
         found = error.reason.partition(": ")[2]
         return ("missing" if "line " in error.reason else "BROKEN"), found

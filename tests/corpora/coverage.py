@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose
-from simfoundry.cousins.reasons import ImpossibleError
-from simfoundry.cousins.sides import DROPPED, SIDES
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.acceptance import examine
+from simfoundry.cousins.layout.constraints import DROPPED, SIDES
+from simfoundry.cousins.layout.propose import Layout, propose
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import ImpossibleError
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.cousins import SceneAxis

@@ -89,7 +89,7 @@ def project(folder: Path) -> Path:
 
 def robots(folder: Path) -> dict[str, str]:
     """The environment in which robots are found; empty where their models are not here."""
-    from simfoundry.scene.robots import OWN_MODELS
+    from simfoundry.spec.models.robot_file import OWN_ROBOTS
     from tests.robots.conftest import FRANKA_ROBOTIQ, YAM
 
     data = REPOSITORY.parent / "shared" / "data" / "robots"
@@ -99,7 +99,7 @@ def robots(folder: Path) -> dict[str, str]:
     own.mkdir()
     for name, text in (("franka_robotiq", FRANKA_ROBOTIQ), ("yam", YAM)):
         (own / f"{name}.yaml").write_text(text.format(robots=data))
-    return {OWN_MODELS: str(own)}
+    return {OWN_ROBOTS: str(own)}
 
 
 def compile_with(way: Way, root: Path, out: Path, environment: Mapping[str, str]) -> None:

@@ -14,12 +14,12 @@ from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.evaluate.expert.policy import Expert
-from simfoundry.evaluate.judging import judge_of
 from simfoundry.evaluate.policies.base import Image, ImageSize
-from simfoundry.evaluate.rollout import Rollout, Video, rollout
-from simfoundry.evaluate.starts import starts
-from simfoundry.evaluate.task import load_task
-from simfoundry.worlds import ENGINES, open_world
+from simfoundry.evaluate.resets.starts import starts
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.tasks.task import load_task
+from simfoundry.worlds import open_world, world_names
 
 SPECS = Path(__file__).parents[2] / "specs" / "tasks"
 ROLLOUTS = 25
@@ -85,7 +85,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="*", default=sorted(BARS), help="names of tasks, or `all`")
     parser.add_argument("-n", type=int, default=ROLLOUTS)
-    parser.add_argument("--world", nargs="+", default=["mujoco"], choices=list(ENGINES), help="engines to compare")
+    parser.add_argument("--world", nargs="+", default=["mujoco"], choices=world_names(), help="engines to compare")
     parser.add_argument("--videos", type=Path, help="a folder for a video of each rollout")
     parser.add_argument("--shard", default="1/1", help="only the rollouts i, i+k, ... of i/k")
     parser.add_argument("--cache", type=Path, help="a folder that keeps settled starts between runs")

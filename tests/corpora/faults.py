@@ -32,7 +32,8 @@ from pathlib import Path
 import numpy as np
 
 from simfoundry.runtime.workers import Limits, Worker, WorkerError
-from simfoundry.verify.process import Job, ask
+from simfoundry.verify.engines import find_engine
+from simfoundry.verify.process import EngineJob, ask
 from tests.assets.meshes import blob, obj
 from tests.cli.command import MAIN, run
 from tests.conftest import REPOSITORY
@@ -151,7 +152,9 @@ def _loads(builds: list[Path]) -> int:
     """How many engines do not load every build."""
     missed = 0
     for engine, target in ENGINES.items():
-        answers = ask(Path(sys.executable), engine, [Job(build / target) for build in builds])
+        answers = ask(
+            Path(sys.executable), find_engine(engine).readback, [EngineJob(build / target) for build in builds]
+        )
         errors = [answer.error for answer in answers if answer.error]
         print(f"{engine:<9} loads {len(answers) - len(errors)} of {len(answers)}{': ' + errors[0] if errors else ''}")
         missed += bool(errors)

@@ -244,7 +244,7 @@ def is_above(seen: Adjacency) -> bool:
     return seen.down and not seen.up
 
 
-def is_inside(seen: Adjacency) -> bool:
+def is_enclosed(seen: Adjacency) -> bool:
     """BEHAVIOR's Inside: the other is on both sides along two of three axes at right angles."""
     if not seen.within:
         return False
@@ -252,3 +252,11 @@ def is_inside(seen: Adjacency) -> bool:
     if seen.up and seen.down:
         return any(any(plane) for plane in both)
     return any(all(plane) for plane in both)
+
+
+def is_inside(seen: Adjacency) -> bool:
+    """BEHAVIOR's Inside of what has the other beneath it.
+
+    Without that the lower of two nested bowls would be inside of the upper, and a rod in the cup turned over it.
+    """
+    return seen.down and is_enclosed(seen)

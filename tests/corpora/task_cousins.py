@@ -13,13 +13,12 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-from simfoundry.cousins.tasks.enumerate import Proposal, enumerate_tasks
-from simfoundry.cousins.tasks.meaning import meaning, objects_of
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.layout.twin import bare
+from simfoundry.cousins.tasks.candidate_poses import meaning, objects_of
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.cousins.tasks.enumeration import Proposal, checked, enumerate_tasks, scene_reference, write
 from simfoundry.cousins.tasks.trial import LASTS
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.tasks.written import checked, scene_reference, write
-from simfoundry.cousins.twin import bare
 from simfoundry.lint.run import lint
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load
@@ -42,7 +41,7 @@ def papers() -> dict[str, TaskSpec]:
 def main() -> int:
     """Print the table."""
     started = time.perf_counter()
-    setting = Setting.load(SCENE, engines=engines())
+    setting = TaskContext.load(SCENE, engines=engines())
     with tempfile.TemporaryDirectory(dir=REPOSITORY / "specs", prefix=".proposed-") as folder:
         out = Path(folder)
         found = checked(enumerate_tasks(setting, scene=scene_reference(SCENE, out)), out)
@@ -67,7 +66,7 @@ def main() -> int:
     return int(among < 13 or bool(true or impossible or findings or elsewhere))
 
 
-def _proposed_as(spec: TaskSpec, accepted: list[Proposal], setting: Setting) -> str:
+def _proposed_as(spec: TaskSpec, accepted: list[Proposal], setting: TaskContext) -> str:
     """The proposal that means the same, or is done in a state in which a task of the paper is; empty without one.
 
     The paper says OnTop of what ends in a bowl, of which we propose the Inside only.
@@ -89,7 +88,7 @@ def engines() -> tuple[str, ...]:
     return ("mujoco", "pybullet") if find_spec("pybullet") is not None else ("mujoco",)
 
 
-def _again(setting: Setting, tasks: list[TaskSpec]) -> tuple[list[str], list[str], list[str], int]:
+def _again(setting: TaskContext, tasks: list[TaskSpec]) -> tuple[list[str], list[str], list[str], int]:
     """The tasks that are true already, have no witness, and whose witness is none in PyBullet; how many were run."""
     twin = setting.twin
     asleep = SceneState.initial(twin.scene)

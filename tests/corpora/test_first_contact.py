@@ -27,7 +27,8 @@ def test_the_readme_shows_a_newcomer_every_command_that_the_proof_promises() -> 
 def test_what_the_demo_and_the_cousins_need_goes_into_the_wheel() -> None:
     wheel = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
     included = wheel["force-include"]
-    assert {"simfoundry/captures", "simfoundry/cousins/assets", "simfoundry/targets/profiles"} <= set(included.values())
+    assert {"specs/captures", "specs/assets", "targets"} <= set(included)
+    assert all(place == f"simfoundry/shipped/{source}" for source, place in included.items())
     assert all((REPOSITORY / source).is_dir() for source in included)
     assert (own_capture() / "capture.yaml").is_file()
     assert (PACKAGE / "robots" / "demo_arm.xml").is_file()  # whatever the package holds goes along

@@ -16,13 +16,21 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from simfoundry.reports.verification import summary
 from simfoundry.scene.lower import lower_file
 from simfoundry.verify import tables
 from simfoundry.verify.behaviours import BEHAVIOURS
-from simfoundry.verify.engines import ENGINES, find, interpreters
-from simfoundry.verify.page import summary
-from simfoundry.verify.rest import Rested, settle_subjects
-from simfoundry.verify.run import Measured, Reading, Subject, Verdict, built, measure_behaviours, read_subjects
+from simfoundry.verify.engines import VerifyEngine, all_engines, find_installed, interpreters
+from simfoundry.verify.rest import RestResult, settle_subjects
+from simfoundry.verify.run import (
+    BehaviourResult,
+    ProofStatus,
+    ReadbackResult,
+    SceneBuilds,
+    built,
+    measure_behaviours,
+    read_subjects,
+)
 from tests.specs.documents import SCENES
 from tests.targets.everything import write_everything
 
@@ -35,13 +43,14 @@ PATIENCE_S = 900.0
 
 def main() -> int:
     """Prove all engines that are here; returns the exit code."""
-    found = find(ENGINES, interpreters([]))
+    engines = {engine.name: engine for engine in all_engines()}
+    found = find_installed(engines, interpreters([], ()))
     here = [f for f in found.values() if f is not None]
     workers = os.cpu_count() or 1
     with tempfile.TemporaryDirectory(prefix="simfoundry-verify-") as folder:
-        targets = [f.engine.target for f in here]
-        subjects = _subjects(Path(folder), targets)
-        everything = built("everything", lower_file(write_everything(_folder(folder))), targets, Path(folder) / "all")
+        present = [f.engine for f in here]
+        subjects = _subjects(Path(folder), present)
+        everything = built("everything", lower_file(write_everything(_folder(folder))), present, Path(folder) / "all")
         readings = read_subjects([*subjects, everything], here, _tell, workers, PATIENCE_S)
         results = measure_behaviours(BEHAVIOURS, here, _tell, workers, PATIENCE_S)
         rested = settle_subjects(subjects, here, _tell, workers, PATIENCE_S)
@@ -52,7 +61,7 @@ def main() -> int:
         "\n".join(tables.details(readings, results, rested)),
         "\n".join(tables.known_lines(readings, results)),
         "\n".join(tables.stale_lines(readings)),
-        "\n".join(tables.absent_line(e) for e in ENGINES if found[e.name] is None),
+        "\n".join(tables.absent_line(e) for e in engines.values() if found[e.name] is None),
         summary(readings, results, rested),
     ):
         if table:
@@ -68,22 +77,24 @@ def _folder(folder: str) -> Path:
     return found
 
 
-def _subjects(folder: Path, targets: Sequence[str]) -> list[Subject]:
+def _subjects(folder: Path, engines: Sequence[VerifyEngine]) -> list[SceneBuilds]:
     return [
-        built(path.name.removesuffix(".scene.yaml"), lower_file(path), targets, folder / path.stem) for path in SCENES
+        built(path.name.removesuffix(".scene.yaml"), lower_file(path), engines, folder / path.stem) for path in SCENES
     ]
 
 
-def _failures(readings: Sequence[Reading], results: Sequence[Measured], rested: Sequence[Rested]) -> list[str]:
+def _failures(
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult]
+) -> list[str]:
     """A line for every bar that is missed."""
-    wrong = [r for r in readings if r.verdict in (Verdict.MISMATCH, Verdict.FAILED)]
+    wrong = [r for r in readings if r.verdict in (ProofStatus.MISMATCH, ProofStatus.FAILED)]
     lines = [f"read-back: {r.subject} in {r.engine}: {tables.reading_cell(r)}" for r in wrong]
     lines += [
         f"behaviour: {m.behaviour} in {m.engine}: {tables.measured_cell(m)}"
         for m in results
-        if m.verdict is Verdict.FAILED or (m.verdict is Verdict.MISMATCH and m.behaviour in HARD)
+        if m.verdict is ProofStatus.FAILED or (m.verdict is ProofStatus.MISMATCH and m.behaviour in HARD)
     ]
-    apart = [r for r in rested if r.verdict is not Verdict.OK]
+    apart = [r for r in rested if r.verdict is not ProofStatus.OK]
     return lines + [f"at rest: {r.subject} in {r.engine}: {tables.rested_cell(r)} {r.worst}" for r in apart]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.twin import Twin
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load
 from tests.conftest import REPOSITORY

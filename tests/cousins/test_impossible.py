@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.log import log_file
-from simfoundry.cousins.vary import Setup, candidate, prepared
+from simfoundry.cousins.run.candidates import Setup, candidate, prepared
+from simfoundry.cousins.run.log import log_file
 from tests.cli.command import Done, run
 from tests.cousins.conftest import TABLE
 from tests.cousins.test_library import BALL, BRICK

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simfoundry.cousins.asks import asks_of
-from simfoundry.cousins.checks import examine
-from simfoundry.cousins.layout import Layout, propose, scatter
-from simfoundry.cousins.reasons import ImpossibleError, Rejected
-from simfoundry.cousins.support import Support
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.acceptance import examine
+from simfoundry.cousins.layout.constraints import placement_constraints
+from simfoundry.cousins.layout.propose import Layout, propose, scatter
+from simfoundry.cousins.layout.supports import Support
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Rejected
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load
 from simfoundry.spec.models.cousins import SceneAxis
@@ -223,7 +223,7 @@ def test_what_is_too_large_for_a_cavity_is_known_before_it_is_tried(thing: str, 
         text += f"  {name}: {{asset: assets/{asset}.asset.yaml, place: {{on: desk, xy: [{x}, 0]}}}}\n"
     twin = Twin.of(lower(load(REPOSITORY / "specs" / "pair.scene.yaml", text=text)))
     if possible:
-        asks_of(twin, axis("anchor", thing=("Inside",)))
+        placement_constraints(twin, axis("anchor", thing=("Inside",)))
         return
     with pytest.raises(ImpossibleError, match=r"`thing` \(.* cm\) cannot be inside `anchor`, whose cavity is"):
-        asks_of(twin, axis("anchor", thing=("Inside",)))
+        placement_constraints(twin, axis("anchor", thing=("Inside",)))

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.library import (
+from simfoundry.cousins.recipe.candidate import ImpossibleError
+from simfoundry.cousins.recipe.document import read_recipe
+from simfoundry.cousins.recipe.library import (
     Item,
     Library,
     default_folder,
@@ -20,9 +22,7 @@ from simfoundry.cousins.library import (
     remarks,
     united,
 )
-from simfoundry.cousins.reasons import ImpossibleError
-from simfoundry.cousins.recipe import read_recipe
-from simfoundry.cousins.stock import copied, references
+from simfoundry.cousins.recipe.variant_pool import copied, references
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.load import load
 from simfoundry.spec.models.asset import AssetSpec

@@ -8,12 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from simfoundry.cousins.objects.checks import Twin, faults
+from simfoundry.cousins.objects.checks import Needs, Twin, faults, needs_of
+from simfoundry.cousins.objects.geometry import stretched
 from simfoundry.cousins.objects.item import lowered
-from simfoundry.cousins.objects.likeness import COLOR, SHAPE, likeness
-from simfoundry.cousins.objects.needs import Needs, needs_of
 from simfoundry.cousins.objects.parts import each, parts_of, shaped, with_parts
-from simfoundry.cousins.objects.stretch import stretched
+from simfoundry.cousins.objects.retrieval import COLOR, SHAPE, likeness
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.load import load_kind

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("pydantic_ai", reason="the extra `vlm` is not installed")
 
-from simfoundry.cousins.vary import prepared
+from simfoundry.cousins.run.candidates import prepared
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
 from tests.cli.command import Done, run

@@ -17,17 +17,24 @@ from simfoundry.assets.lathe import checked_profile
 from simfoundry.assets.mesh import open_edges, weld
 from simfoundry.cousins.objects.appearance import color_of, recolor, restuff
 from simfoundry.cousins.objects.components import Kind, components
-from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, taper
-from simfoundry.cousins.objects.handles import COLLIDERS, FORMS, swept
+from simfoundry.cousins.objects.geometry import is_radial, lathe_of, resize, stretched, taper
 from simfoundry.cousins.objects.item import Item, item_of_asset, lowered
-from simfoundry.cousins.objects.parts import at, axis_of, parts_of, rod
-from simfoundry.cousins.objects.procedural import draft, rng_of
-from simfoundry.cousins.objects.profiles import Profile, flared, raised_foot, swelled, thickened
-from simfoundry.cousins.objects.silhouettes import reshape
+from simfoundry.cousins.objects.meshes import COLLIDERS, FORMS, swept
+from simfoundry.cousins.objects.parts import (
+    Profile,
+    at,
+    axis_of,
+    flared,
+    parts_of,
+    raised_foot,
+    rod,
+    swelled,
+    thickened,
+)
+from simfoundry.cousins.objects.procedural import draft, reshape, rng_of
 from simfoundry.cousins.objects.skins import PATTERNS, skinned
-from simfoundry.cousins.objects.stretch import stretched
 from simfoundry.cousins.objects.topology import TOPOLOGY, foot_ring, knobs, loop_handle, remove
-from simfoundry.cousins.objects.weigh import weighed
+from simfoundry.cousins.objects.variants import weighed
 from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.geometry.shapes import Mesh

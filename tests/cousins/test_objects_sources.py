@@ -14,15 +14,22 @@ import pytest
 from pydantic import BaseModel
 
 from simfoundry.assets.mesh import open_edges, read_parts, weld
-from simfoundry.cousins.objects.generation import Generation, fitted, picture_of
+from simfoundry.cousins.objects.appearance import same_kind
+from simfoundry.cousins.objects.generation import (
+    ComponentNames,
+    Feasible,
+    Generation,
+    Variations,
+    Verdict,
+    fitted,
+    picture_of,
+    prompt,
+)
 from simfoundry.cousins.objects.item import Item, item_of_mesh, lowered
-from simfoundry.cousins.objects.likeness import likeness
 from simfoundry.cousins.objects.meshes import deformed
-from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Variations, Verdict, prompt
-from simfoundry.cousins.objects.retrieval import Library, Retrieval
-from simfoundry.cousins.objects.stuff import same_kind
+from simfoundry.cousins.objects.retrieval import Library, Retrieval, likeness
 from simfoundry.cousins.objects.variants import variants
-from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.geometry.shapes import Capsule
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.models.web import ModelError

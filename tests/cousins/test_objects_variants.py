@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.cousins.objects.generation import Given
 from simfoundry.cousins.objects.item import Item, item_of, item_of_asset, lowered
 from simfoundry.cousins.objects.procedural import Draft
-from simfoundry.cousins.objects.sources import Given
 from simfoundry.cousins.objects.swap import chosen, made_for, overlay, prepare, variant_set
-from simfoundry.cousins.objects.variants import Variants, procedural, variants, write
-from simfoundry.cousins.objects.weigh import weighed
-from simfoundry.cousins.reasons import ImpossibleError
+from simfoundry.cousins.objects.variants import Variants, procedural, variants, weighed, write
+from simfoundry.cousins.recipe.candidate import ImpossibleError
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.runtime.files import write_atomically

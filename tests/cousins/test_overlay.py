@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins import library
-from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.overlay import dependents, relative
-from simfoundry.cousins.recipe import claim_project, read_recipe
-from simfoundry.cousins.tasks.choices import TaskCousin
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe import library
+from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.recipe.document import claim_project, read_recipe
+from simfoundry.cousins.recipe.overlay import dependents, relative
+from simfoundry.cousins.run.candidates import Setup, candidate, prepared
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.twin import Twin
-from simfoundry.cousins.vary import Setup, candidate, prepared
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.predicates import Judge
 from simfoundry.scene.lower import lower
 from simfoundry.scene.state import SceneState
@@ -132,7 +132,7 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     prepared.cache_clear()
     assert [candidate(asked, k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.vary import Setup, candidate;"
+        "import sys; from simfoundry.cousins.run.candidates import Setup, candidate;"
         "print(candidate(Setup(sys.argv[1], sys.argv[2], 11), 3).line())"
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]
@@ -292,7 +292,7 @@ def test_all_axes_together_and_what_they_wrote(project: Path) -> None:
         assert isinstance(loaded, SceneSpec)
         (side,) = [r for r in loaded.relations if r.endswith("(cup, bowl)")]
         assert judge(side, after).value
-        assert isinstance(witness(Setting(Twin.of(scene, task.goal, ()), ()), task.goal), Witness), task.goal
+        assert isinstance(witness(TaskContext(Twin.of(scene, task.goal, ()), ()), task.goal), Witness), task.goal
         goals.add(str(task.goal))
     assert len(goals) >= 2
     assert run("check", project / "out").code == 0

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.vary import prepared
+from simfoundry.cousins.run.candidates import prepared
 from simfoundry.spec.load import load
 from simfoundry.spec.models.scene import SceneSpec
 from tests.cli.command import Done, run

@@ -12,12 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from simfoundry.cousins.layout import Layout, propose, scatter
-from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.placing import Demands, Region, There, find, rectangles_meet
-from simfoundry.cousins.solids import Solids
-from simfoundry.cousins.support import Support, support_of
-from simfoundry.cousins.twin import Twin
+from simfoundry.cousins.layout.colliders import Solids
+from simfoundry.cousins.layout.propose import Layout, propose, scatter
+from simfoundry.cousins.layout.rejection_sampling import Demands, Occupancy, Region, find, rectangles_meet
+from simfoundry.cousins.layout.supports import Outline, Support, support_of
+from simfoundry.cousins.layout.twin import Twin
 from simfoundry.geometry.frames import IDENTITY, Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Geometry
 from simfoundry.scene.model import Collider, Link, SceneObject
@@ -101,17 +100,17 @@ def test_real_parts_let_a_thing_stand_where_rectangles_overlap() -> None:
 # -- evenly over all that is allowed ---------------------------------------------------------------------------------
 
 
-def places(region: Region, outline: Outline, there: There, count: int, tests: Demands | None = None) -> np.ndarray:
+def places(region: Region, outline: Outline, there: Occupancy, count: int, tests: Demands | None = None) -> np.ndarray:
     rng = np.random.default_rng(7)
     found = [find(outline, region, there, rng, 0.0, tests or Demands()).spot for _ in range(count)]
     assert None not in found
     return np.array(found)
 
 
-def ring() -> tuple[Region, Outline, There]:
+def ring() -> tuple[Region, Outline, Occupancy]:
     """A disc on a square table around a square pillar: allowed is the square less the pillar made round by the disc."""
     outline = Outline.of(hulls(thing("coin", Cylinder(0.05, 0.01))))
-    there = There()
+    there = Occupancy()
     there.add("pillar", Outline.of(hulls(box(0.4, 0.4, 0.1))), 0.0, 0.0, 0.05, 0.3)
     support = table(1.0, 1.0)
     region = Region(*support.bounds, (-math.pi, math.pi), support, 0.006)

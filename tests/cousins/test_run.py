@@ -14,12 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.ledger import LEAST_RATE, PATIENCE, End, Ledger
-from simfoundry.cousins.log import Log, log_file, read_places
-from simfoundry.cousins.manifest import read_manifest, write_manifest
-from simfoundry.cousins.pools import Here, Local, Pool, Work
-from simfoundry.cousins.run import Plan, finish, run
+from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Log, log_file, read_places
+from simfoundry.cousins.run.report import read_manifest, write_manifest
+from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, End, Ledger, Plan, finish, run
+from simfoundry.cousins.run.worker_pools import Here, Local, Pool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
 from tests.cousins import toy
@@ -191,7 +190,7 @@ def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
         "import sys; from pathlib import Path; from tests.cousins.test_run import plan, made, work;"
-        "from simfoundry.cousins.pools import Local;"
+        "from simfoundry.cousins.run.worker_pools import Local;"
         "made(plan(Path(sys.argv[1]), wanted=60), Local(work(), 2))"
     )
     out, chance = tmp_path / "b", random.Random(1)
@@ -236,7 +235,7 @@ def test_no_process_outlives_its_pool() -> None:
 
 ON_RAY = """
 import sys
-from simfoundry.cousins.pools import Work, open_pool
+from simfoundry.cousins.run.worker_pools import Work, open_pool
 pool = open_pool(Work("tests.cousins.toy:candidate", (0.5,)), "ray", 1)
 pool.submit(1)
 print(pool.next().index)

@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.cousins.checks import examine, kept_relations
-from simfoundry.cousins.layout import NOTHING, Layout, propose, scatter
-from simfoundry.cousins.settling import settle_layout
-from simfoundry.cousins.twin import Twin, bare
-from simfoundry.cousins.views import VisibleSurface, best_view, visible_share
+from simfoundry.cousins.layout.acceptance import examine, kept_relations, settle_layout
+from simfoundry.cousins.layout.propose import NOTHING, Layout, propose, scatter
+from simfoundry.cousins.layout.twin import Twin, bare
+from simfoundry.cousins.layout.views import VisibleSurface, best_view, visible_share
 from simfoundry.geometry.frames import Pose, look_at, quat_from_rpy
 from simfoundry.scene.model import Camera
 from simfoundry.spec.models.cousins import SceneAxis

@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.tasks.accept import AcceptedTask, accept
-from simfoundry.cousins.tasks.choices import task_cousins
-from simfoundry.cousins.tasks.document import task
-from simfoundry.cousins.tasks.enumerate import Proposal, Proposals, enumerate_tasks
+from simfoundry.cousins.tasks.acceptance import AcceptedTask, accept
+from simfoundry.cousins.tasks.candidate_poses import meaning, objects_of
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.cousins.tasks.enumeration import Proposal, Proposals, checked, enumerate_tasks, task, write
 from simfoundry.cousins.tasks.ideas import Affordances
-from simfoundry.cousins.tasks.meaning import meaning, objects_of
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.proposals import task_cousins
 from simfoundry.cousins.tasks.trial import lost, put
 from simfoundry.cousins.tasks.witness import Witness, witness
-from simfoundry.cousins.tasks.written import checked, write
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.grasp_width import grasp_width
@@ -67,16 +65,16 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def setting(path: Path) -> Setting:
-    return Setting.load(path)
+def setting(path: Path) -> TaskContext:
+    return TaskContext.load(path)
 
 
 @pytest.fixture(scope="module")
-def proposals(setting: Setting) -> list[Proposal]:
+def proposals(setting: TaskContext) -> list[Proposal]:
     return enumerate_tasks(setting, scene="bench.scene.yaml")
 
 
-def why(setting: Setting, goal: object) -> tuple[str, str]:
+def why(setting: TaskContext, goal: object) -> tuple[str, str]:
     reasons = accept(goal, setting)
     return (reasons[0].code, reasons[0].text) if isinstance(reasons, tuple) else ("", "")
 
@@ -84,7 +82,7 @@ def why(setting: Setting, goal: object) -> tuple[str, str]:
 # -- what things afford -----------------------------------------------------------------------------------------------
 
 
-def test_what_can_be_taken_is_measured(setting: Setting) -> None:
+def test_what_can_be_taken_is_measured(setting: TaskContext) -> None:
     there = Affordances.of(setting)
     assert there.things == ("bowl", "ball", "block")
     assert there.containers == ("bowl", "cabinet.drawer", "cabinet.bottom_drawer")
@@ -100,13 +98,13 @@ def test_what_can_be_taken_is_measured(setting: Setting) -> None:
         ("desk", "fixed", "fixed"),
     ],
 )
-def test_what_cannot_be_taken_says_why(setting: Setting, name: str, code: str, said: str) -> None:
+def test_what_cannot_be_taken_says_why(setting: TaskContext, name: str, code: str, said: str) -> None:
     reasons = setting.cannot_take(name)
     assert [r.code for r in reasons] == [code]
     assert said in reasons[0].text
 
 
-def test_fingers_measure_a_ball_at_its_equator_and_a_bowl_at_its_wall(setting: Setting) -> None:
+def test_fingers_measure_a_ball_at_its_equator_and_a_bowl_at_its_wall(setting: TaskContext) -> None:
     def width(name: str) -> float:
         return grasp_width(solid(setting.twin.item_at(name, setting.twin.state.poses[name])))
 
@@ -119,7 +117,7 @@ def test_fingers_measure_a_ball_at_its_equator_and_a_bowl_at_its_wall(setting: S
 # -- proposals --------------------------------------------------------------------------------------------------------
 
 
-def test_every_accepted_task_has_a_witness_and_is_not_true_yet(setting: Setting, proposals: list[Proposal]) -> None:
+def test_every_accepted_task_has_a_witness_and_is_not_true_yet(setting: TaskContext, proposals: list[Proposal]) -> None:
     accepted = [p for p in proposals if p.accepted]
     assert {"ball_in_bowl", "block_in_bowl", "open_cabinet_drawer", "store_block_in_cabinet_drawer"} <= {
         p.name for p in accepted
@@ -132,7 +130,7 @@ def test_every_accepted_task_has_a_witness_and_is_not_true_yet(setting: Setting,
         assert setting.twin.judge(proposal.task.goal, found.state).value
 
 
-def test_what_is_closed_is_opened_on_the_way(setting: Setting) -> None:
+def test_what_is_closed_is_opened_on_the_way(setting: TaskContext) -> None:
     found = witness(setting, {"all": ["Inside(block, cabinet.drawer)", "Closed(cabinet.drawer)"]})
     assert isinstance(found, Witness)
     assert found.opened == ("cabinet.drawer",)
@@ -149,7 +147,7 @@ def test_a_bottle_stands_in_a_mug_with_a_handle(tmp_path: Path) -> None:
         "  mug: {asset: mug.asset.yaml, place: {on: table, xy: [0, 0]}}\n"
         "  bottle: {asset: red_bottle.asset.yaml, place: {on: table, xy: [0.3, 0]}}\n"
     )
-    setting = Setting.load(file)
+    setting = TaskContext.load(file)
     found = witness(setting, "Inside(bottle, mug)")
     assert isinstance(found, Witness)
     apart = found.state.poses["bottle"].p - found.state.poses["mug"].p
@@ -181,7 +179,7 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_is_done_may_have_to_last_in_another_engine(shelf: Path) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no wheel for this Python")
     goal = "OnTop(ball, organizer)"
-    one, both = (Setting.load(shelf, engines=e) for e in (("mujoco",), ("mujoco", "pybullet")))
+    one, both = (TaskContext.load(shelf, engines=e) for e in (("mujoco",), ("mujoco", "pybullet")))
     found = witness(both, goal)
     assert isinstance(found, Witness) and not lost(both, goal, found.state)
     fleeting = put(both, "ball", Pose.of((0.0, 0.0, 0.4)), found.state)
@@ -208,7 +206,7 @@ def test_what_is_done_may_have_to_last_in_another_engine(shelf: Path) -> None:
 def test_an_engine_that_is_not_there_is_said(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(MissingEngineError, match="PyBullet"):
-        witness(Setting.load(shelf, engines=("mujoco", "pybullet")), "OnTop(ball, organizer)")
+        witness(TaskContext.load(shelf, engines=("mujoco", "pybullet")), "OnTop(ball, organizer)")
 
 
 def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:
@@ -216,7 +214,7 @@ def test_no_two_proposals_mean_the_same(proposals: list[Proposal]) -> None:
     assert len(meanings) == len(set(meanings)) > 5
 
 
-def test_no_two_proposals_are_done_by_one_state(setting: Setting, proposals: list[Proposal]) -> None:
+def test_no_two_proposals_are_done_by_one_state(setting: TaskContext, proposals: list[Proposal]) -> None:
     goals = {p.name: p.task.goal for p in proposals if p.accepted and p.task is not None}
     assert "ball_in_bowl" in goals and "ball_on_bowl" not in goals, "of the two the one that asks for more"
     for name, goal in goals.items():
@@ -226,7 +224,7 @@ def test_no_two_proposals_are_done_by_one_state(setting: Setting, proposals: lis
         assert [n for n in same if setting.twin.judge(goals[n], done.state).value] == []
 
 
-def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: Setting) -> None:
+def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: TaskContext) -> None:
     def stated(*goals: object) -> list[tuple[str, str]]:
         proposed = Proposals(setting)
         for k, goal in enumerate(goals):
@@ -245,13 +243,13 @@ def test_of_two_stated_tasks_the_one_that_asks_for_more_stays(setting: Setting) 
     ]
 
 
-def test_the_same_seed_gives_the_same_and_another_another_order(setting: Setting, path: Path) -> None:
+def test_the_same_seed_gives_the_same_and_another_another_order(setting: TaskContext, path: Path) -> None:
     first = enumerate_tasks(setting, 3, seed=1)
-    assert enumerate_tasks(Setting.load(path), 3, seed=1) == first
+    assert enumerate_tasks(TaskContext.load(path), 3, seed=1) == first
     assert [p.name for p in enumerate_tasks(setting, 3, seed=2)] != [p.name for p in first]
 
 
-def test_only_what_is_asked_for(setting: Setting) -> None:
+def test_only_what_is_asked_for(setting: TaskContext) -> None:
     found = enumerate_tasks(setting, objects=("ball", "bowl"))
     assert found
     assert {name for p in found for name in ("block", "cabinet") if name in p.goal} == set()
@@ -319,15 +317,15 @@ joints:
 """
 
 
-def rooms(folder: Path, asset: str, yaw: float = 0.0) -> Setting:
+def rooms(folder: Path, asset: str, yaw: float = 0.0) -> TaskContext:
     """A table with a shelf, a cup and an arm before it."""
     shutil.copy(REPOSITORY / "specs" / "assets" / "cup.asset.yaml", folder)
     (folder / "shelf.asset.yaml").write_text(asset)
     (folder / "rooms.scene.yaml").write_text(ROOMS.format(yaw=yaw))
-    return Setting.load(folder / "rooms.scene.yaml")
+    return TaskContext.load(folder / "rooms.scene.yaml")
 
 
-def shown(setting: Setting, goal: object) -> float | str:
+def shown(setting: TaskContext, goal: object) -> float | str:
     """How high the cup stands where a goal is reached [m], or why it is not."""
     found = witness(setting, goal)
     return float(found.state.poses["cup"].p[2]) if isinstance(found, Witness) else f"{found[0].code}: {found[0].text}"
@@ -403,7 +401,7 @@ def test_what_is_shut_in_cannot_be_taken(tmp_path: Path) -> None:
         ({"all": ["Inside(ball, bowl)", "OnTop(ball, cabinet)"]}, "impossible", "does not come true"),
     ],
 )
-def test_refused(setting: Setting, goal: object, code: str, said: str) -> None:
+def test_refused(setting: TaskContext, goal: object, code: str, said: str) -> None:
     found = why(setting, goal)
     assert found[0] == code, found
     assert said in found[1]
@@ -420,11 +418,11 @@ def test_refused(setting: Setting, goal: object, code: str, said: str) -> None:
         {"all": ["Inside(ball, bowl)", "Released(ball)"]},
     ],
 )
-def test_accepted(setting: Setting, goal: object) -> None:
+def test_accepted(setting: TaskContext, goal: object) -> None:
     assert isinstance(accept(goal, setting), AcceptedTask)
 
 
-def test_a_duplicate_is_told_by_its_meaning(setting: Setting) -> None:
+def test_a_duplicate_is_told_by_its_meaning(setting: TaskContext) -> None:
     first = AcceptedTask("first", {"all": ["Inside(ball, bowl)", "Released(ball)"]})
     refused = accept("In(ball, bowl)", setting, [first])
     assert isinstance(refused, tuple)
@@ -454,7 +452,7 @@ def test_released_counts_where_nothing_else_says_it() -> None:
 # -- as an axis of a recipe -------------------------------------------------------------------------------------------
 
 
-def test_a_choice_is_asked_again_in_each_layout(setting: Setting, path: Path) -> None:
+def test_a_choice_is_asked_again_in_each_layout(setting: TaskContext, path: Path) -> None:
     spec = load_scene(path).spec
     assert isinstance(spec, SceneSpec)
     axis = TaskAxis(count=1, objects=("ball", "bowl"))

@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from simfoundry.cousins.tasks.answer import Told, Unread, goal_of, read
-from simfoundry.cousins.tasks.propose import prompt, propose_tasks
-from simfoundry.cousins.tasks.setting import Setting
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.cousins.tasks.proposals import Told, Unread, goal_of, prompt, propose_tasks, read
 from simfoundry.cousins.tasks.witness import ALLOWED
 from simfoundry.spec.load import load
 from simfoundry.spec.models.task import TaskSpec
@@ -22,8 +21,8 @@ PICTURE = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
-    return Setting.load(SCENE)
+def setting() -> TaskContext:
+    return TaskContext.load(SCENE)
 
 
 class Recorded:
@@ -49,7 +48,7 @@ EXPECTED = {
     "tidy_red_marker": (),
     "pour_tea": ("unknown_name", "no object is called `teapot`"),
     "put_bowl_on_desk": ("already_true", "`bowl` touches `desk`"),
-    "plate_into_bowl": ("impossible", "the cavity is 15.4 cm across"),
+    "plate_into_bowl": ("too_wide", "`plate` is 22.7 cm wide at its narrowest"),
     "ball_in_bowl_again": ("duplicate", "`baseball_into_bowl`"),
     "cook_burger": ("bad_goal", "`Cooked` is not a predicate"),
     "mug_in_baseball": ("impossible", "`baseball` has no cavity"),
@@ -63,7 +62,7 @@ EXPECTED = {
 
 
 @pytest.mark.parametrize("form", ["paper", "typed"])
-def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: Setting, form: Any) -> None:
+def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: TaskContext, form: Any) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 14, form, "cluttered.scene.yaml")
     expected = {n: e for n, e in EXPECTED.items() if form == "paper" or not n.startswith("part")}
@@ -77,7 +76,7 @@ def test_good_proposals_are_accepted_and_bad_ones_say_why(setting: Setting, form
     assert "exactly 14 distinct tasks" in vlm.asked[0]
 
 
-def test_an_accepted_proposal_is_a_task_document(setting: Setting) -> None:
+def test_an_accepted_proposal_is_a_task_document(setting: TaskContext) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 2, "paper", "cluttered.scene.yaml")
     made = found[0].task
@@ -90,7 +89,7 @@ def test_an_accepted_proposal_is_a_task_document(setting: Setting) -> None:
     assert "recorded" in (made.origin.note or "")
 
 
-def test_what_is_excluded_is_refused(setting: Setting) -> None:
+def test_what_is_excluded_is_refused(setting: TaskContext) -> None:
     vlm: Any = Recorded()
     found = propose_tasks(vlm, setting, PICTURE, 2, "paper", exclude=["baseball"], include=["bowl"])
     assert {p.name: p.reasons[0].code for p in found if p.reasons}["baseball_into_bowl"] == "excluded"
@@ -99,7 +98,7 @@ def test_what_is_excluded_is_refused(setting: Setting) -> None:
     assert "- baseball -> " not in vlm.asked[0]
 
 
-def test_the_prompt_is_the_paper_s_with_every_variable_filled_in(setting: Setting) -> None:
+def test_the_prompt_is_the_paper_s_with_every_variable_filled_in(setting: TaskContext) -> None:
     text = prompt(setting, 7, "paper")
     assert text.startswith("You are a professional robotic expert in sim-to-real, robot learning, and VLAs.\n")
     assert "propose exactly 7 distinct tasks that a franka robotiq arm can perform" in text

@@ -6,8 +6,7 @@ import os
 import signal
 import time
 
-from simfoundry.cousins.candidate import Candidate
-from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.recipe.candidate import Candidate, Reason
 
 FUNCTION = "tests.cousins.toy:candidate"
 

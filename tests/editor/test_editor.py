@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from simfoundry.spec.editor.reference import EXAMPLES
-from simfoundry.spec.models.kinds import is_document
+from simfoundry.spec.editor.reference import example
+from simfoundry.spec.models.kinds import KINDS, is_document
 from simfoundry.spec.models.predicate import built_in_predicates
-from simfoundry.spec.models.robot import ROBOTS
+from simfoundry.spec.models.robot_file import robot_names
 from tests.conftest import REPOSITORY
 from tests.editor.client import Message, Server
 
@@ -142,7 +142,7 @@ def test_keys_are_offered_inside_braces_once_a_letter_stands(editor: Editor, tex
         (f"{SCENE}lights:\n  sky: {{type: |}}", {"distant", "point", "dome"}),
         (f"{ASSET}joints:\n  slide:\n    type: |", {"fixed", "revolute", "prismatic", "continuous"}),
         (f"{COUSINS}scene:\n  objects:\n    cup: [|]", {"LeftOf", "RightOf", "InFrontOf", "Behind", "OnTop"}),
-        (f"{SCENE}robots:\n  arm: {{model: |}}", set(ROBOTS)),
+        (f"{SCENE}robots:\n  arm: {{model: |}}", set(robot_names())),
         (f"{OVERLAY}objects:\n  cup:\n    mass: |", {"null"}),
         (f"{OVERLAY}objects:\n  cup: |", {"null"}),
     ],
@@ -220,7 +220,7 @@ def test_a_key_shows_its_words_with_the_unit(editor: Editor, text: str, words: s
 
 def test_a_choice_shows_what_each_word_means(editor: Editor) -> None:
     shown = editor.hover(f"{OBJECT}coll|ision: hull")
-    assert "* `hull`: One convex hull." in shown and "* `none`: No contact at all." in shown
+    assert "* `hull`: One convex hull." in shown and "* `none`: No collision at all." in shown
 
 
 # -- diagnostics ----------------------------------------------------------------------------------------------------
@@ -274,9 +274,9 @@ def test_what_is_valid_has_no_diagnostic(editor: Editor, text: str) -> None:
     assert editor.problems(text) == []
 
 
-@pytest.mark.parametrize("kind", EXAMPLES)
+@pytest.mark.parametrize("kind", KINDS)
 def test_the_examples_of_the_reference_have_no_diagnostic(editor: Editor, kind: str) -> None:
-    assert editor.problems(EXAMPLES[kind]) == []
+    assert editor.problems(example(kind)) == []
 
 
 SPECS = sorted(path for path in (REPOSITORY / "specs").rglob("*.yaml") if is_document(path))

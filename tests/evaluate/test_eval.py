@@ -15,13 +15,13 @@ import pytest
 
 from simfoundry import __version__
 from simfoundry.evaluate.entries import contenders
-from simfoundry.evaluate.metrics import wilson
-from simfoundry.evaluate.page import page
-from simfoundry.evaluate.results import cells
-from simfoundry.evaluate.videos import side_by_side, whole_picture
+from simfoundry.evaluate.rollouts.videos import side_by_side, whole_picture
+from simfoundry.evaluate.statistics.metrics import wilson
+from simfoundry.evaluate.statistics.results import cells
+from simfoundry.reports.evaluation import page
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
-from tests.evaluate.test_strata import record
+from tests.evaluate.test_pools import record
 
 PUSH = np.column_stack([np.zeros(45), np.minimum(0.05 + 0.006 * np.arange(45), 0.22), np.zeros(45)])
 """Straight on, slowly, into the block."""
@@ -222,12 +222,12 @@ def test_the_page_says_what_was_run_and_why_rollouts_failed(done: Path) -> None:
     facts = {"SimFoundry": __version__, "engine": f"mujoco {version('mujoco')}", "robot": "arm: arm.xml", "seed": "0"}
     for name, value in {**facts, "rollouts": "8", "control": "15 Hz"}.items():
         assert f"<dt>{name}</dt><dd>{value}</dd>" in text, name
-    assert "“Push the block away.” <span class='dim'>within 45 control steps (3 s)" in text
+    assert '“Push the block away.” <span class="quiet">within 45 control steps (3 s)' in text
     for label in ("0.33", "0.31", "x [m]", "0.02", "-0.02", "y [m]"):  # the block's region
         assert f">{label}</text>" in text
     record = next(r for r in _results(done)["rollouts"] if r["policy"] == "still")
     assert "block" in record["unmet"] and f"not done after 45 control steps; at the end: {record['unmet']}" in text
-    assert "max-width:1200px" not in text
+    assert '<article class="whole">' in text  # grids and tables use the whole window
 
 
 def test_the_page_of_many_tasks_folds_them_and_shows_what_they_say_together() -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import physics_steps
-from simfoundry.evaluate.task import Task, load_task, need_robots
-from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.evaluate.rollouts.control import physics_steps
+from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
 from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.conftest import REPOSITORY
 from tests.evaluate.benches import SCENE, TASK, write_bench
 
@@ -89,7 +89,7 @@ def test_a_scene_is_no_task(push_file: Path) -> None:
 
 def test_a_robot_that_is_not_there_is_missed_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "yam.yaml").write_text("mjcf: {file: gone.xml}\nurdf: {file: gone.urdf}\n")
-    monkeypatch.setenv(OWN_MODELS, str(tmp_path))
+    monkeypatch.setenv(OWN_ROBOTS, str(tmp_path))
     scene = SCENE.replace("{mjcf: arm.xml}", "yam").replace("mount: arm.boom", "mount: arm.hand")
     task = load_task(write_bench(tmp_path, scene=scene))
     with pytest.raises(SimfoundryError, match=r"task `push` needs robot `arm`, which is left out: no model found: .*"):

@@ -145,7 +145,7 @@ def test_the_cavity_of_a_turned_mesh_frame_is_found(setting: Found) -> None:
 
 def test_the_cavity_of_a_mug_does_not_reach_into_its_handle() -> None:
     """The space between wall and grip is open on both sides; the cavity is that of the vessel, to a cell."""
-    from simfoundry.cousins.library import lowered
+    from simfoundry.cousins.recipe.library import lowered
     from simfoundry.geometry.cavity import cavity
     from simfoundry.geometry.frames import frozen_array
     from simfoundry.predicates.judging.bodies import Bodies

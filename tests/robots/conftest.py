@@ -9,7 +9,7 @@ import pytest
 
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.conftest import REPOSITORY
 
 FRANKA_ROBOTIQ = """\
@@ -86,7 +86,7 @@ def own_models(robot_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 def lowered(file: Path, own: Path) -> Scene:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(OWN_MODELS, str(own))
+        patch.setenv(OWN_ROBOTS, str(own))
         return lower_file(file)
 
 
@@ -116,7 +116,7 @@ def lift(own_models: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def demo_lift(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """The project's own arm, which is always here, before a cube."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.delenv(OWN_MODELS, raising=False)
+        patch.delenv(OWN_ROBOTS, raising=False)
         for package in ("mujoco_menagerie", "robot_descriptions"):
             patch.setitem(sys.modules, package, None)
         return lower_file(lift_file(tmp_path_factory.mktemp("demo_lift"), "demo_arm"))

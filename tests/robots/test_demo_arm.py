@@ -12,14 +12,15 @@ import pytest
 import simfoundry
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.jaws import jaws
+from simfoundry.evaluate.expert.grasps import jaws
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
-from simfoundry.spec.models.robot import ROBOTS
+from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.worlds import open_world
 from tests.robots.reach import grasp_and_lift
 
-KNOWN = ROBOTS["demo_arm"]
+KNOWN = find_robot("demo_arm")
+assert KNOWN is not None
 DOWN = [0.0, 1.0, 0.0, 0.0]
 """The gripper points down [quaternion, wxyz]."""
 

@@ -17,9 +17,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.scene.robot import ModelFormat
 from simfoundry.scene.robot_files import find_model, model_files
 from simfoundry.scene.robot_packages import NoModelError
-from simfoundry.scene.robots import OWN_MODELS
-from simfoundry.spec.models.robot import ROBOTS
-from simfoundry.spec.models.robot_model import read_models
+from simfoundry.spec.models.robot_file import OWN_ROBOTS, find_robot, read_robot_file, robot_names
 from tests.cli.command import run
 from tests.conftest import PACKAGE, REPOSITORY
 
@@ -52,14 +50,15 @@ def plain(tmp_path: Path) -> Path:
     return urdf
 
 
-@pytest.mark.parametrize("name", sorted(ROBOTS))
+@pytest.mark.parametrize("name", robot_names())
 def test_what_is_known_of_a_robot_and_its_models_agree(name: str) -> None:
-    models = read_models(PACKAGE / "robots" / f"{name}.yaml")
+    models, known = read_robot_file(PACKAGE / "robots" / f"{name}.yaml"), find_robot(name)
+    assert known is not None
     described = [m for m in (models.mjcf, models.urdf, models.usd) if m is not None]
     assert described
     for model in described:
-        assert set(model.links) == set(ROBOTS[name].links)
-        assert [f"joint{k}" for k in range(1, len(model.joints) + 1)] == list(ROBOTS[name].home)
+        assert set(model.links) == set(known.links)
+        assert [f"joint{k}" for k in range(1, len(model.joints) + 1)] == list(known.home)
         assert model.gripper is not None
         assert set(model.gripper.follow) <= {*model.gripper.joints, *model.gripper.follow}
         assert next(iter(model.gripper.joints)) not in model.gripper.follow
@@ -145,7 +144,7 @@ def test_what_failed_to_be_fetched_is_not_tried_again(tmp_path: Path, monkeypatc
 def test_the_reason_of_a_package_that_is_here_says_more(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco_menagerie", reason="the extra `robots` is not installed")
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
-    monkeypatch.delenv(OWN_MODELS, raising=False)
+    monkeypatch.delenv(OWN_ROBOTS, raising=False)
     scene = lower_file(WITH_ROBOTS[0])
     (reason,) = [left.reason for left in scene.left_out if left.path.startswith("robots.")]
     assert reason.startswith("no model found: mujoco-menagerie could not fetch `franka_emika_panda`")
@@ -187,7 +186,7 @@ def test_descriptions_are_not_cloned_unasked(tmp_path: Path, monkeypatch: pytest
 def without_models(monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("mujoco_menagerie", "robot_descriptions"):  # as if they were not installed
         monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delenv(OWN_MODELS, raising=False)
+    monkeypatch.delenv(OWN_ROBOTS, raising=False)
 
 
 @pytest.mark.parametrize("path", WITH_ROBOTS, ids=lambda path: path.name.split(".")[0])
@@ -209,12 +208,12 @@ def test_show_tells_robots_what_they_carry_and_what_is_left_out(
     own_models: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     droid = str(REPOSITORY / "specs" / "scenes" / "droid.scene.yaml")
-    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    monkeypatch.setenv(OWN_ROBOTS, str(own_models))
     shown = run("show", droid).out.splitlines()
     assert "robot arm  franka_robotiq  mjcf" in shown
     assert "camera wrist  1280 x 720  on arm.hand" in shown
     assert not any(line.startswith("without") for line in shown)
-    monkeypatch.delenv(OWN_MODELS)
+    monkeypatch.delenv(OWN_ROBOTS)
     for package in ("mujoco_menagerie", "robot_descriptions"):
         monkeypatch.setitem(sys.modules, package, None)
     shown = run("show", droid).out.splitlines()
@@ -253,7 +252,7 @@ def test_an_unknown_joint_of_an_own_robot_is_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(OWN_MODELS, str(tmp_path / "nowhere"))
+    monkeypatch.setenv(OWN_ROBOTS, str(tmp_path / "nowhere"))
     with pytest.raises(SimfoundryError, match=r"SIMFOUNDRY_ROBOTS names .*nowhere, and there is no such folder"):
         lower_file(WITH_ROBOTS[0])
 
@@ -270,7 +269,7 @@ def test_a_faulty_robot_file_is_explained(
     text: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "yam.yaml").write_text(text)
-    monkeypatch.setenv(OWN_MODELS, str(tmp_path))
+    monkeypatch.setenv(OWN_ROBOTS, str(tmp_path))
     done = run("compile", str(REPOSITORY / "specs/scenes/yam.scene.yaml"), "-t", "urdf", "-o", str(tmp_path / "out"))
     assert done.code == 2
     assert said in (done.out + done.err)
@@ -278,7 +277,7 @@ def test_a_faulty_robot_file_is_explained(
 
 
 def test_an_own_model_stands_in_for_the_known_one(own_models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    monkeypatch.setenv(OWN_ROBOTS, str(own_models))
     robot = lower_file(REPOSITORY / "specs" / "scenes" / "yam.scene.yaml").robot("left")
     assert robot.models[ModelFormat.MJCF].file.parent.name == "i2rt_yam_menagerie"
     assert robot.models[ModelFormat.URDF].file.name == "yam.urdf"

@@ -9,10 +9,11 @@ import pytest
 import yaml
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.task import load_task, need_robots
+from simfoundry.evaluate.tasks.task import load_task, need_robots
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load
+from simfoundry.spec.models.robot_file import OWN_ROBOTS, find_robot
 from simfoundry.worlds import open_world
 from tests.cli.command import run
 from tests.conftest import REPOSITORY
@@ -136,3 +137,22 @@ def test_the_robot_file_of_the_documentation_is_one(bench: Path) -> None:
     assert {"file", "links", "joints", "gripper"} <= set(data["mjcf"])
     (bench.parent / "robots/my_arm.yaml").write_text(text.replace("arm.xml", "models/arm.xml"))
     need_robots(load_task(bench))
+
+
+def test_a_folder_of_robot_files_makes_them_known_by_name(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What scenes rely on is in the file too, so nothing else has to know the robot."""
+    scene, robots = bench.with_name("bench.scene.yaml"), bench.parent / "robots"
+    scene.write_text(scene.read_text().replace("{file: robots/my_arm.yaml}", "my_arm"))
+    assert any("my_arm" in d.message for d in load(scene).errors)
+    monkeypatch.setenv(OWN_ROBOTS, str(robots))
+    with pytest.raises(SimfoundryError, match="needs `reach`, `opening` and `home`"):
+        find_robot("my_arm")
+    assert any("needs `reach`, `opening` and `home`" in d.message for d in load(scene).errors)
+    known = FILE.replace("links: {", "links: {boom: {link: boom}, ")
+    (robots / "my_arm.yaml").write_text(f"reach: 0.4\nopening: 0.06\npayload: 0.5\nhome: [0.1, 0]\n{known}")
+    assert not load(scene).errors
+    arm = find_robot("my_arm")
+    assert arm is not None
+    assert (arm.reach, arm.payload, dict(arm.home)) == (0.4, 0.5, {"joint1": 0.1, "joint2": 0.0})
+    lowered = lower_file(scene).robot("arm")
+    assert (lowered.kind, lowered.reach) == ("my_arm", 0.4)

@@ -12,7 +12,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.importer import import_file
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from tests.corpora.roundtrip import MAINS, trip_by_scene
 
 JOINTS = [f"joint{k}" for k in range(1, 7)]
@@ -50,7 +50,7 @@ def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Scene:
     """A scene with a robot of two joints that stands for a known one."""
     (tmp_path / "mini.xml").write_text(MODEL)
     (tmp_path / "yam.yaml").write_text(KNOWN)
-    monkeypatch.setenv(OWN_MODELS, str(tmp_path))
+    monkeypatch.setenv(OWN_ROBOTS, str(tmp_path))
     (tmp_path / "cell.scene.yaml").write_text(SCENE)
     return lower_file(tmp_path / "cell.scene.yaml")
 

@@ -16,7 +16,7 @@ from simfoundry.backends import compile_scene
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import ModelFormat
-from simfoundry.scene.robots import OWN_MODELS
+from simfoundry.spec.models.robot_file import OWN_ROBOTS
 from simfoundry.worlds.mounted import camera_now
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.conftest import REPOSITORY
@@ -128,7 +128,7 @@ def test_a_mounted_camera_is_where_the_hand_has_carried_it(panda_lift: Scene) ->
 
 def test_the_page_s_python_runs(own_models: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     page = (REPOSITORY / "docs" / "robots.md").read_text()
-    monkeypatch.setenv(OWN_MODELS, str(own_models))
+    monkeypatch.setenv(OWN_ROBOTS, str(own_models))
     monkeypatch.chdir(REPOSITORY)
     for block in re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE):
         exec(compile(block, "docs/robots.md", "exec"), {})

@@ -9,7 +9,7 @@ import pytest
 from simfoundry.scene.inertia import felt_inertias
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.trees import trees
-from simfoundry.worlds import MujocoWorld
+from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.mechanisms import chain, gripper, pendulum, pot
 from tests.scenes import cabinet, fan, pose, scene_of
 

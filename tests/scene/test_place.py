@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -12,11 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simfoundry.assets import decompose
+from simfoundry.assets.errors import MeshError
+from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.geometry.frames import Array, Pose, look_at, quat_from_rpy
 from simfoundry.geometry.hulls import PROUD
 from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
 from simfoundry.scene.lower import lower_file
+from simfoundry.scene.misfits import certain_misfits, uncut
 from simfoundry.scene.model import SceneObject
+from simfoundry.scene.objects import ObjectLowering
 from simfoundry.scene.place import CLEARANCE, PlaceError, order, place_all, seen_by_camera
 from simfoundry.scene.poses import with_poses
 from simfoundry.spec.diagnostics import SpecError
@@ -307,6 +312,66 @@ def test_what_does_not_fit_is_said_before_other_meshes_are_cut(tmp_path: Path, m
         ("SF210", "objects.crate.place"),
         ("SF302", "objects.flat.asset"),
     ]
+
+
+BOWL_PROFILE = [[0, 0], [0.05, 0], [0.08, 0.05], [0.076, 0.05], [0.048, 0.004], [0, 0.004]]
+
+
+@pytest.mark.parametrize(("length", "fits"), [(0.05, True), (0.2, False)])
+def test_what_cannot_fit_is_said_before_its_container_is_cut(
+    length: float, fits: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "simfoundry.yaml").touch()
+    (tmp_path / "bowl.obj").write_text(obj(*lathe_mesh(np.array(BOWL_PROFILE))))
+    path = tmp_path / "fit.scene.yaml"
+    path.write_text(
+        "simfoundry: scene/1\nname: fit\nobjects:\n"
+        "  desk: {fixed: true, shape: {box: [1, 1, 0.1]}}\n"
+        "  bowl: {asset: bowl.obj, mass: 0.1, place: {on: desk}}\n"
+        f"  stick: {{shape: {{box: [{length}, 0.02, 0.02]}}, mass: 0.1, place: {{inside: bowl, yaw_deg: 30}}}}\n"
+    )
+    cuts: list[str] = []
+
+    def cut(name: str, *_: object) -> NoReturn:
+        cuts.append(name)
+        raise MeshError("SF301", "not cut here", "")
+
+    monkeypatch.setattr(decompose, "decompose", cut)
+    with pytest.raises(SpecError) as error:
+        lower_file(path)
+    (finding,) = error.value.diagnostics
+    assert (finding.code, cuts) == (("SF301", ["bowl.obj"]) if fits else ("SF210", []))
+    if not fits:
+        assert finding.message.startswith("`stick` (18.3 x 11.7 x 2.0 cm) does not fit inside `bowl` (16.0 x ")
+
+
+def test_what_is_refused_uncut_fits_no_cut_container_either(tmp_path: Path) -> None:
+    """The bowl as a mesh, and as the convex parts that make it up."""
+    rng = np.random.default_rng(0)
+    (tmp_path / "bowl.obj").write_text(obj(*lathe_mesh(np.array(BOWL_PROFILE))))
+    refused = 0
+    for k in range(40):
+        size = np.round(rng.uniform(0.02, [0.3, 0.12, 0.12]), 3).tolist()
+        at = np.round(rng.uniform(-0.03, 0.03, 2), 3).tolist()
+        thing = (
+            f"stick: {{shape: {{box: {size}}}, mass: 0.1, place: {{inside: bowl, at: {at}, rpy_deg: [0, {9 * k}, 0]}}}}"
+        )
+        head = "simfoundry: scene/1\nname: fit\nobjects:\n"
+        (tmp_path / "cut.scene.yaml").write_text(
+            f"{head}  bowl: {{shape: {{lathe: {{profile: {BOWL_PROFILE}}}}}, mass: 0.1}}\n  {thing}\n"
+        )
+        (tmp_path / "uncut.scene.yaml").write_text(f"{head}  bowl: {{asset: bowl.obj, mass: 0.1}}\n  {thing}\n")
+        loaded = load_scene(tmp_path / "uncut.scene.yaml")
+        assert isinstance(loaded.spec, SceneSpec)
+        work = ObjectLowering(loaded, cuts=False)
+        objects = {name: work.lower(name, item, loaded.spec) for name, item in loaded.spec.objects.items()}
+        assert objects["bowl"] is not None and objects["stick"] is not None
+        shapes = {"bowl": uncut(objects["bowl"]), "stick": objects["stick"]}
+        if certain_misfits(shapes, {"stick": loaded.spec.objects["stick"].place}, None, {"bowl"}):  # type: ignore[dict-item]
+            refused += 1
+            with pytest.raises(SpecError, match="SF210"):
+                lower_file(tmp_path / "cut.scene.yaml")
+    assert 5 <= refused < 40
 
 
 def test_places_inside_do_not_change_the_order_of_objects(tmp_path: Path) -> None:

@@ -11,23 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simfoundry.spec.change.diff.changes import (
-    Add,
-    ChangeError,
-    Remove,
-    Reorder,
-    Set,
-    apply,
-    diff,
-    expression,
-    from_json,
-    to_json,
-)
+from simfoundry.spec.change.diff.changes import Add, Remove, Reorder, Set, diff, expression, to_json
 from simfoundry.spec.change.diff.renames import BESIDE, REFERENCES, SECTIONS, Rename, same
 from simfoundry.spec.change.diff.words import describe
 from simfoundry.spec.models.base import Model, Name, PartName
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.write import to_data
+from tests.spec.changing import ChangeError, apply, from_json
 from tests.spec.strategies import ASSETS, SCENES
 
 NAMES = ("cup", "mug", "bowl", "plate", "desk", "tray", "box_1", "box_2")
@@ -211,7 +201,7 @@ def test_every_name_that_refers_is_known() -> None:
         "category": "what it is",
         "labels": "what it is",
         "categories": "what they are",
-        "without": "what they are",
+        "exclude_categories": "what they are",
         "components": "what they do",
         "name": "of the document itself",
         "recipe": "of another document",

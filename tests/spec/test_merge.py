@@ -331,7 +331,7 @@ def test_what_one_removed_and_the_other_changed_stays() -> None:
 def test_an_estimate_is_one_value() -> None:
     merged = both(changed(("value: 0.1", "value: 0.11")), changed(("0.05, 0.2]", "0.08, 0.12]")))
     assert list(table(merged)) == ["objects.block.mass"]
-    assert merged.data["objects"]["block"]["mass"] == {"value": 0.11, "range": (0.05, 0.2), "by": "vlm"}
+    assert merged.data["objects"]["block"]["mass"] == {"value": 0.11, "range": (0.05, 0.2), "source": "vlm"}
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from simfoundry.spec.load import load
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import former_paths, with_present_keys
 from simfoundry.spec.yaml.text import parse
-from simfoundry.spec.yaml.tree import CommentedTree
+from simfoundry.spec.yaml.tree import YamlTree
 from tests.cli.command import run
 
 OLD = """\
@@ -26,7 +26,7 @@ things:            # what stands there
 """
 
 
-def in_grams(tree: CommentedTree) -> CommentedTree:
+def in_grams(tree: YamlTree) -> YamlTree:
     """Weights in grams become masses in kilograms."""
     tree = renamed(tree, ("objects", "*", "weight"), "mass")
     objects = tree.value["objects"]
@@ -39,7 +39,7 @@ def in_grams(tree: CommentedTree) -> CommentedTree:
     return replace(tree, value={**tree.value, "objects": replace(objects, value=scaled)})
 
 
-def renamed(tree: CommentedTree, path: tuple[str, ...], name: str) -> CommentedTree:
+def renamed(tree: YamlTree, path: tuple[str, ...], name: str) -> YamlTree:
     """The tree in which the key at ``path`` (``*`` stands for any) is called ``name``."""
     head, *rest = path
     if not rest:

@@ -141,7 +141,17 @@ KEYWORDS = {
     *("$schema", "$id", "$ref", "$defs", "$comment", "title", "description", "type", "enum", "const"),
     *("if", "then", "else", "allOf", "anyOf", "oneOf", "not", "required", "pattern", "minLength", "maxLength"),
     *("properties", "patternProperties", "additionalProperties", "propertyNames", "minProperties", "maxProperties"),
-    *("items", "prefixItems", "minItems", "maxItems", "minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"),
+    *(
+        "examples",
+        "items",
+        "prefixItems",
+        "minItems",
+        "maxItems",
+        "minimum",
+        "maximum",
+        "exclusiveMinimum",
+        "exclusiveMaximum",
+    ),
 }
 """What of JSON Schema 2020-12 may stand in a schema; there is no `format`, which strict validators refuse as well."""
 
@@ -243,7 +253,7 @@ def _filled(body: Any) -> Any:
     """What a person gets who takes a first value as it is."""
     if isinstance(body, dict):
         return {str(_filled(key)): _filled(value) for key, value in body.items()}
-    if isinstance(body, list):
+    if isinstance(body, list | tuple):
         return [_filled(item) for item in body]
     return json.loads(json.dumps(parse(re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", body)).data))
 

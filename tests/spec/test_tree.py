@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.yaml.text import Path_, parse
-from simfoundry.spec.yaml.tree import CommentedTree, plain_tree, read_tree, with_data
+from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 from tests.spec.layouts import DOCUMENTS, VALUES, untidy
 
@@ -157,6 +157,6 @@ def test_a_tree_takes_any_data(data: dict[str, Any], other: Any, seed: int) -> N
 
 
 def test_plain_data_make_a_tree_without_comments() -> None:
-    assert plain_tree({"a": [1, {"b": None}]}) == CommentedTree(
-        {"a": CommentedTree((CommentedTree(1), CommentedTree({"b": CommentedTree(None)})))}
+    assert plain_tree({"a": [1, {"b": None}]}) == YamlTree(
+        {"a": YamlTree((YamlTree(1), YamlTree({"b": YamlTree(None)})))}
     )

@@ -20,7 +20,7 @@ from simfoundry.scene.lower import lower_file
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.targets.combine import RULES
 from simfoundry.targets.compile import compile_target
-from simfoundry.targets.find import UnknownTargetError, find_target, folder, profile_names, read_profile, target_names
+from simfoundry.targets.find import UnknownTargetError, find_target, read_profile, target_names
 from tests.cli.command import run
 from tests.mechanisms import pendulum
 from tests.scenes import box, full_scene, pose, primitives_scene, scene_of, solid
@@ -56,7 +56,7 @@ def profile(tmp_path: Path, text: str = MINE) -> Path:
 
 
 def test_every_simulator_has_a_profile_and_every_backend_is_a_target() -> None:
-    assert set(profile_names()) == SIMULATORS
+    assert set(target_names()) >= SIMULATORS | set(BACKENDS.names())
     assert target_names()[: len(BACKENDS.names())] == BACKENDS.names()
     assert len(set(target_names())) == len(target_names())
 
@@ -64,7 +64,7 @@ def test_every_simulator_has_a_profile_and_every_backend_is_a_target() -> None:
 @pytest.mark.parametrize("name", sorted(SIMULATORS))
 def test_a_profile_says_how_it_was_tested(name: str) -> None:
     spec = find_target(name).profile
-    assert spec is not None and spec.name == name
+    assert spec.name == name
     assert bool(spec.tested.versions) == (spec.tested.how == "run")
     assert spec.tested.how == "run" or spec.tested.note
 
@@ -247,16 +247,21 @@ def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
     builder = hatchling.WheelBuilder(str(ROOT))
     (wheel,) = builder.build(directory=str(tmp_path), versions=["standard"])
     names = set(zipfile.ZipFile(wheel).namelist())
-    expected = {p.relative_to(folder()).as_posix() for p in folder().rglob("*") if p.suffix in (".yaml", ".py")}
-    assert {f"simfoundry/targets/profiles/{name}" for name in expected} <= names
+    files = [p for p in (ROOT / "targets").rglob("*") if p.suffix in (".yaml", ".py")]
+    assert len(files) > 30
+    assert {f"simfoundry/shipped/{p.relative_to(ROOT).as_posix()}" for p in files} <= names
 
 
 def test_the_profile_of_the_page_holds(tmp_path: Path) -> None:
     shown = re.search(
-        r"^```yaml\n(# targets/.*?)^```", (ROOT / "docs/add-a-target.md").read_text(), re.DOTALL | re.MULTILINE
+        r"^```yaml\n(# targets/.*?)^```", (ROOT / "docs/extend/target.md").read_text(), re.DOTALL | re.MULTILINE
     )
     assert shown is not None
-    target = read_profile(profile(tmp_path, shown[1]))
+    folder = tmp_path / "my_sim"
+    folder.mkdir()
+    (folder / "profile.yaml").write_text(shown[1])
+    (folder / "readback.py").write_text("")
+    target = find_target(str(folder))
     losses = {loss.path: loss.reason for loss in compile_target(full_scene(), target).losses}
     assert "gravity" not in losses and losses["restitution"] == "it has soft contacts (never)"
     assert losses["friction"].startswith("my_sim takes the average of a pair")

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from simfoundry.targets.find import find_target, profile_names
+from simfoundry.targets.find import find_target, target_names
 from simfoundry.verify import rigs
 from simfoundry.verify.behaviours import BEHAVIOURS, Behaviour, Trial
-from simfoundry.verify.engines import ENGINES
-from simfoundry.verify.facts import Moment, pose_numbers
-from simfoundry.verify.run import Verdict, judged, measure_behaviours
+from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
+from simfoundry.verify.readback import Moment, pose_numbers
+from simfoundry.verify.run import ProofStatus, judge_result, measure_behaviours
 from tests.scenes import pose
 
 BY_NAME = {b.name: b for b in BEHAVIOURS}
@@ -84,19 +84,19 @@ def test_ramps_rise_as_steeply_as_they_say_and_the_box_lies_on_them() -> None:
 
 def test_verdicts_know_what_an_engine_cannot_do() -> None:
     slip = BY_NAME["slip_angle"]
-    assert judged(slip, "mujoco", 26.9).verdict is Verdict.OK
-    assert judged(slip, "mujoco", 28.8).verdict is Verdict.MISMATCH
-    known = judged(slip, "sapien", 28.8)
-    assert (known.verdict, known.reason) == (Verdict.KNOWN, "takes the average friction of a pair")
-    assert judged(slip, "sapien", 31.0).verdict is Verdict.MISMATCH
-    assert judged(slip, "sapien", 26.1).verdict is Verdict.OK
-    assert judged(slip, "sapien", float("nan")).verdict is Verdict.MISMATCH
-    assert judged(slip, "sapien", "it died").verdict is Verdict.FAILED
+    assert judge_result(slip, find_engine("mujoco"), 26.9).verdict is ProofStatus.OK
+    assert judge_result(slip, find_engine("mujoco"), 28.8).verdict is ProofStatus.MISMATCH
+    known = judge_result(slip, find_engine("sapien"), 28.8)
+    assert (known.verdict, known.reason) == (ProofStatus.KNOWN, "takes the average friction of a pair")
+    assert judge_result(slip, find_engine("sapien"), 31.0).verdict is ProofStatus.MISMATCH
+    assert judge_result(slip, find_engine("sapien"), 26.1).verdict is ProofStatus.OK
+    assert judge_result(slip, find_engine("sapien"), float("nan")).verdict is ProofStatus.MISMATCH
+    assert judge_result(slip, find_engine("sapien"), "it died").verdict is ProofStatus.FAILED
 
 
 def test_what_is_known_is_of_engines_and_behaviours_that_exist_and_is_not_the_answer() -> None:
-    steps = {engine.profile or engine.family for engine in ENGINES if engine.steps}
-    profiles = {name: spec for name in profile_names() if (spec := find_target(name).profile) is not None}
+    steps = {engine.target.name for engine in all_engines() if engine.spec.steps}
+    profiles = {name: find_target(name).profile for name in target_names()}
     bands = [(engine, name, band) for engine, each in profiles.items() for name, band in each.behaviours.items()]
     assert len(bands) > 10
     for family, behaviour, known in bands:
@@ -111,14 +111,11 @@ def test_what_is_known_is_of_engines_and_behaviours_that_exist_and_is_not_the_an
 
 
 def test_mujoco_and_pybullet_behave() -> None:
-    from simfoundry.verify.engines import find, interpreters
-
-    found = [
-        f for f in find([e for e in ENGINES if e.name in ("mujoco", "pybullet")], interpreters([], {})).values() if f
-    ]
+    engines = {name: find_engine(name) for name in ("mujoco", "pybullet")}
+    found = [f for f in find_installed(engines, interpreters([], (), {})).values() if f]
     done: list[str] = []
     results = measure_behaviours(BEHAVIOURS, found, lambda engine, units: done.append(engine), workers=2)
-    wrong = [m for m in results if m.verdict not in (Verdict.OK, Verdict.KNOWN)]
+    wrong = [m for m in results if m.verdict not in (ProofStatus.OK, ProofStatus.KNOWN)]
     assert wrong == []
     assert len(results) == len(BEHAVIOURS) * len(found) == len(done)
-    assert {m.behaviour for m in results if m.engine == "mujoco" and m.verdict is Verdict.OK} == set(BY_NAME)
+    assert {m.behaviour for m in results if m.engine == "mujoco" and m.verdict is ProofStatus.OK} == set(BY_NAME)

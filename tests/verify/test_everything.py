@@ -12,10 +12,10 @@ import pytest
 
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
-from simfoundry.verify.compare import Comparison, compare
-from simfoundry.verify.engines import engine_called
-from simfoundry.verify.expected import expected_facts
-from simfoundry.verify.process import Job, ask
+from simfoundry.verify.compare import ReadbackComparison, compare
+from simfoundry.verify.engines import find_engine
+from simfoundry.verify.expected import expected_readback
+from simfoundry.verify.process import EngineJob, ask
 from simfoundry.verify.run import built
 from tests.targets.everything import write_everything
 from tests.verify.test_readback import replaced
@@ -31,27 +31,27 @@ def everything(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 Falsify = Callable[[Path], None]
 
 
-def read(scene: Scene, name: str, folder: Path, falsified: Mapping[str, Falsify]) -> dict[str, Comparison]:
+def read(scene: Scene, name: str, folder: Path, falsified: Mapping[str, Falsify]) -> dict[str, ReadbackComparison]:
     """Compare what an engine holds of a build with its scene: untouched by ``""``, and of builds tampered with.
 
     One process reads them all: to start one takes longer than to read a build.
     """
     pytest.importorskip({"usd": "pxr"}.get(name, name))
-    engine = engine_called(name)
-    subjects = [built(f"n{k}", scene, [engine.target], folder / name / f"n{k}") for k in range(len(falsified) + 1)]
-    builds = [subject.builds[engine.target] for subject in subjects]
+    engine = find_engine(name)
+    subjects = [built(f"n{k}", scene, [engine], folder / name / f"n{k}") for k in range(len(falsified) + 1)]
+    builds = [subject.builds[name] for subject in subjects]
     for falsify, build in zip(falsified.values(), builds[1:], strict=True):
         falsify(build)
-    answers = ask(Path(sys.executable), name, [Job(build) for build in builds], timeout=60)
+    answers = ask(Path(sys.executable), engine.readback, [EngineJob(build) for build in builds], timeout=60)
     assert all(answer.facts is not None for answer in answers), [answer.error for answer in answers]
     return {
-        what: compare(scene, answer.facts, engine, subject.losses[engine.target])
+        what: compare(scene, answer.facts, engine, subject.losses[name])
         for what, answer, subject in zip(("", *falsified), answers, subjects, strict=True)
         if answer.facts is not None
     }
 
 
-Readings = Callable[[str], dict[str, Comparison]]
+Readings = Callable[[str], dict[str, ReadbackComparison]]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_all_that_a_spec_can_say_is_read_back(name: str, readings: Readings) -> 
 
 
 def test_what_is_expected_of_it_has_every_quantity(everything: Scene) -> None:
-    facts = expected_facts(everything, "mjcf")
+    facts = expected_readback(everything, "mjcf")
     slide, along = facts.joints["cabinet.slide"], facts.joints["cabinet.along"]
     assert (slide.drive, slide.effort, slide.follows) == ((50.0, 5.0, 0.1), (), "")
     assert (along.follows, along.law) == ("cabinet.slide", (2.0, 0.0))

@@ -9,24 +9,25 @@ from pathlib import Path
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.verify.engines import ENGINES, UnknownEngineError, engine_called, find, interpreters
-from simfoundry.verify.facts import Facts, mesh_bounds, pose_of, shape_bounds
-from simfoundry.verify.process import Job, Run, ask
+from simfoundry.verify.engines import UnknownEngineError, all_engines, find_engine, find_installed, interpreters
+from simfoundry.verify.process import EngineJob, Run, ask
+from simfoundry.verify.readback import WorldReadback, mesh_bounds, pose_of, shape_bounds
 from simfoundry.verify.run import built
 from tests.scenes import primitives_scene, scene_of
 
 HERE = Path(sys.executable)
+MUJOCO = find_engine("mujoco")
 
 
-def loader(folder: Path, body: str) -> Job:
+def loader(folder: Path, body: str) -> EngineJob:
     """A build whose own loader does something."""
     folder.mkdir()
     (folder / "load.py").write_text(body)
-    return Job(folder)
+    return EngineJob(folder)
 
 
 def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> None:
-    good = Job(built("good", primitives_scene(), ["mjcf"], tmp_path / "good").builds["mjcf"])
+    good = EngineJob(built("good", primitives_scene(), [MUJOCO], tmp_path / "good").builds["mujoco"])
     crash = loader(
         tmp_path / "crash",
         "import os, sys\n"
@@ -39,7 +40,7 @@ def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> N
     wrong = loader(tmp_path / "wrong", "def load():\n    raise ValueError('<bad> build')\n")
     chatty = loader(tmp_path / "chatty", "import os\ndef load():\n    os.write(1, b'noise')\n    raise KeyError('x')\n")
     done: list[int] = []
-    answers = ask(HERE, "mujoco", [crash, good, hang, wrong, leave, chatty, good], 6.0, done.append)
+    answers = ask(HERE, MUJOCO.readback, [crash, good, hang, wrong, leave, chatty, good], 6.0, done.append)
     assert [a.facts is not None for a in answers] == [False, True, False, False, False, False, True]
     assert answers[0].error == "crashed: SIGSEGV; it said: last words"
     assert answers[2].error == "gave no answer in 6 s"
@@ -52,8 +53,8 @@ def test_crashes_and_hangs_are_answers_and_the_rest_goes_on(tmp_path: Path) -> N
 def test_a_run_says_where_things_are(tmp_path: Path) -> None:
     from simfoundry.verify.rigs import lopsided, posed
 
-    folder = built("fall", scene_of(lopsided("stone", posed(0, 0, 5, 0.3))), ["mjcf"], tmp_path).builds["mjcf"]
-    (answer,) = ask(HERE, "mujoco", [Job(folder, Run(0.5, 0.1))], 30.0)
+    folder = built("fall", scene_of(lopsided("stone", posed(0, 0, 5, 0.3))), [MUJOCO], tmp_path).builds["mujoco"]
+    (answer,) = ask(HERE, MUJOCO.readback, [EngineJob(folder, Run(0.5, 0.1))], 30.0)
     times = [m.time for m in answer.moments]
     assert times == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.5])
     for moment in answer.moments:
@@ -69,7 +70,9 @@ def test_engines_are_found_here_and_elsewhere(tmp_path: Path) -> None:
     newton.write_text('#!/bin/sh\necho \'{"newton:newton": "9.9", "warp:warp-lang": "1", "mujoco:mujoco": "3", '
                       '"mujoco_warp:mujoco-warp": "3"}\'\n')  # fmt: skip
     newton.chmod(newton.stat().st_mode | stat.S_IXUSR)
-    found = find(ENGINES, interpreters([f"mujoco={bare}"], {"SIMFOUNDRY_ENGINES": f"{bare},newton={newton}"}))
+    engines = {engine.name: engine for engine in all_engines()}
+    places = interpreters([f"mujoco={bare}"], (), {"SIMFOUNDRY_ENGINES": f"{bare},newton={newton}"})
+    found = find_installed(engines, places)
     mujoco, from_mjcf = found["mujoco"], found["newton-mjcf"]
     assert mujoco is not None
     assert mujoco.python == HERE  # the one that was named does not have it
@@ -79,20 +82,20 @@ def test_engines_are_found_here_and_elsewhere(tmp_path: Path) -> None:
 
 
 def test_what_is_no_engine_is_said_with_those_there_are(tmp_path: Path) -> None:
-    with pytest.raises(UnknownEngineError, match=r"no engine is called `bullet`; there are: mujoco, pybullet"):
-        engine_called("bullet")
+    with pytest.raises(UnknownEngineError, match=r"no engine is called `bullet`; there are: .*mujoco, "):
+        find_engine("bullet")
     with pytest.raises(UnknownEngineError, match="no engine is called `bullet`"):
-        interpreters([f"bullet={HERE}"], {})
+        interpreters([f"bullet={HERE}"], (), {})
     with pytest.raises(SimfoundryError, match=r"there is no interpreter at .*nowhere, where drake should be"):
-        interpreters([f"drake={tmp_path}/nowhere"], {})
+        interpreters([f"drake={tmp_path}/nowhere"], (), {})
 
 
 def test_facts_survive_the_way_between_processes() -> None:
-    from simfoundry.verify.expected import expected_facts
+    from simfoundry.verify.expected import expected_readback
     from tests.scenes import full_scene
 
-    facts = expected_facts(full_scene(), "urdf")
-    assert Facts.from_json(facts.to_json()) == facts
+    facts = expected_readback(full_scene(), "urdf")
+    assert WorldReadback.from_json(facts.to_json()) == facts
 
 
 def test_bounds_contain_the_shape_and_touch_it() -> None:

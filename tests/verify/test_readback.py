@@ -13,11 +13,11 @@ import pytest
 from simfoundry.backends.losses import drop
 from simfoundry.scene.model import Scene
 from simfoundry.verify.compare import compare
-from simfoundry.verify.engines import engine_called
-from simfoundry.verify.expected import expected_facts
-from simfoundry.verify.facts import Facts
-from simfoundry.verify.process import Job, ask
-from simfoundry.verify.run import Subject, built
+from simfoundry.verify.engines import find_engine
+from simfoundry.verify.expected import expected_readback
+from simfoundry.verify.process import EngineJob, ask
+from simfoundry.verify.readback import WorldReadback
+from simfoundry.verify.run import SceneBuilds, built
 from tests.scenes import full_scene
 
 HERE = Path(sys.executable)
@@ -30,18 +30,18 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def subject(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Subject:
-    return built("full", scene, ["mjcf", "pybullet", "usd"], tmp_path_factory.mktemp("builds"))
+def subject(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> SceneBuilds:
+    return built("full", scene, map(find_engine, ENGINES), tmp_path_factory.mktemp("builds"))
 
 
 @pytest.fixture(scope="module")
-def facts(subject: Subject) -> dict[str, Facts]:
+def facts(subject: SceneBuilds) -> dict[str, WorldReadback]:
     """What each engine says of the untouched build."""
     found = {}
     for name in ENGINES:
         if name == "pybullet":
             pytest.importorskip("pybullet", reason="PyBullet is not installed")
-        (answer,) = ask(HERE, name, [Job(subject.builds[engine_called(name).target])], timeout=60)
+        (answer,) = ask(HERE, find_engine(name).readback, [EngineJob(subject.builds[name])], timeout=60)
         assert answer.error == ""
         assert answer.facts is not None
         found[name] = answer.facts
@@ -50,10 +50,10 @@ def facts(subject: Subject) -> dict[str, Facts]:
 
 @pytest.mark.parametrize("name", ENGINES)
 def test_what_an_engine_holds_is_what_the_scene_says(
-    name: str, scene: Scene, subject: Subject, facts: dict[str, Facts]
+    name: str, scene: Scene, subject: SceneBuilds, facts: dict[str, WorldReadback]
 ) -> None:
-    engine = engine_called(name)
-    found = compare(scene, facts[name], engine, subject.losses[engine.target])
+    engine = find_engine(name)
+    found = compare(scene, facts[name], engine, subject.losses[engine.name])
     assert [str(d) for d in found.mismatches] == []
     assert found.compared > 150
     covered = {(d.name, d.quantity) for d in found.covered}
@@ -62,11 +62,11 @@ def test_what_an_engine_holds_is_what_the_scene_says(
     assert found.stale == ()
 
 
-def test_the_engines_tell_what_they_should(facts: dict[str, Facts]) -> None:
+def test_the_engines_tell_what_they_should(facts: dict[str, WorldReadback]) -> None:
     """A reader that tells nothing would agree with everything."""
     scene = full_scene()
     for name, told in facts.items():
-        wanted = expected_facts(scene, engine_called(name).target)
+        wanted = expected_readback(scene, find_engine(name).target.backend)
         assert set(told.links) == set(wanted.links)
         assert set(told.joints) == set(wanted.joints)
         assert told.gravity is not None
@@ -76,7 +76,7 @@ def test_the_engines_tell_what_they_should(facts: dict[str, Facts]) -> None:
             assert all(c.friction is not None and c.kind not in (None, "other") for c in link.colliders)
         for joint in told.joints.values():
             assert None not in (joint.type, joint.axis, joint.limits, joint.damping, joint.friction, joint.position)
-    pairs, wanted_pairs = facts["mujoco"].pairs or {}, expected_facts(scene, "mjcf").pairs or {}
+    pairs, wanted_pairs = facts["mujoco"].pairs or {}, expected_readback(scene, "mjcf").pairs or {}
     assert len(wanted_pairs) > 100
     assert {name: pairs.get(name) for name in wanted_pairs} == pytest.approx(dict(wanted_pairs), rel=1e-9)
 
@@ -167,18 +167,18 @@ FALSE: dict[str, tuple[str, Falsify, str, str]] = {
 def test_a_false_build_is_found(what: str, scene: Scene, tmp_path: Path) -> None:
     name, falsify, where, quantity = FALSE[what]
     pytest.importorskip({"usd": "pxr"}.get(name, name))
-    engine = engine_called(name)
-    false = built("full", scene, [engine.target], tmp_path)
-    falsify(false.builds[engine.target])
-    (answer,) = ask(HERE, name, [Job(false.builds[engine.target])], timeout=60)
+    engine = find_engine(name)
+    false = built("full", scene, [engine], tmp_path)
+    falsify(false.builds[name])
+    (answer,) = ask(HERE, find_engine(name).readback, [EngineJob(false.builds[name])], timeout=60)
     assert answer.facts is not None, answer.error
-    found = compare(scene, answer.facts, engine, false.losses[engine.target])
+    found = compare(scene, answer.facts, engine, false.losses[name])
     assert any(where in d.name and d.quantity == quantity for d in found.mismatches), found.mismatches
 
 
 def test_a_loss_covers_its_own_quantity_and_no_other(scene: Scene) -> None:
-    engine = engine_called("mujoco")
-    wanted = expected_facts(scene, "mjcf")
+    engine = find_engine("mujoco")
+    wanted = expected_readback(scene, "mjcf")
     slide = dataclasses.replace(wanted.joints["cabinet.slide"], armature=0.0, damping=9.0)
     told = dataclasses.replace(wanted, joints={**wanted.joints, "cabinet.slide": slide})
     lost = [drop("armature", "cabinet.slide", "there is none"),
@@ -191,8 +191,8 @@ def test_a_loss_covers_its_own_quantity_and_no_other(scene: Scene) -> None:
 
 
 def test_nothing_is_passed_over_in_silence(scene: Scene) -> None:
-    engine = engine_called("mujoco")
-    wanted = expected_facts(scene, "mjcf")
+    engine = find_engine("mujoco")
+    wanted = expected_readback(scene, "mjcf")
     nan = dataclasses.replace(wanted.links["ball"], mass=float("nan"))
     none = dataclasses.replace(wanted.links["can"], mass=None)
     bare = dataclasses.replace(wanted.links["crate"], colliders=())

@@ -13,9 +13,9 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.verify.facts import Moment, pose_numbers
-from simfoundry.verify.rest import judged, settle_subjects
-from simfoundry.verify.run import Subject, Verdict, built
+from simfoundry.verify.readback import Moment, pose_numbers
+from simfoundry.verify.rest import judge_rest, settle_subjects
+from simfoundry.verify.run import ProofStatus, SceneBuilds, built
 from tests.scenes import box, full_scene, pose, scene_of, solid
 
 
@@ -32,9 +32,9 @@ def scene() -> Scene:
 
 
 def verdicts(scene: Scene, odd: Moment) -> dict[str, tuple[str, str, float, float]]:
-    subject = Subject("full", scene, {}, {})
+    subject = SceneBuilds("full", scene, {}, {})
     ends = {"a": moment_of(scene), "b": moment_of(scene), "odd": odd}
-    return {r.engine: (r.verdict.value, r.worst, r.mm, r.deg) for r in judged(subject, ends)}
+    return {r.engine: (r.verdict.value, r.worst, r.mm, r.deg) for r in judge_rest(subject, ends)}
 
 
 def test_the_odd_one_out_is_named(scene: Scene) -> None:
@@ -67,27 +67,28 @@ def test_joints_count(scene: Scene) -> None:
 
 
 def test_an_engine_that_failed_does_not_count(scene: Scene) -> None:
-    subject = Subject("full", scene, {}, {})
-    results = judged(subject, {"a": moment_of(scene), "b": "crashed: SIGSEGV", "c": moment_of(scene)})
-    assert [r.verdict for r in results] == [Verdict.OK, Verdict.FAILED, Verdict.OK]
+    subject = SceneBuilds("full", scene, {}, {})
+    results = judge_rest(subject, {"a": moment_of(scene), "b": "crashed: SIGSEGV", "c": moment_of(scene)})
+    assert [r.verdict for r in results] == [ProofStatus.OK, ProofStatus.FAILED, ProofStatus.OK]
     assert results[1].error == "crashed: SIGSEGV"
-    assert all(r.verdict is Verdict.FAILED for r in judged(subject, {"a": "no", "b": "no"}))
+    assert all(r.verdict is ProofStatus.FAILED for r in judge_rest(subject, {"a": "no", "b": "no"}))
 
 
 def test_real_engines_agree_on_a_small_scene(tmp_path: Path) -> None:
     pytest.importorskip("pybullet", reason="PyBullet is not installed")
-    from simfoundry.verify.engines import engine_called, find, interpreters
+    from simfoundry.verify.engines import find_engine, find_installed, interpreters
 
     table = solid("table", box(1, 1, 0.04), pose(0, 0, -0.02), fixed=True)
     ball = dataclasses.replace(solid("ball", Sphere(0.03), pose(0.3, 0, 0.03)))
     scene = scene_of(table, solid("crate", box(0.1, 0.08, 0.06), pose(0, 0, 0.031, yaw=0.4)), ball)
-    found = find([engine_called("mujoco"), engine_called("pybullet")], interpreters([], {}))
+    both = {name: find_engine(name) for name in ("mujoco", "pybullet")}
+    found = find_installed(both, interpreters([], (), {}))
     engines = [f for f in found.values() if f is not None]
-    subjects = [built("rest", scene, ["mjcf", "pybullet"], tmp_path / "0"),
-                built("still", scene_of(table), ["mjcf", "pybullet"], tmp_path / "1")]  # fmt: skip
+    subjects = [built("rest", scene, both.values(), tmp_path / "0"),
+                built("still", scene_of(table), both.values(), tmp_path / "1")]  # fmt: skip
     results = settle_subjects(subjects, engines, lambda engine, units: None)
     assert [(r.subject, r.engine, r.verdict) for r in results] == [
-        ("rest", "mujoco", Verdict.OK),
-        ("rest", "pybullet", Verdict.OK),
+        ("rest", "mujoco", ProofStatus.OK),
+        ("rest", "pybullet", ProofStatus.OK),
     ]  # nothing can move in the other
     assert settle_subjects(subjects, engines[:1], lambda engine, units: None) == []

@@ -15,7 +15,9 @@ from simfoundry.geometry.shapes import Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import MujocoWorld, PybulletWorld, World, read_back
+from simfoundry.worlds.base import World, read_back
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.mechanisms import chain, gripper, mechanisms, pendulum, pot, rough
 from tests.scenes import box, pose, scene_of, solid
 

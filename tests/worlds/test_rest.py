@@ -6,8 +6,8 @@ import pytest
 
 from simfoundry.scene.model import Scene
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import ENGINES, open_world
-from simfoundry.worlds.rest import Motion, simulate
+from simfoundry.worlds import open_world, world_names
+from simfoundry.worlds.rest import ObjectMotion, simulate
 from tests.scenes import box, pose, scene_of, solid
 
 
@@ -16,7 +16,7 @@ def table_and_block(x: float) -> Scene:
     return scene_of(table, solid("block", box(0.05, 0.1, 0.2), pose(x, 0.02, 0.1, yaw=0.1)))
 
 
-@pytest.fixture(params=sorted(ENGINES))
+@pytest.fixture(params=sorted(world_names()))
 def engine(request: pytest.FixtureRequest) -> str:
     name: str = request.param
     if name == "pybullet":
@@ -42,7 +42,7 @@ def test_a_run_starts_from_the_state_that_is_asked_for(engine: str) -> None:
 
 
 def test_both_distance_and_turn_count() -> None:
-    assert Motion("x", 0.0099, 4.9).stays
-    assert not Motion("x", 0.0101, 0.0).stays
-    assert not Motion("x", 0.0, 5.1).stays
-    assert not Motion("x", float("nan"), 0.0).stays
+    assert ObjectMotion("x", 0.0099, 4.9).stays
+    assert not ObjectMotion("x", 0.0101, 0.0).stays
+    assert not ObjectMotion("x", 0.0, 5.1).stays
+    assert not ObjectMotion("x", float("nan"), 0.0).stays

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.cousins.settling import settle_layout
-from simfoundry.cousins.twin import bare
+from simfoundry.cousins.layout.acceptance import settle_layout
+from simfoundry.cousins.layout.twin import bare
 from simfoundry.geometry.frames import frozen_array
 from simfoundry.scene.lower import lower, lower_file
 from simfoundry.scene.model import Scene
 from simfoundry.spec.load import load, load_scene
 from simfoundry.spec.models.scene import SceneSpec
-from simfoundry.worlds import ENGINES, World, open_world
+from simfoundry.worlds import World, open_world, world_names
 from simfoundry.worlds.base import Contact
 from simfoundry.worlds.footing import supporters
 from simfoundry.worlds.mujoco_world import MujocoWorld
@@ -40,7 +40,7 @@ def write(folder: Path, objects: str, relations: str = "") -> Path:
     return file
 
 
-@pytest.fixture(params=sorted(ENGINES))
+@pytest.fixture(params=sorted(world_names()))
 def settled(request: pytest.FixtureRequest, tmp_path: Path) -> Settle:
     if request.param == "pybullet":
         pytest.importorskip("pybullet", reason="PyBullet is not installed")

@@ -17,7 +17,10 @@ from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Collider, JointType, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds import MissingEngineError, MujocoWorld, PybulletWorld, World, read_back
+from simfoundry.worlds import MissingEngineError, World
+from simfoundry.worlds.base import read_back
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.pybullet_world import PybulletWorld
 from tests.scenes import (
     all_scenes,
     box,
@@ -296,7 +299,7 @@ def test_worlds_do_not_disturb_each_other(engine: Engine) -> None:
 def test_native_noise_is_kept_off() -> None:
     pytest.importorskip("pybullet", reason="PyBullet is not installed")
     code = (
-        "from simfoundry.worlds import PybulletWorld\nfrom tests.scenes import full_scene\n"
+        "from simfoundry.worlds.pybullet_world import PybulletWorld\nfrom tests.scenes import full_scene\n"
         "with PybulletWorld(full_scene()) as world:\n    world.step(2)\nprint('done')"
     )
     done = subprocess.run(

@@ -48,6 +48,7 @@ from simfoundry.backends.names import check_names
 from simfoundry.backends.robot_models.robot_urdf import without_model
 from simfoundry.backends.stable_drives import stiffness_losses
 from simfoundry.backends.xmltext import xml_text
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Scene
 
 TIMESTEP = 1 / 500
@@ -56,7 +57,7 @@ TIMESTEP = 1 / 500
 EXACT, NATIVE = "exact", "native"
 """The contacts that a build can have: what two surfaces mean together, or what MuJoCo's own rule makes of them."""
 
-_LOADER = Path(__file__).parents[1] / "templates" / "mjcf_load.py"
+_LOADER = shipped("targets/mjcf") / "load.py"
 _RULES = Path(__file__).parent / "contact_rules.py"
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, json_text, rounded, rounded_list
 from simfoundry.backends.backend import Backend
@@ -29,6 +28,7 @@ from simfoundry.backends.urdf.manifests import (
     placement,
     semantics,
 )
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Joint, JointType, Scene, SceneObject
 from simfoundry.scene.touching import touching_pairs
 from simfoundry.scene.trees import Tree, trees
@@ -39,7 +39,7 @@ TIMESTEP = 1 / 500
 BACKGROUND = "_background.urdf"
 """The file of the background; no object has such a name."""
 
-_LOADER = Path(__file__).parents[1] / "templates" / "pybullet_load.py"
+_LOADER = shipped("targets/pybullet") / "load.py"
 
 
 def compile_pybullet(scene: Scene, timestep: float = TIMESTEP) -> Artifact:

@@ -11,7 +11,6 @@ object's.
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from simfoundry.backends.artifact import Artifact, json_text
 from simfoundry.backends.backend import Backend
@@ -22,13 +21,12 @@ from simfoundry.backends.robot_models.robot_urdf import RobotUrdf, robot_urdf, w
 from simfoundry.backends.urdf.elements import Dialect, capsule_parts, urdf_files
 from simfoundry.backends.urdf.features import FEATURES, robot_losses, urdf_losses
 from simfoundry.backends.urdf.manifests import physics_manifest, poses_entry, robot_placement
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Scene
 from simfoundry.scene.trees import trees
 
-_TEMPLATES = Path(__file__).parents[1] / "templates"
-_LOADERS = {"load.py": "urdf_load.py"} | {
-    f"load_{simulator}.py": f"{simulator}_load.py" for simulator in ("drake", "genesis", "sapien")
-}
+_LOADERS = {"load.py": "urdf"} | {f"load_{simulator}.py": simulator for simulator in ("drake", "genesis", "sapien")}
+"""The loaders in a build, with the folders of ``targets/`` that they come from."""
 
 
 def compile_urdf(scene: Scene) -> Artifact:
@@ -55,7 +53,7 @@ def compile_urdf(scene: Scene) -> Artifact:
             poses[robot.name]["robot"] = fields
     files["poses.json"] = json_text(poses)
     files["physics.json"] = physics_manifest(scene, capsule_parts, robots)
-    files |= {name: (_TEMPLATES / template).read_bytes() for name, template in _LOADERS.items()}
+    files |= {name: (shipped("targets") / folder / "load.py").read_bytes() for name, folder in _LOADERS.items()}
     return Artifact("urdf", "poses.json", files, tuple(losses))
 
 

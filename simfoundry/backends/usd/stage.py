@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +20,10 @@ from simfoundry.backends.usd.robots import RobotsInUsd, define_mounted, define_r
 from simfoundry.backends.usd.source import KEY, write_source
 from simfoundry.backends.usd.usda import usda
 from simfoundry.geometry.shapes import Mesh
+from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Background, Scene, SceneObject
 
-_LOADER = Path(__file__).parents[1] / "templates" / "usd_load.py"
+_LOADER = shipped("targets/usd") / "load.py"
 
 
 def compile_usd(scene: Scene) -> Artifact:

@@ -1,4 +1,4 @@
-"""One picture of a tabletop, taken apart into objects, by geometry alone."""
+"""Segmentation of one tabletop picture into objects, by geometry alone."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from simfoundry.capture.segment.split_necks import split_necks
 from simfoundry.capture.segment.support_graph import below, carriers, parts_of, sinking
 from simfoundry.geometry.frames import Array
 
-LOWEST = 0.006  # [m] above the support, below which nothing is told from it
-TALLEST = 0.6  # [m]
+LOWEST = 0.006  # [m] height above the support below which depth noise hides an object
+TALLEST = 0.6  # [m] height above the support; tabletop objects are lower
 MARGIN = 0.03  # [m] that an object may stick out over the seen outline
 EDGE_ZONE = 0.015  # [m] along the outline, in which walls and things behind the support appear
 LONG_BORDER = 0.25  # of the picture's shorter side: what takes more of its border is background
 BORDER_BAND = 0.025  # of the picture's shorter side
 LOW = 0.02  # [m] the highest that an error of the sensor rises
 WORKING_REACH = 6.0  # [px] over which edges are judged; finer pictures are reduced to it
-FLOATING = 1e-3  # [m²] the largest that is taken for stray depth when it floats; larger things lean or hang somewhere
-FRAGMENT = 1.2e-3  # [m²] of visible area, below which what shows behind something else is too little of a thing
-GLIMPSE = 0.3  # of a thing's height; where only less than this is seen, above what hides the rest, nobody knows it
+FLOATING = 1e-3  # [m²] largest floating region that is stray depth; larger ones are objects that lean or hang
+FRAGMENT = 1.2e-3  # [m²] visible area below which an occluded region shows too little of an object
+GLIMPSE = 0.3  # of an object's height; if less is visible above its occluder, the object stays unknown
 SMALLEST = 4e-4  # [m²] of visible area
 MIN_PIXELS = 60  # pixels of an object: 8 x 8, the least that a tangent plane and its edges take
 
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """The part of the picture around what stands on the support; all of shape (h, w, ...) of the ``window``."""
+    """Crop of the picture around the objects on the support; all of shape (h, w, ...) of the ``window``."""
 
     window: tuple[slice, slice]
     whole: tuple[int, int]
@@ -50,11 +50,11 @@ class _Scene:
 
 
 def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
-    """The objects on ``support``, numbered from 1, and what each of them stands on.
+    """Segment the objects on ``support``, numbered from 1, with the support of each.
 
     Masks of ``frame.instances`` are taken as they are, cleaned, where there are any. Otherwise the surface above the
     support is cut at depth steps and inward creases; outward bends stay within one object. Parts that an object in
-    front cuts off are joined again if they lie in one plane, and parts that nothing carries are joined to what they
+    front cuts off are joined again if they lie in one plane, and unsupported parts are joined to the parts they
     touch. Raises :class:`CaptureError` (``no-depth``, ``depth-unit``, ``no-object``).
     """
     depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
@@ -74,7 +74,7 @@ def decompose(frame: Frame, support: SupportSurface) -> Segmentation:
 
 
 def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurface) -> Labels:
-    """The capture's own masks, without specks and without what is not on the support."""
+    """Return the capture's own masks without specks and without objects that are not on the support."""
     import cv2
 
     on_it = (
@@ -96,7 +96,7 @@ def _given(instances: NDArray[np.int32], points_W: Array, support: SupportSurfac
 
 
 def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
-    """Segment at a resolution at which noise and surfaces are on one scale, then reach out to the true silhouettes."""
+    """Segment at the resolution of the depth noise, then extend the regions to the true silhouettes."""
     depth, K = frame.depth, frame.K
     standing = _standing(depth, points_W, support.outline)
     if not standing.any():
@@ -115,7 +115,7 @@ def _found(frame: Frame, points_W: Array, support: SupportSurface) -> Labels:
 
 
 def _instances(scene: _Scene, support: SupportSurface) -> Labels:
-    """The passes in order: cut; join what is smooth across, one by shape, or hanging; drop what is no object."""
+    """Run the passes in order: cut; merge smooth, occluded, same-colored and hanging regions; drop non-objects."""
     reach = scene.relief.reach
     regions = cut(scene.mask, scene.relief)
     regions = merge_smooth(regions, scene.depth, reach, edge=0.5)
@@ -132,7 +132,7 @@ def _instances(scene: _Scene, support: SupportSurface) -> Labels:
 
 
 def _scene(frame: Frame, points_W: Array, support: SupportSurface) -> _Scene | None:
-    """Crop to what stands on the support; None if nothing does."""
+    """Crop to the objects on the support; None if there are none."""
     depth, K = frame.depth, frame.K
     height = points_W[..., 2]
     near = _within(support.outline, points_W[..., :2], MARGIN) & (height > -0.02) & (height < TALLEST)
@@ -164,7 +164,7 @@ def _scene(frame: Frame, points_W: Array, support: SupportSurface) -> _Scene | N
 
 
 def _averaged(color: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """The colour round every ``step``-th pixel."""
+    """Average the color around every ``step``-th pixel."""
     import cv2
 
     blurred = cv2.blur(color, (2 * (step // 2) + 1,) * 2)
@@ -216,7 +216,7 @@ def _without_specks(labels: Labels, scene: _Scene) -> Labels:
 
 
 def _without_foreign_regions(labels: Labels, scene: _Scene, outline: Array) -> Labels:
-    """Drop what does not stand on the support: the wall at its end, a chair behind it, what hangs over it."""
+    """Drop regions that do not stand on the support: a wall at its end, a chair behind it, a lamp above it."""
     parts = parts_of(labels, scene.points_W, scene.depth, scene.K)
     on = carriers(parts)
     hidden = below(labels, scene.depth, scene.down, scene.relief.reach)
@@ -244,7 +244,7 @@ def _without_foreign_regions(labels: Labels, scene: _Scene, outline: Array) -> L
             or _is_warp(labels == k, part.top, scene)
         ):
             parent[k] = 0
-    # What stood on something that is gone has lost its place as well.
+    # An object whose support was dropped is dropped as well.
     return _without_foreign_regions(renamed(labels, parent), scene, outline) if parent else labels
 
 

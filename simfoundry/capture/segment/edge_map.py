@@ -1,4 +1,4 @@
-"""Local tangent planes of a depth picture, and the edges between things: creases that point inwards, and steps.
+"""Local tangent planes of a depth picture, and the edges between objects: creases that point inwards, and steps.
 
 All fits are made in disparity 1/z, in which a plane of the world is exactly affine in pixel coordinates. So a tangent
 plane is three numbers a pixel: the disparity and its derivatives along u and v.
@@ -90,12 +90,12 @@ Window = tuple[slice, slice]
 
 
 def start_of(window: Window) -> tuple[int, int]:
-    """The (u, v) of a window's first pixel."""
+    """Return the (u, v) of a window's first pixel."""
     return window[1].start, window[0].start
 
 
 def across(shape: tuple[int, ...], reach: int) -> list[tuple[Window, Window, Window]]:
-    """For four directions: the windows of all middle pixels, and of the pixels about ``reach`` before and after."""
+    """Windows of all middle pixels and of the pixels ``reach`` before and after, for four directions."""
     h, w = shape
     out = []
     for du, dv in ((1, 0), (0, 1), (1, 1), (1, -1)):

@@ -1,4 +1,4 @@
-"""Find the surface that the objects stand on."""
+"""Search for the supporting surface of the objects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simfoundry.capture.segment.outline import TopView, polygon_of, top_view
 from simfoundry.capture.segment.planes import TOLERANCE, Plane, candidate_planes, is_level, refine
 from simfoundry.geometry.frames import Array, Pose
 
-TALLEST = 0.35  # [m] above a plane, what still counts as standing on it; tables stand higher above their floor
+TALLEST = 0.35  # [m] height up to which an object counts as standing on a plane; tables are higher above the floor
 DENSE = 0.5  # share of a surface's surroundings that must be the surface too; less is chance
 CROSSING = 0.6  # cosine of the angle between a surface and a plane from which on it crosses rather than joins it
 SURVEY_WIDTH = 240  # [px] of the picture on which candidates are compared
@@ -42,14 +42,14 @@ class _Surface:
 
 
 def find_support(frame: Frame) -> SupportSurface:
-    """The support of the objects in ``frame``, and the world frame on it.
+    """Find the support of the objects in ``frame``, and the world frame on it.
 
     The origin is the centroid of the visible surface, z is the plane's normal towards the camera, x is the camera's
     viewing direction along the plane (its up direction if it looks straight down), y is to the left.
 
-    Of all planes that could be a table top, the support is the one that has most on it and of it in view, the near
-    counting more than the far. A box that carries another loses against the table below, because the table carries
-    both; the floor loses because it is far, and the things on a table stand higher above it than objects are tall.
+    Of all planes that could be a table top, the support is the one with the most objects and surface in view, weighted
+    by nearness. A box with another on it loses against the table below, because the table carries both; the floor
+    loses because it is far, and the objects on a table stand higher above it than objects are tall.
     Raises :class:`CaptureError` (``no-depth``, ``depth-unit``, ``no-plane``).
     """
     depth = np.where(valid_depth(frame.depth), frame.depth, np.nan)
@@ -84,7 +84,7 @@ def world_on(plane: Plane) -> Pose:
 
 
 def _view(depth: Array, K: Array, step: int = 1) -> _View:
-    """Every ``step``-th pixel of a depth picture."""
+    """Subsample a depth picture by ``step``."""
     import cv2
 
     small, reduced = depth[::step, ::step], np.array(K, dtype=np.float64)
@@ -97,13 +97,13 @@ def _view(depth: Array, K: Array, step: int = 1) -> _View:
 
 
 def _on_plane(view: _View, plane: Plane) -> Mask:
-    """Pixels within the noise of the plane, but for those where a surface crosses it, as a chair's back does."""
+    """Pixels within the noise of the plane, except where a surface crosses it, as a chair's back does."""
     near = np.abs(plane.height(view.points)) < TOLERANCE * depth_sigma(view.depth)
     return np.asarray(near & ~(np.abs(view.normals @ plane.normal) < CROSSING))
 
 
 def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
-    """The surface that ``plane`` has in this picture, and how much speaks for it being the support."""
+    """Find the visible surface of ``plane`` and score it as the support."""
     X_WC = world_on(plane)
     points_W = X_WC.apply(view.points)
     inliers = _on_plane(view, plane)
@@ -123,8 +123,8 @@ def _survey(view: _View, plane: Plane, finest: float) -> _Surface | None:
 def _score(carried: int, depths: Array, plane: Plane) -> float:
     """Score of a plane as the support, from the ``carried`` pixels above it and its own pixels' ``depths`` [m].
 
-    What it carries counts, and then its own area, if it carries something: a floor that fills the picture but has
-    nothing on it is no support. Near pixels count more: what is filmed on purpose is near.
+    The objects on it count first, then its own area if there are any: a floor that fills the picture but has
+    nothing on it is no support. Near pixels count more, because the subject of a picture is near.
     """
     area = len(depths)
     amount = carried + 0.5 * min(area, 4 * carried) + 0.02 * area

@@ -1,4 +1,4 @@
-"""Join parts of one thing that geometry alone sets apart: of one hue, and unable to stand where they are."""
+"""Merging of parts of one object that geometry alone separates: of one hue, and unable to stand where they are."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ COLOURED = 0.25  # share of vivid pixels of a region that has a hue
 SAME_HUE = 8.0  # of 180 in a full turn
 VIVID_THROUGHOUT = 0.6  # share of vivid pixels of a region that has hardly anything else
 ONE_HUE = 4.0  # of 180 in a full turn
-SEEN_UNDER = 0.8  # share of a lower edge that may be hidden, for the rest to tell that nothing else carries it
-NEAR = 0.03  # [m] between parts of one thing
+SEEN_UNDER = 0.8  # share of a lower edge that may be hidden; the rest shows that nothing else supports the part
+NEAR = 0.03  # [m] largest gap between parts of one object
 FLUSH = 0.02  # [m] between a lid and the rim it lies in
 CAP = 0.2  # of the other's visible area
 SLENDER = 0.35  # of the other's visible area: a handle
@@ -34,7 +34,7 @@ SLENDER = 0.35  # of the other's visible area: a handle
 
 @dataclass(frozen=True)
 class Hue:
-    """The commonest hue of a region, of 180 in a full turn, and the share of its pixels that are vivid."""
+    """Most common hue of a region, of 180 in a full turn, and the share of its pixels that are vivid."""
 
     hue: float
     vivid: float
@@ -54,7 +54,7 @@ class Hue:
 
 
 def hues_of(labels: Labels, color: NDArray[np.uint8]) -> dict[int, Hue]:
-    """The hue of each region 1..n of ``labels``, shape (h, w); ``color`` is RGB, shape (h, w, 3)."""
+    """Return the hue of each region 1..n of ``labels``, shape (h, w); ``color`` is RGB, shape (h, w, 3)."""
     hue, vivid = _smooth_hsv(color)[..., 0], vivid_of(color)
     out = {}
     for k in range(1, int(labels.max()) + 1):
@@ -114,7 +114,7 @@ def join_kin(
     down: tuple[float, float],
     reach: int,
 ) -> Labels:
-    """Join what is unlikely to be a thing of its own to the nearest part of its hue: lids, handles, heads and feet."""
+    """Merge lids, handles, heads and feet with the nearest part of their hue."""
     while True:
         parts = parts_of(labels, points_W, depth, K)
         hidden, graph = below(labels, depth, down, reach), borders(labels, depth, reach)
@@ -126,7 +126,7 @@ def join_kin(
 
 
 def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | None:
-    """The smallest part that belongs to another, and that other."""
+    """Return the smallest part that belongs to another, and that other part."""
     for part in sorted(parts, key=lambda p: (p.area, p.label)):
         kin = [other for other in parts if other.label != part.label and family.are_one(part, other)]
         if kin:
@@ -135,7 +135,7 @@ def _first_kin(parts: list[RegionPart], family: _Family) -> tuple[int, int] | No
 
 
 def adjacent_pairs(labels: Labels) -> frozenset[tuple[int, int]]:
-    """The pairs (low, high) of regions of which two pixels lie side by side."""
+    """Return the pairs (low, high) of adjacent regions."""
     sides = ((labels[:-1], labels[1:]), (labels[:, :-1], labels[:, 1:]))
     pairs = np.concatenate([np.stack([a[a != b], b[a != b]], axis=1) for a, b in sides])
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
@@ -178,7 +178,7 @@ def _is_end(part: RegionPart, other: RegionPart, graph: dict[tuple[int, int], Bo
 
 
 def distance(one: RegionPart, other: RegionPart) -> float:
-    """The distance [m] between two parts, but for stray points between them."""
+    """Distance [m] between two parts, ignoring stray points between them."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(one.points_W[:: max(1, len(one.points_W) // 2000)])

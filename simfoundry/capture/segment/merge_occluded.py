@@ -1,4 +1,4 @@
-"""Join the visible pieces of one object: cut apart by what stands in front of it, or by its own rim."""
+"""Merging of the visible pieces of one object that an occluder, or its own rim, cuts apart."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RIM = 0.012  # [m] height of the band below the highest point that is taken for 
 
 
 def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
-    """Join regions that are faces of one box behind the same occluder, and give that box what lies between them."""
+    """Merge regions that are faces of one box behind the same occluder, with the pixels between them."""
     behind: dict[int, set[int]] = {}
     points = _points(labels, points_W, every=4)
     for front, back in _occlusions(labels, depth, reach):
@@ -34,7 +34,7 @@ def join_hidden(labels: Labels, depth: Array, points_W: Array, reach: int) -> La
 
 
 def join_containers(labels: Labels, depth: Array, points_W: Array, reach: int) -> Labels:
-    """Join the outside of a bowl or mug with the inside that is seen behind its near rim."""
+    """Merge the outside of a bowl or mug with the inside visible behind its near rim."""
     points = {k: _thinned(p) for k, p in _points(labels, points_W).items()}
     parent: dict[int, int] = {}
     for front, back in _occlusions(labels, depth, reach):

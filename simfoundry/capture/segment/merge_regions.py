@@ -1,4 +1,4 @@
-"""Join regions into objects: what is smooth or bent outwards across a border belongs together."""
+"""Merging of regions into objects across borders that are smooth or bent outwards."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ FEW_PAIRS = 60  # a shorter border says nothing
 
 
 def merge_smooth(labels: Labels, depth: Array, reach: int, edge: float = EDGE) -> Labels:
-    """Join neighbours, the least separated first, until every border left is an edge.
+    """Merge neighbours, the least separated first, until every remaining border is an edge.
 
-    Next to a region many times its size, a small one must be set off more clearly to be a thing of its own: caps,
+    Next to a region many times its size, a small one must be separated more clearly to be an object: caps,
     handles and the smeared feet of objects are not.
     """
     graph = borders(labels, depth, reach)
@@ -87,7 +87,7 @@ def compact(labels: NDArray[np.integer[Any]]) -> Labels:
 def join_hanging(
     labels: Labels, depth: Array, K: Array, points_W: Array, down: tuple[float, float], reach: int
 ) -> Labels:
-    """Join what hangs in the air, like the handle of a mug, to what it touches most."""
+    """Merge floating parts, such as the handle of a mug, with the part they touch most."""
     parts = parts_of(labels, points_W, depth, K)
     on, hidden = carriers(parts), below(labels, depth, down, reach)
     graph = borders(labels, depth, reach)

@@ -15,8 +15,8 @@ MIN_PIXELS = 200  # pixels with depth: fewer show no plane
 def depth_sigma(depth: Array) -> Array:
     """Standard deviation [m] of a depth reading at ``depth`` [m].
 
-    The quadratic law of triangulating sensors, with constants chosen generously rather than calibrated: thresholds
-    across the capture code are multiples of it.
+    The quadratic law of triangulating sensors with generous, uncalibrated constants; thresholds across the capture code
+    are multiples of it.
     """
     return np.asarray(0.0012 + 0.0022 * depth**2)
 

@@ -1,4 +1,4 @@
-"""The outline of a support: what was seen of it, and what the objects on it hide."""
+"""Outline of a support, with the parts that objects on it hide."""
 
 from __future__ import annotations
 

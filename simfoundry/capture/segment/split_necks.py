@@ -1,4 +1,4 @@
-"""Part two things that touch at a narrow place, of which one has a hue and the other has none."""
+"""Splitting of two touching objects at a neck, if one is colored and the other is gray."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ Mask = NDArray[np.bool_]
 def split_necks(labels: Labels, points_W: Array, color: NDArray[np.uint8], reach: int) -> Labels:
     """Split regions that are far from convex where a vivid and a dull half, both standing, meet at a neck.
 
-    Colours are no reason to cut a thing: a bottle has a cap, a box a print. But where the border between two colours
-    is also what makes the outline fall into two, and each of both reaches the support, it runs between two things.
+    Color alone is no reason to split an object: a bottle has a cap, a box a print. But a color border at a neck of the
+    outline, with both halves reaching the support, runs between two objects.
     """
     vivid = vivid_of(color)
     out = labels.copy()

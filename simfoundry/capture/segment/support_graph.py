@@ -1,4 +1,4 @@
-"""Reason about gravity: what stands on what, what hides what, and which parts cannot be things of their own."""
+"""Support graph: which part stands on which, which occludes which, and which cannot be an object."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from simfoundry.capture.segment.noise import depth_sigma
 from simfoundry.geometry.frames import Array
 
-CONTACT = 0.015  # [m] between a thing and what carries it
-OVERLAP = 0.05  # of the smaller footprint that a thing shares with what carries it, as far as both are seen
+CONTACT = 0.015  # [m] largest gap between an object and its support
+OVERLAP = 0.05  # least share of the smaller visible footprint that an object shares with its support
 Labels = NDArray[np.int32]
 
 
@@ -46,14 +46,14 @@ def parts_of(labels: Labels, points_W: Array, depth: Array, K: Array) -> list[Re
 def carriers(parts: list[RegionPart]) -> dict[int, int]:
     """Map each part to its support: the part that it begins on top of, else 0 for the table.
 
-    What neither reaches down to the support nor has something under it has a foot that is hidden, and stands on the
-    support: to be near another part is no evidence of standing on it.
+    A part that neither reaches the table nor has another part below it has a hidden foot, and stands on the table:
+    being near another part is no evidence of standing on it.
     """
     return {p.label: 0 if p.is_grounded else _stood_on(p, parts) or _contained_by(p, parts) for p in parts}
 
 
 def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
-    """The part whose top is where ``part`` begins, and whose footprint it shares most of."""
+    """Return the part whose top meets the bottom of ``part`` and whose footprint overlaps it most."""
     best, most = 0, OVERLAP
     for other in parts:
         if other.label != part.label and -CONTACT < part.bottom - other.top < 1.5 * CONTACT:
@@ -64,7 +64,7 @@ def _stood_on(part: RegionPart, parts: list[RegionPart]) -> int:
 
 
 def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
-    """The highest part that lies right under ``part`` and may also rise beside it, as the wall of a tray does."""
+    """Return the highest part right under ``part``; it may also rise beside it, as the wall of a tray does."""
     low = part.points_W[part.points_W[:, 2] < part.bottom + 0.02][:, :2]
     best, height = 0, 0.0
     for other in parts:
@@ -82,7 +82,7 @@ def _contained_by(part: RegionPart, parts: list[RegionPart]) -> int:
 
 
 def shared_footprint(one: RegionPart, other: RegionPart) -> float:
-    """The area that both convex footprints cover, as a share of the smaller one."""
+    """Overlap of two convex footprints, as a share of the smaller one."""
     import cv2
 
     a, b = footprint_hull(one.points_W), footprint_hull(other.points_W)
@@ -105,7 +105,7 @@ def _near(low: Array, points: Array) -> Array:
 
 
 def _is_over(low: Array, ground: Array) -> float:
-    """The share of feet at ``low`` that stand over the convex footprint of ``ground`` (xy [m])."""
+    """Share of the points ``low`` above the convex footprint of ``ground`` (xy [m])."""
     import cv2
 
     hull = footprint_hull(ground)
@@ -114,9 +114,10 @@ def _is_over(low: Array, ground: Array) -> float:
 
 
 def below(labels: Labels, depth: Array, down: tuple[float, float], reach: int) -> dict[int, float]:
-    """For each region, the share of its lower edge under which something in front, or nothing at all, is seen.
+    """Share of each region's lower edge below which an occluder, or no depth, is seen.
 
-    ``down`` is the picture direction (u, v) of gravity. 1 means that its foot may be hidden; 0 that one sees past it.
+    ``down`` is the picture direction (u, v) of gravity. 1: the foot may be
+    hidden; 0: the background is visible below it.
     """
     h, w = labels.shape
     du, dv = (round(x * (reach + 2)) for x in down)
@@ -137,9 +138,9 @@ def below(labels: Labels, depth: Array, down: tuple[float, float], reach: int) -
 
 
 def sinking(labels: Labels, points_W: Array, down: tuple[float, float], reach: int) -> dict[int, float]:
-    """For each region, the share of its lower edge below which its own surface goes on, under the support's level.
+    """Share of each region's lower edge below which its surface continues under the level of the support.
 
-    ``down`` is the picture direction (u, v) of gravity. What stands on the support ends there; what stands behind it
+    ``down`` is the picture direction (u, v) of gravity. An object on the support ends there; one behind it
     on the floor does not.
     """
     h, w = labels.shape

@@ -1,1 +1,1 @@
-"""From the seen points of one object to a closed, textured solid that stands on its support."""
+"""Fitting of one object's visible points by a closed, textured solid that stands on its support."""

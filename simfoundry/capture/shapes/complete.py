@@ -1,4 +1,4 @@
-"""Completion of shapes that no primitive explains: seen surface, mirrored far side, carved by seen free space.
+"""Completion of shapes beyond primitives: visible surface, mirrored far side, carved by observed free space.
 
 The solid is a stack of horizontal slices. In each slice the near side is what was seen, the far side its mirror image
 across a vertical plane along the object, never beyond where the camera saw through, and never short of what was seen
@@ -29,12 +29,12 @@ _THINNEST = 0.003  # [m] thinnest solid: the depth noise at half a metre
 _STEPS = 48  # samples of free space behind a column: 2 to 5 mm apart
 _MIN_IN_SLICE = 12  # points that a slice needs for two percentiles to mean anything
 _PAD = 0.0025  # height of the pad under a solid that would tip over [m]
-_SEEN_PAST = 0.01  # metres behind a place that a seen surface must lie for the place to be free
+_SEEN_PAST = 0.01  # [m] distance behind a point at which the observed surface proves the point free
 
 
 @dataclass(frozen=True, eq=False)
 class CompletedFit:
-    """A closed mesh (its origin at the centre of its base, z up), where it stands, and what speaks for it."""
+    """A closed mesh (origin at the centre of its base, z up), its pose, and its agreement with the picture."""
 
     mesh: Mesh
     X_WO: Pose
@@ -55,7 +55,7 @@ class _Slices:
 
 
 def complete(frame: Frame, support: SupportSurface, evidence: Evidence) -> CompletedFit:
-    """The completed solid on ``base_z`` of the points in ``evidence``."""
+    """Complete the points in ``evidence`` to a solid that stands on ``base_z``."""
     slices = _slice(frame, support, evidence)
     rings = _carve(_Space(frame, support, slices.across, slices.along), _smooth(_rings(slices)))
     rings = _stabilise(_stand(rings, evidence.base_z))
@@ -96,7 +96,7 @@ def _slice(frame: Frame, support: SupportSurface, evidence: Evidence) -> _Slices
 
 
 def _fronts(evidence: Evidence, t: Array, s: Array) -> list[tuple[float, Array, Array, Array]]:
-    """From the top down: height of each slice, its columns, its near side, how far back it was seen to reach [m]."""
+    """Height, columns, near side and visible extent [m] of each slice, from the top down."""
     z = evidence.points[:, 2]
     height = max(evidence.top - evidence.base_z, 2 * _THINNEST)
     edges = np.linspace(evidence.base_z + min(0.012, 0.2 * height), evidence.base_z + height, LEVELS + 1)
@@ -173,7 +173,7 @@ class _Space:
 
 
 def _free_limit(space: _Space, columns: Array, near: Array, level: float) -> Array:
-    """Per column, how far back a solid may reach [m] before it stands in front of what the camera saw behind it."""
+    """Greatest depth of a solid per column [m] before it would occlude the background that the camera saw."""
     steps = np.linspace(0.0, 1.3 * float(columns[-1] - columns[0]) + 0.01, _STEPS)
     s = near[:, None] + steps
     free = space.free(np.broadcast_to(columns[:, None], s.shape), s, level)
@@ -183,7 +183,7 @@ def _free_limit(space: _Space, columns: Array, near: Array, level: float) -> Arr
 def _extend(
     space: _Space, level: float, own: tuple[Array, Array, Array], above: tuple[Array, Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """Widen a slice to the columns of the slice above that hang over nothing seen to be free."""
+    """Widen a slice to the columns of the slice above that do not overhang observed free space."""
     columns, near, far = own
     t, near_above, far_above = above
     held = ~space.free(t, (near_above + far_above) / 2, level)
@@ -227,7 +227,7 @@ def _rings(slices: _Slices) -> Array:
 
 
 def _smooth(rings: Array) -> Array:
-    """Take out noise: one pass round each ring, one pass up the stack."""
+    """Smooth the noise: one pass around each ring, one pass up the stack."""
     round_ = 0.25 * np.roll(rings, 1, axis=1) + 0.5 * rings + 0.25 * np.roll(rings, -1, axis=1)
     padded = np.concatenate([round_[:1], round_, round_[-1:]])
     out = 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
@@ -236,7 +236,7 @@ def _smooth(rings: Array) -> Array:
 
 
 def _carve(space: _Space, rings: Array) -> Array:
-    """Pull every point that stands in space seen to be free towards its slice's centre, until it does not."""
+    """Pull every point in observed free space towards its slice's centre until it leaves that space."""
     centre = rings[..., :2].mean(axis=1, keepdims=True)
     out = rings.copy()
     share = np.ones(rings.shape[:2])

@@ -1,4 +1,4 @@
-"""From the visible points of one object to the closed solid that explains them and stands on its support."""
+"""Fitting of the closed solid that best explains one object's visible points and stands on its support."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ FEW_POINTS = 50  # points: fewer do not tell a curved side from noise
 LATHE_SIDES = 32  # sides of a solid of revolution: 0.5 % short of the circle
 OVERSIZE = 2.0  # times what was seen: a nearly flat side would pass for a piece of a huge cylinder
 
-# What a family must gain, in cost, over an upright box or cylinder before it is believed. The more freely a family
+# Gain in cost that a family needs over an upright box or cylinder to be chosen. The more freely a family
 # follows the points, the less its lower cost says.
 PRIOR = {"box": 0.0, "cylinder": 0.0, "sphere": 0.02, "lying": 0.08, "hollow": 0.02, "lathe": 0.06, "completed": 0.14}
 
-GAIN = 0.03  # share of the object that a completed shape must explain beyond what a simple one does
+GAIN = 0.03  # share of the object that a completed shape must explain beyond a simple one
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def fit_shape(
     *,
     labels: NDArray[np.int32] | None = None,
 ) -> FittedShape:
-    """Fit the solid that explains the object under ``mask`` (bool, shape (h, w)) best.
+    """Fit the solid that best explains the object under ``mask`` (bool, shape (h, w)).
 
     It stands on ``base_z`` [m], the height of the surface below it in the world. ``labels`` (int32, shape (h, w)) marks
     all objects of the picture: pixels of the others are then unknown, where they have no depth, rather than free.
@@ -104,7 +104,7 @@ def fit_shape(
 
 
 def choose(found: list[FitCandidate]) -> FitCandidate:
-    """The cheapest candidate; a completed shape only where it explains clearly more than the best simple one.
+    """Choose the cheapest candidate; a completed shape only if it explains clearly more than the best simple one.
 
     It follows every dent, so its residuals are smaller than those of a carton that bulges a little.
     """
@@ -118,7 +118,7 @@ def _net(result: RayAgreement) -> float:
 
 
 def candidates(frame: Frame, support: SupportSurface, evidence: Evidence) -> list[FitCandidate]:
-    """The best solid of every family that the evidence can carry; few points carry boxes and cylinders only."""
+    """Fit every family that the evidence can support; few points support boxes and cylinders only."""
     box, cylinder = fit_box(evidence), fit_cylinder(evidence)
     found = [
         FitCandidate("box", box.box, box.X_WO, box.agreement, box.guessed_depth),

@@ -23,7 +23,7 @@ _WORTH = 1e-5  # of cost, that a step must save
 
 @dataclass(frozen=True, eq=False)
 class BoxFit:
-    """A box in the world and what speaks for it; ``guessed_depth`` if the prior had to supply one extent."""
+    """A box in the world and its agreement with the rays; ``guessed_depth`` if the prior had to supply one extent."""
 
     box: Box
     X_WO: Pose
@@ -32,7 +32,7 @@ class BoxFit:
 
 
 def fit_box(evidence: Evidence) -> BoxFit:
-    """The upright box on ``base_z`` that explains the evidence best."""
+    """Fit the upright box on ``base_z`` that best explains the evidence."""
     starts = sorted((_start(evidence, yaw) for yaw in np.deg2rad(np.arange(0.0, 90.0, 3.0))), key=lambda s: s[0])
     steps = np.array([0.006, 0.006, math.radians(4), 0.008, 0.008, 0.008])
     tried = [search(lambda x: _cost(evidence, x), start, steps, 260) for _, start in _distinct(starts)]

@@ -33,13 +33,13 @@ class LatheFit:
 
 
 def fit_lathe(evidence: Evidence) -> LatheFit:
-    """The solid of revolution with a vertical axis on ``base_z`` that explains the evidence best."""
+    """Fit the solid of revolution with a vertical axis on ``base_z`` that best explains the evidence."""
     axis, radius = start_axis(evidence)
     return _fit(evidence, axis, radius, solid_profile, hollow=False)
 
 
 def fit_hollow(evidence: Evidence) -> LatheFit | None:
-    """The open container of revolution that explains the evidence best, or None if no points lie inside a rim."""
+    """Fit the open container of revolution that best explains the evidence; None if no points lie inside a rim."""
     axis, radius = _rim_axis(evidence)
     if cavity_share(evidence, axis, radius) < 0.08:
         return None

@@ -18,7 +18,7 @@ SMALLEST = 0.004  # [m] least radius: below the depth noise at half a metre
 
 @dataclass(frozen=True, eq=False)
 class RoundFit:
-    """A cylinder or sphere in the world and what speaks for it."""
+    """A cylinder or sphere in the world and its agreement with the rays."""
 
     shape: Cylinder | Sphere
     X_WO: Pose

@@ -8,8 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from simfoundry.cousins.objects.parts import Key, at, axis_of, bounds, parts_of, rod
-from simfoundry.cousins.objects.profiles import Profile
+from simfoundry.cousins.objects.parts import Key, Profile, at, axis_of, bounds, parts_of, rod
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import BoxShape, LatheShape, SphereShape
 

@@ -5,34 +5,39 @@ builds, and the VLM judges the picture; after that a candidate is checked as any
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
+from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import read_parts
 from simfoundry.cousins.objects.item import Item, item_of_mesh, lay, lowered
 from simfoundry.cousins.objects.meshes import FOLDER, joined
 from simfoundry.cousins.objects.procedural import Draft
-from simfoundry.cousins.objects.prompting import ComponentNames, Feasible, Variations, Verdict, prompt
-from simfoundry.cousins.objects.retrieval import USUAL
-from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.objects.retrieval import USUAL, Library, Retrieval
+from simfoundry.cousins.objects.variants import Origins
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.frames import Array, frozen_array, look_at
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.models.images import ImageEditor
-from simfoundry.models.meshes import MeshMaker
+from simfoundry.models.images import ImageEditor, images_from_environment
+from simfoundry.models.meshes import MeshMaker, meshes_from_environment
+from simfoundry.models.vlm import Vlm
 from simfoundry.render.raycast import raycast
+from simfoundry.runtime.extras import install_line
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.scene.model import Camera, Scene, SceneObject
 from simfoundry.scene.object_shapes import bounds
 from simfoundry.spec.models.base import Material
-from simfoundry.spec.models.cousins import ObjectVariants
+from simfoundry.spec.models.cousins import ObjectAxis, ObjectVariants
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -50,7 +55,7 @@ SIDE = 512
 """Pictures for models are so many pixels wide and high."""
 
 
-class Vlm(Protocol):
+class PromptModel(Protocol):
     """A vision-language model that answers in a type."""
 
     def ask(self, prompt: str, pictures: Sequence[bytes], answer: type[T]) -> T:
@@ -75,7 +80,7 @@ class Generation:
     one that fails :data:`FAILURES` times in a row raises what it failed with, a :class:`SimfoundryError`.
     """
 
-    vlm: Vlm
+    vlm: PromptModel
     images: ImageEditor
     meshes: MeshMaker
     scene: bytes
@@ -216,3 +221,115 @@ def _alone(item: Item) -> SceneObject:
 
 def _bounds_of(item: Item) -> tuple[Array, Array]:
     return bounds(_alone(item))
+
+
+PROMPTS = {
+    "A": "a_components.j2",
+    "B": "b_topology.j2",
+    "C": "c_variations.j2",
+    "D": "d_edit.j2",
+    "E": "e_verify.j2",
+}
+"""Functional components, whether topology may change, variations, the edit of the picture, the verdict."""
+
+
+class Answer(BaseModel):
+    """What a model answers: read by a schema, never run, and cut to what is used."""
+
+
+class ComponentNames(Answer):
+    """Answer to A."""
+
+    components: list[str] = Field(min_length=1, max_length=16, description="Names of the functional components.")
+
+
+class Feasible(Answer):
+    """Answer to B."""
+
+    yes: bool = Field(description="Whether a variation of topology is reasonable.")
+
+
+class Variations(Answer):
+    """Answer to C."""
+
+    geometry: list[str] = Field(default=[], max_length=16, description="Variations of geometry.")
+    topology: list[str] = Field(default=[], max_length=16, description="Variations of topology.")
+    visual: list[str] = Field(default=[], max_length=16, description="Variations of the looks.")
+
+
+class Verdict(Answer):
+    """Answer to E."""
+
+    real_world_reasonable: bool = Field(description="Whether such a thing is reasonable in the real world.")
+    real_world_reason: str = Field(max_length=300, description="Why, in short.")
+    scene_reasonable: bool = Field(description="Whether it is reasonable in this scene.")
+    scene_reason: str = Field(max_length=300, description="Why, in short.")
+
+
+def prompt(letter: str, **variables: Any) -> str:
+    """The text of a prompt; a variable that it needs and is not given is an error."""
+    return str(_environment().get_template(PROMPTS[letter]).render(**variables)).strip()
+
+
+@cache
+def _environment() -> Any:
+    try:
+        from jinja2 import DictLoader, Environment, StrictUndefined
+    except ImportError:
+        raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
+    folder = files("simfoundry.cousins.objects") / "prompts"
+    texts = {name: (folder / name).read_text(encoding="utf-8") for name in PROMPTS.values()}
+    return Environment(loader=DictLoader(texts), undefined=StrictUndefined, autoescape=False)  # plain text, no HTML
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a run brings along: the folder of its ``library``, and the name of a ``vlm`` where the recipe has none.
+
+    ``scene`` is the document of the twin's scene, of which models see a picture.
+    """
+
+    scene: Path
+    library: Path | None = None
+    vlm: str = ""
+
+
+def opened(axis: ObjectAxis, given: Given, cache: Cache | None = None) -> Mapping[str, Origins]:
+    """The sources that the objects of an axis name; raises :class:`ImpossibleError` with all that one of them lacks."""
+    wanted = {source: name for name, of in reversed(axis.objects.items()) for source in of.sources}
+    found: dict[str, Origins] = {}
+    if "library" in wanted:
+        if given.library is None:
+            raise _lacking(wanted["library"], "library", "a `library`")
+        found["library"] = Retrieval(Library(given.library, cache))
+    if "model" in wanted:
+        found["model"] = _generation(axis, given, wanted["model"])
+    return found
+
+
+def _generation(axis: ObjectAxis, given: Given, name: str) -> Generation:
+    """The models of the paper, as the recipe and the environment name them."""
+    models, lacks = axis.models, []
+    try:
+        images = images_from_environment(model=models.images)
+    except SimfoundryError as error:
+        lacks.append(str(error))
+    try:
+        meshes = meshes_from_environment(texture=models.texture)
+    except SimfoundryError as error:
+        lacks.append(str(error))
+    named = models.vlm or given.vlm
+    if not named:
+        lacks.insert(0, "no vision-language model: give --vlm, or `vlm` in the recipe's `models`")
+    if lacks:
+        raise _lacking(name, "model", f"models that are not there; {'; '.join(lacks)}")
+    from simfoundry.cousins.run.report import draw
+
+    picture = draw(given.scene)
+    if picture is None:
+        raise _lacking(name, "model", "a camera in the scene: models judge variants by its picture")
+    return Generation(Vlm(named), images, meshes, picture)
+
+
+def _lacking(name: str, source: str, need: str) -> ImpossibleError:
+    return ImpossibleError((Reason("source", f"`{name}` has the source `{source}`, which needs {need}"),))

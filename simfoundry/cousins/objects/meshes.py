@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.mesh import MeshPart, read_parts
-from simfoundry.cousins.objects.geometry import Rng
-from simfoundry.cousins.objects.parts import Key, parts_of, with_parts
+from simfoundry.cousins.objects.components import Component, Kind, components
+from simfoundry.cousins.objects.geometry import Rng, lathe_of, outward
+from simfoundry.cousins.objects.parts import Key, Profile, aimed, at, axis_of, parts_of, rod, with_parts
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
+from simfoundry.spec.models.base import CapsuleShape, LatheShape, Round
 
 FOLDER = "meshes"
 """Where the meshes of variants lie, beside their documents."""
@@ -88,3 +92,218 @@ def _heights(files: list[tuple[Path, float]]) -> tuple[float, float]:
 
 def _rgb(part: MeshPart) -> tuple[float, float, float] | None:
     return None if part.rgba is None else part.rgba[:3]
+
+
+RINGS, AROUND = 33, 14
+"""Rings of a tube along its path, and corners of each: facets of 2 mm on the handle of a mug, which shading smooths."""
+
+COLLIDERS = 7
+"""Capsules that a tube collides as; on a half circle of 30 mm they depart from it by 0.8 mm."""
+
+SUNK = 0.004
+"""How far the axis of a tube goes on into the body [m], so that its end meets a wall that leans or bends all around.
+What then would come out on the other side is drawn back into the wall.
+"""
+
+IN_WALL = 0.5
+"""Share of a wall that the ends of a handle go into."""
+
+LOOK = "handle_look"
+"""The part that is seen; what it touches with are capsules."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A bar on two posts: where it meets the body, ``feet`` [m], shape (2, 3), the unit vector ``out`` that it stands
+    off along, how far its axis does, ``reach`` [m], and the ``radius`` of its bar [m]. ``wall`` is the profile of what
+    is turned, with the height [m] at which that stands in the link; None where the handle is on no such body.
+    """
+
+    feet: Array
+    out: Array
+    reach: float
+    radius: float
+    wall: tuple[Profile, float] | None
+
+    @classmethod
+    def of(cls, spec: AssetSpec, component: Component) -> Loop | None:
+        """The loop that a component of rods is; None of any other, as of a knob or of two lugs."""
+        parts = parts_of(spec)
+        own = [parts[k] for k in component.parts]
+        rods = [(part, size) for part in own if (size := rod(part)) is not None]
+        body = [p for k, p in parts.items() if k[0] == component.link and k not in component.parts]
+        out = _out(spec, component, own, body)
+        if out is None or len(rods) != len(own):
+            return None
+        posts = [(p, size) for p, size in rods if abs(float(axis_of(p) @ out)) > 0.9]
+        bars = [(p, size) for p, size in rods if abs(float(axis_of(p) @ out)) < 0.3]
+        if len(posts) != 2 or len(bars) != 1:
+            return None
+        feet = np.array([at(p) - out * size[1] / 2 for p, size in posts])
+        reach = float((at(bars[0][0]) - feet.mean(axis=0)) @ out)
+        return cls(feet, out, reach, bars[0][1][0], _wall(spec, component.link)) if reach > 2 * bars[0][1][0] else None
+
+    @property
+    def sunk(self) -> float:
+        """How far the ends may go into the body [m]."""
+        return IN_WALL * self.wall[0].thinnest if self.wall is not None else SUNK
+
+    def outside(self, points: Array) -> Array:
+        """Points [m], shape (n, 3), those that are deeper than the wall's middle drawn out to it."""
+        if self.wall is None:
+            return points
+        profile, base = self.wall
+        off = np.linalg.norm(points[:, :2], axis=1)
+        least = profile.radius(points[:, 2] - base) - self.sunk
+        share = np.maximum(1.0, least / np.maximum(off, 1e-6))
+        return np.column_stack([points[:, :2] * share[:, None], points[:, 2]])
+
+
+def _wall(spec: AssetSpec, link: str) -> tuple[Profile, float] | None:
+    for component in components(spec):
+        key = lathe_of(spec, component) if component.kind is Kind.VESSEL and component.link == link else None
+        if key is not None:
+            part = parts_of(spec)[key]
+            assert isinstance(part.shape, LatheShape)
+            return Profile.of(part.shape), float(at(part)[2])
+    return None
+
+
+def _out(spec: AssetSpec, component: Component, own: list[PartSpec], body: list[PartSpec]) -> Array | None:
+    """The way in which a handle stands off: from the axis of what is turned, else along the nearest axis."""
+    turned = any(c.kind is Kind.VESSEL and c.link == component.link for c in components(spec))
+    middle = np.mean([at(p) for p in own], axis=0) * [1.0, 1.0, 0.0]
+    off = float(np.linalg.norm(middle))
+    return middle / off if turned and off > 1e-3 else outward(body, own)
+
+
+def swept(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, dict[str, bytes], str]:
+    """The asset with its loop handles as smooth tubes of one drawn form: the spec, the new files, and what they became.
+
+    ``only`` names the components that may change, by default any. Handles of one asset are alike. Without such a handle
+    the asset is as it was, and the text is empty.
+    """
+    name = list(FORMS)[int(rng.integers(len(FORMS)))]
+    broad, flat = rng.uniform(0.95, 1.5), rng.uniform(0.8, 1.05)
+    files: dict[str, bytes] = {}
+    said = ""
+    for component in components(spec):
+        allowed = component.kind is Kind.HANDLE and (not only or component.name in only)
+        loop = Loop.of(spec, component) if allowed else None
+        if loop is None:
+            continue
+        path = _path(loop, FORMS[name])
+        mesh = _tube(path, loop, broad * loop.radius, flat * loop.radius)
+        written = obj_with_material(mesh)
+        files |= {f"{FOLDER}/{file}": data for file, data in written.items()}
+        spec = _replaced(spec, component, loop, path, flat * loop.radius, f"{FOLDER}/{next(iter(written))}")
+        said = f"{name} handle"
+    return spec, files, said
+
+
+def _path(loop: Loop, form: Callable[[Array], tuple[Array, Array]]) -> Array:
+    """Points along the axis of a tube [m], shape (RINGS, 3), from one foot to the other, evenly spaced."""
+    t = np.linspace(0.0, 1.0, 201)
+    along, off = form(t)
+    start, end = loop.feet - SUNK * loop.out
+    points = start + along[:, None] * (end - start) + (loop.reach + SUNK) * off[:, None] * loop.out
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    even = np.linspace(0.0, way[-1], RINGS)
+    return np.column_stack([np.interp(even, way, points[:, k]) for k in range(3)])
+
+
+def _tube(path: Array, loop: Loop, broad: float, flat: float) -> Mesh:
+    """A closed tube along a path in a plane, elliptic: ``broad`` across the plane and ``flat`` in it [m]."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    across = np.cross(loop.feet[1] - loop.feet[0], loop.out)
+    across /= np.linalg.norm(across)
+    inward = np.cross(tangent, across)
+    angle = np.arange(AROUND) * (2 * np.pi / AROUND)
+    # A little broader at its feet, where a potter presses it on.
+    thick = 1 + 0.25 * np.abs(np.linspace(-1, 1, len(path))) ** 4
+    rings = path[:, None] + thick[:, None, None] * (
+        broad * np.cos(angle)[:, None] * across + flat * np.sin(angle)[:, None] * inward[:, None]
+    )
+    vertices = loop.outside(np.concatenate([rings.reshape(-1, 3), path[:1], path[-1:]]))
+    here = np.arange(AROUND)
+    after = (here + 1) % AROUND
+    faces = []
+    for k in range(len(path) - 1):
+        low, high = k * AROUND, (k + 1) * AROUND
+        faces += [
+            np.column_stack([low + here, low + after, high + after]),
+            np.column_stack([low + here, high + after, high + here]),
+        ]
+    last, first, end = (len(path) - 1) * AROUND, len(path) * AROUND, len(path) * AROUND + 1
+    faces += [np.column_stack([after, here, np.full(AROUND, first)])]
+    faces += [np.column_stack([last + here, last + after, np.full(AROUND, end)])]
+    every = np.concatenate(faces).astype(np.int32)
+    corners = vertices[every]
+    if np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) < 0:
+        every = every[:, ::-1]
+    return Mesh(frozen_array(vertices), np.ascontiguousarray(every))
+
+
+def _replaced(spec: AssetSpec, component: Component, loop: Loop, path: Array, radius: float, mesh: str) -> AssetSpec:
+    """The asset with capsules along a path, and a mesh that is seen, in the place of a handle's rods."""
+    # The round ends of the first and the last capsule go no deeper into the body than the tube does.
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    short = SUNK + max(radius - loop.sunk, 0.0)
+    spots = np.linspace(short, way[-1] - short, COLLIDERS + 1)
+    joints = np.column_stack([np.interp(spots, way, path[:, k]) for k in range(3)])
+    parts = parts_of(spec)
+    model = parts[component.parts[0]]
+    kept = {k: p for k, p in parts.items() if k not in component.parts}
+    added: dict[Key, PartSpec] = {}
+    for n, (a, b) in enumerate(pairwise(joints)):
+        long = float(np.linalg.norm(b - a))
+        shape = CapsuleShape(capsule=Round(radius=round(radius, 6), height=round(long, 6)))
+        piece = PartSpec(shape=shape, pose=aimed((a + b) / 2, (b - a) / long), material=model.material, use="collision")
+        added[component.link, f"{component.name}_{n}"] = piece
+    look = PartSpec(mesh=mesh, material=model.material, color=model.color, use="visual")
+    added[component.link, LOOK if (component.link, LOOK) not in kept else f"{LOOK}_{component.name}"] = look
+    return with_parts(spec, kept | added)
+
+
+def _half_round(t: Array) -> tuple[Array, Array]:
+    return (1 - np.cos(np.pi * t)) / 2, np.sin(np.pi * t)
+
+
+def _rounded_corners(t: Array) -> tuple[Array, Array]:
+    """A superellipse: nearly straight along the grip, with round corners."""
+    c, s = np.cos(np.pi * t), np.sin(np.pi * t)
+    return (1 - np.sign(c) * np.abs(c) ** 0.5) / 2, np.abs(s) ** 0.5
+
+
+def _ear(t: Array) -> tuple[Array, Array]:
+    """Farther out near the end, as an ear is at its top."""
+    return (1 - np.cos(np.pi * t)) / 2, 1.05 * np.sin(np.pi * t) * (0.62 + 0.38 * t**1.5) / 0.84
+
+
+def _drop(t: Array) -> tuple[Array, Array]:
+    """Farther out near its beginning."""
+    along, off = _ear(1 - t)
+    return 1 - along, off
+
+
+def _ring(t: Array) -> tuple[Array, Array]:
+    """More than half a circle: it bulges beyond its feet."""
+    angle = np.pi * (1.3 * t - 0.15)
+    return 0.5 - 0.5 * np.cos(angle) / np.cos(0.15 * np.pi), (np.sin(angle) + np.sin(0.15 * np.pi)) / 1.454
+
+
+def _strap(t: Array) -> tuple[Array, Array]:
+    """Straight out, then curved back to the other foot."""
+    return t**1.6, np.sin(np.pi * t**0.6) ** 0.8
+
+
+FORMS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
+    "half-round": _half_round,
+    "square": _rounded_corners,
+    "ear-shaped": _ear,
+    "drop-shaped": _drop,
+    "ring-shaped": _ring,
+    "strap": _strap,
+}
+"""Paths of tubes by name: for shares of the path how far along from foot to foot, and how far out, from 0 to 1."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -143,3 +145,200 @@ def bounds(parts: Iterator[PartSpec] | list[PartSpec]) -> tuple[Array, Array]:
 def _vector(xyz: Array) -> tuple[float, float, float]:
     x, y, z = (round(float(v), 6) + 0.0 for v in xyz)
     return x, y, z
+
+
+HOLLOW = 0.12
+"""A cavity is at least this share of the height deep."""
+
+LEVELS = 5
+"""A curved wall has so many rings at least: each band of it becomes convex parts."""
+
+FLAT, LOW, WIDE = 0.4, 0.8, 1.4
+"""Height over the radius of the rim below which a vessel is a dish, a bowl, or a pot; above it is a cup."""
+
+THINNEST = 0.0015
+"""No wall gets thinner than this [m]."""
+
+KEPT_WALL = 0.6
+"""A curve leaves a wall at least this share of its least thickness: a third less still looks like the same ware."""
+
+FLATTER = (1.0, 0.75, 0.5, 0.25, 0.0)
+"""Shares of a curve's departure from a straight line that are tried, the whole first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A profile in two chains of (radius, height) [m]: ``outer`` from the axis at the foot up to the rim, shape (k, 2),
+    and ``inner`` from the rim down to the axis, shape (m, 2), which of a solid body is its flat or domed top.
+    """
+
+    outer: Array
+    inner: Array
+
+    @classmethod
+    def of(cls, shape: LatheShape) -> Profile:
+        """The chains of a shape."""
+        rings = np.array(shape.lathe.profile)
+        if rings[0, 1] > rings[-1, 1]:
+            rings = rings[::-1]
+        rim = int(np.flatnonzero(rings[:, 1] >= rings[:, 1].max() - 1e-9)[0])
+        return cls(rings[: rim + 1], rings[rim + 1 :])
+
+    @property
+    def shape(self) -> LatheShape:
+        """As a document has it."""
+        rings = np.round(np.concatenate([self.outer, self.inner]), 6) + 0.0
+        kept = [rings[0], *(b for a, b in pairwise(rings) if np.abs(a - b).max() > 1e-6)]
+        return LatheShape.model_validate({"lathe": {"profile": tuple((float(r), float(h)) for r, h in kept)}})
+
+    @property
+    def foot(self) -> float:
+        """The lowest height [m]."""
+        return float(self.outer[:, 1].min())
+
+    @property
+    def rim(self) -> float:
+        """The greatest height [m]."""
+        return float(self.outer[-1, 1])
+
+    @property
+    def height(self) -> float:
+        """From foot to rim [m]."""
+        return self.rim - self.foot
+
+    @property
+    def depth(self) -> float:
+        """From the rim down to the floor on the axis [m]; about 0 for a solid body."""
+        return self.rim - float(self.inner[-1, 1]) if len(self.inner) else 0.0
+
+    @property
+    def is_hollow(self) -> bool:
+        """Whether it holds something."""
+        return self.depth > HOLLOW * self.height and len(self.inner) >= 3
+
+    @property
+    def wall(self) -> float:
+        """The thickness of its wall at the rim [m], 0 for a solid body."""
+        return float(self.outer[-1, 0] - self.inner[0, 0]) if self.is_hollow else 0.0
+
+    @property
+    def thinnest(self) -> float:
+        """The least distance of a corner of its inside from its outside [m]; that of a plate is not at its rim."""
+        a, b = self.outer[:-1], self.outer[1:]
+        way = b - a
+        points = self.inner[:, None, :] - a
+        along = np.einsum("ijk,jk->ij", points, way) / np.einsum("jk,jk->j", way, way)
+        apart = points - np.clip(along, 0.0, 1.0)[..., None] * way
+        return float(np.linalg.norm(apart, axis=2).min())
+
+    def radius(self, height: Array | float) -> Array:
+        """The outer radius [m] at heights [m]."""
+        rings = self.outer[1:] if len(self.outer) > 1 else self.outer
+        order = np.argsort(rings[:, 1], kind="stable")
+        return np.asarray(np.interp(height, rings[order, 1], rings[order, 0]))
+
+    def share(self, height: Array) -> Array:
+        """Heights [m] as shares of the whole, 0 at the foot."""
+        return np.asarray((height - self.foot) / self.height)
+
+
+def finer(profile: Profile, levels: int = LEVELS) -> Profile:
+    """The same body with more rings where its walls are long, so that they can bend."""
+    gap = profile.height / levels
+    return Profile(_finer(profile.outer, gap), _finer(profile.inner, gap) if profile.is_hollow else profile.inner)
+
+
+def _finer(chain: Array, gap: float) -> Array:
+    out = [chain[0]]
+    for a, b in pairwise(chain):
+        steps = max(1, round(abs(b[1] - a[1]) / gap))
+        out += [a + (b - a) * (k / steps) for k in range(1, steps + 1)]
+    return np.array(out)
+
+
+def swelled(profile: Profile, grow: Array, levels: int = LEVELS) -> Profile:
+    """The body with its outer radius multiplied by a smooth curve; the wall moves as one.
+
+    ``grow`` are factors at equal steps from the foot to the rim, shape (k,), joined by straight lines. Across a wall
+    that leans far out, as a plate's, a curve is a steep step that would thin it: there the curve is flattened, between
+    its ends, until the wall keeps :data:`KEPT_WALL` of its thickness.
+    """
+    straight = np.linspace(grow[0], grow[-1], len(grow))
+    made = profile
+    for share in FLATTER if len(grow) > 2 else (1.0,):
+        made = _swelled(profile, straight + share * (grow - straight), levels)
+        if not profile.is_hollow or made.thinnest >= KEPT_WALL * profile.thinnest:
+            break
+    return made
+
+
+def _swelled(profile: Profile, grow: Array, levels: int) -> Profile:
+    fine = finer(profile, levels) if len(grow) > 2 else profile
+    steps = np.linspace(0.0, 1.0, len(grow))
+    # The whole section, with the edge that joins its chains, gets a ring wherever a chain or the curve bends. Then
+    # every height moves by one distance, inside and outside, and what did not cross before cannot cross after.
+    bends = {*fine.outer[:, 1], *fine.inner[:, 1], *(fine.foot + steps * fine.height)} if fine.is_hollow else ()
+    inner = np.concatenate([fine.outer[-1:], fine.inner])
+    outer = fine.outer
+    for height in sorted(bends):
+        outer, inner = _ring_at(outer, height), _ring_at(inner, height)
+    fine = Profile(outer, inner[1:])
+
+    def delta(heights: Array) -> Array:
+        return fine.radius(heights) * (np.interp(fine.share(heights), steps, grow) - 1.0)
+
+    return _shifted(fine, delta(fine.outer[:, 1]), delta(fine.inner[:, 1]))
+
+
+def flared(profile: Profile, out: float, band: float) -> Profile:
+    """The rim bent outwards by ``out`` [m] over the topmost ``band`` [m]."""
+    at = profile.rim - band
+
+    def delta(heights: Array) -> Array:
+        return out * np.clip((heights - at) / band, 0.0, 1.0) ** 2
+
+    outer, inner = _ring_at(profile.outer, at), _ring_at(profile.inner, at)
+    made = Profile(outer, inner)
+    return _shifted(made, delta(outer[:, 1]), delta(inner[:, 1]))
+
+
+def thickened(profile: Profile, more: float) -> Profile:
+    """The wall and the floor thicker by ``more`` [m], inwards, or thinner; a wall keeps :data:`THINNEST`."""
+    more = max(more, THINNEST - profile.wall)
+    inner = profile.inner.copy()
+    on_wall = inner[:, 0] > 0
+    inner[on_wall, 0] = np.maximum(inner[on_wall, 0] - more, 1e-4)
+    floor = inner[:, 1] < profile.rim - 1e-9
+    inner[floor, 1] = np.minimum(inner[floor, 1] + more, profile.rim - THINNEST)
+    return Profile(profile.outer, inner)
+
+
+def raised_foot(profile: Profile, up: float, inset: float) -> Profile:
+    """The body on a ring foot: all of it ``up`` [m] higher, on a narrower disc, ``inset`` [m] within its old foot."""
+    base = float(profile.outer[1, 0])
+    radius = base - inset
+    lift = np.array([0.0, up])
+    foot = np.array([[0.0, profile.foot], [radius, profile.foot], [radius, profile.foot + up]])
+    return Profile(np.concatenate([foot, profile.outer[1:] + lift]), profile.inner + lift)
+
+
+def _shifted(profile: Profile, outer: Array, inner: Array) -> Profile:
+    """Radii moved by so much [m]; what is on the axis stays there."""
+
+    def chain(points: Array, by: Array) -> Array:
+        moved = points.copy()
+        off = points[:, 0] > 0
+        moved[off, 0] = np.maximum(points[off, 0] + by[off], 5e-4)
+        return moved
+
+    return Profile(chain(profile.outer, outer), chain(profile.inner, inner))
+
+
+def _ring_at(chain: Array, height: float) -> Array:
+    """The chain with a ring at a height [m] where it passes through it."""
+    out = [chain[0]]
+    for a, b in pairwise(chain):
+        if min(a[1], b[1]) + 1e-6 < height < max(a[1], b[1]) - 1e-6:
+            out.append(a + (b - a) * ((height - a[1]) / (b[1] - a[1])))
+        out.append(b)
+    return np.array(out)

@@ -8,14 +8,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.cousins.objects.appearance import color_of, varied
+from simfoundry.cousins.objects.appearance import PAINTS, WHITE, Color, color_of, sort_of, varied
 from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.meshes import FOLDER
-from simfoundry.cousins.objects.parts import Key, parts_of, rod, with_parts
-from simfoundry.cousins.objects.profiles import Profile
-from simfoundry.cousins.objects.silhouettes import FLAT, LOW
-from simfoundry.cousins.objects.stuff import PAINTS, WHITE, Color, sort_of
+from simfoundry.cousins.objects.parts import FLAT, LOW, Key, Profile, parts_of, rod, with_parts
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.meshfile import obj_with_material

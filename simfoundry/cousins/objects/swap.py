@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache, key_of
+from simfoundry.cousins.objects.checks import Needs, needs_of
+from simfoundry.cousins.objects.generation import Given, opened
 from simfoundry.cousins.objects.item import Item, item_of
-from simfoundry.cousins.objects.needs import Needs, needs_of
 from simfoundry.cousins.objects.retrieval import contents
-from simfoundry.cousins.objects.sources import Given, opened
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
-from simfoundry.cousins.reasons import ImpossibleError, Reason
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
 from simfoundry.spec.loaded import Loaded

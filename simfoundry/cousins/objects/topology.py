@@ -10,15 +10,16 @@ from simfoundry.cousins.objects.components import Component, Kind, components
 from simfoundry.cousins.objects.geometry import Edit, Rng, lathe_of, outward, with_profile
 from simfoundry.cousins.objects.parts import (
     Key,
+    Profile,
     aimed,
     at,
     bounds,
     moved,
     parts_of,
+    raised_foot,
     rod,
     with_parts,
 )
-from simfoundry.cousins.objects.profiles import Profile, raised_foot
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.asset import AssetSpec, PartSpec
 from simfoundry.spec.models.base import (

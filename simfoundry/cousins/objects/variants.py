@@ -17,23 +17,27 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any, Protocol
 
+import numpy as np
+
+from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.errors import MeshError
-from simfoundry.cousins.objects.checks import Twin, faults
+from simfoundry.assets.mesh import read_parts, weld
+from simfoundry.cousins.objects.appearance import STUFFS
+from simfoundry.cousins.objects.checks import Needs, Twin, faults
+from simfoundry.cousins.objects.geometry import is_ball
 from simfoundry.cousins.objects.item import Item, lay, lowered
-from simfoundry.cousins.objects.likeness import Apart, Likeness, likeness
-from simfoundry.cousins.objects.needs import Needs
 from simfoundry.cousins.objects.parts import parts_of
 from simfoundry.cousins.objects.procedural import Draft, draft, rng_of
-from simfoundry.cousins.objects.stretch import is_ball
-from simfoundry.cousins.objects.weigh import mesh_volume, weighed
-from simfoundry.cousins.reasons import Reason
+from simfoundry.cousins.objects.retrieval import Apart, Likeness, likeness
+from simfoundry.cousins.recipe.candidate import Reason
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.robot_files import companions
+from simfoundry.spec.check.plausible import volume
 from simfoundry.spec.diagnostics import SpecError
-from simfoundry.spec.models.asset import AssetSpec
-from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.asset import AssetSpec, LinkSpec, PartSpec
+from simfoundry.spec.models.base import Estimate, Material, Origin, quantity_value
 from simfoundry.spec.models.cousins import ObjectVariants
 from simfoundry.spec.yaml.write import to_data, to_yaml
 
@@ -256,3 +260,72 @@ def _checked(spec: AssetSpec, item: Item) -> AssetSpec:
 
 def _volumes(spec: AssetSpec, files: Mapping[str, Path]) -> dict[str, float]:
     return {p.mesh: mesh_volume(files[p.mesh]) for p in parts_of(spec).values() if p.mesh is not None}
+
+
+DOUBT = 0.15
+"""Share by which a density may be off where the material is not in the tables."""
+
+BY = "volume and density"
+GIVEN = "the twin's mass, by volume"
+
+
+def weighed(spec: AssetSpec, twin: AssetSpec, volumes: Mapping[str, float], before: Mapping[str, float]) -> AssetSpec:
+    """The asset with the mass of each link as an estimate.
+
+    ``volumes`` and ``before`` [m^3] are those of the meshes in the two specs by file. A link whose mass the twin gives
+    weighs in proportion to its volume. Measured inertias of the twin no longer hold, and go.
+    """
+    links = {}
+    for name, link in spec.links.items():
+        own = twin.links.get(name)
+        given = quantity_value(own.mass) if own is not None else None
+        if link.density is not None:  # the density is said of the link itself, and holds for it still
+            links[name] = link.model_copy(update={"inertial": None})
+            continue
+        if own is not None and given is not None:
+            share = _mass(link, spec, volumes, 0) / _mass(own, twin, before, 0)
+            value, low, high, source = given * share, given * share * (1 - DOUBT), given * share * (1 + DOUBT), GIVEN
+        else:
+            value, low, high = (_mass(link, spec, volumes, side) for side in (0, -1, 1))
+            source = BY
+        estimate = Estimate(value=_short(value), range=(_short(low), _short(high)), source=source)
+        links[name] = link.model_copy(update={"mass": estimate, "inertial": None})
+    return spec.model_copy(update={"links": links})
+
+
+def _mass(link: LinkSpec, spec: AssetSpec, volumes: Mapping[str, float], side: int) -> float:
+    """The mass of a link [kg] with the least (-1), the written (0) or the greatest (1) densities of its materials."""
+    total = 0.0
+    for part in link.parts.values():
+        if part.use != "visual":
+            total += _volume(part, volumes) * _density(part.material or link.material, spec.materials, side)
+    return total
+
+
+def _volume(part: PartSpec, volumes: Mapping[str, float]) -> float:
+    if part.mesh is not None:
+        return volumes[part.mesh] * part.scale**3
+    assert part.shape is not None
+    return volume(part.shape)
+
+
+def _density(name: str | None, materials: Mapping[str, Material], side: int) -> float:
+    density = (materials[name].density if name is not None else None) or 1000.0
+    if name is not None and name in STUFFS and side:
+        low, high = STUFFS[name].density
+        return min(low, density) if side < 0 else max(high, density)
+    return density * (1 + side * DOUBT)
+
+
+def mesh_volume(path: Path) -> float:
+    """The volume [m^3] that a mesh file encloses in its own units."""
+    parts = read_parts(path)
+    offsets = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    vertices = np.concatenate([p.vertices for p in parts])
+    faces = np.concatenate([p.faces + o for p, o in zip(parts, offsets, strict=False)]).astype(np.int32)
+    return abs(mass.mesh(*weld(vertices, faces)).volume)
+
+
+def _short(value: float) -> float:
+    """Three digits: more would be a claim."""
+    return float(f"{max(value, 1e-6):.3g}")

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.cousins.support import Support, supports_of
-from simfoundry.cousins.tasks.meaning import objects_of
-from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.cousins.tasks.ways import across, cavities, is_free
+from simfoundry.cousins.layout.supports import Support, supports_of
+from simfoundry.cousins.tasks.candidate_poses import across, cavities, is_free, objects_of
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.touching import weld_groups
 from simfoundry.spec.models.expressions import Call, parts
@@ -79,7 +78,7 @@ class Affordances:
     topped: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, setting: Setting) -> Affordances:
+    def of(cls, setting: TaskContext) -> Affordances:
         """What the things of a scene afford, measured on their colliders."""
         objects = setting.twin.scene.objects
         names = [
@@ -101,7 +100,7 @@ class Affordances:
         )
 
 
-def _hollow(setting: Setting, name: str) -> bool:
+def _hollow(setting: TaskContext, name: str) -> bool:
     """Whether it has a cavity that is worth the name: deep, wide, and free in its middle."""
     try:
         found = cavities(setting, name)
@@ -112,14 +111,14 @@ def _hollow(setting: Setting, name: str) -> bool:
     return any(is_free(setting, owner, link, hole.middle) for link, hole in large)
 
 
-def _level(setting: Setting, name: str, hollow: list[str]) -> bool:
+def _level(setting: TaskContext, name: str, hollow: list[str]) -> bool:
     """Whether it has a level top or floor, and is as broad as a thing that others are put on."""
     low, high = setting.bounds(name)
-    level = name in hollow or setting.twin.support(name) is not None
+    level = name in hollow or setting.twin[name].support(None) is not None
     return level and float((high - low)[:2].min()) >= BROAD
 
 
-def _boards(setting: Setting, name: str) -> list[str]:
+def _boards(setting: TaskContext, name: str) -> list[str]:
     """The links of an object that have a broad level each, where there are several; none of them moves."""
     twin = setting.twin
     item = twin.scene.object(name)
@@ -141,14 +140,14 @@ def _is_broad(level: Support) -> bool:
     return bool((high - low).min() >= BROAD)
 
 
-def _has_top(setting: Setting, name: str) -> bool:
+def _has_top(setting: TaskContext, name: str) -> bool:
     """Whether the highest level of an object is a top rather than a floor: it is in its upper half."""
-    levels = setting.twin.levels(name)
+    levels = setting.twin[name].levels
     low, high = setting.bounds(name)
     return bool(levels) and levels[-1].height > float(low[2] + high[2]) / 2
 
 
-def ideas(setting: Setting, there: Affordances) -> Iterator[Idea]:
+def ideas(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
     """All that might be done, each once; none is proved yet."""
     for thing in there.things:
         for target in there.containers:
@@ -166,7 +165,7 @@ def ideas(setting: Setting, there: Affordances) -> Iterator[Idea]:
     yield from _gathered(setting, there)
 
 
-def _placed(setting: Setting, thing: str, word: str, target: str, there: Affordances) -> Idea:
+def _placed(setting: TaskContext, thing: str, word: str, target: str, there: Affordances) -> Idea:
     """A thing into or onto another; through a drawer that is opened before and closed after."""
     step = _on_top(thing, target) if word == "OnTop" and target in there.topped else _step(thing, word, target)
     joint = next((j for j in there.joints if word == "Inside" and _lid(setting, j, target)), None)
@@ -176,7 +175,7 @@ def _placed(setting: Setting, thing: str, word: str, target: str, there: Afforda
     return Idea(f"store_{step.name}", (step.goal, steps[2].goal), steps, 1)
 
 
-def _lid(setting: Setting, joint: str, target: str) -> bool:
+def _lid(setting: TaskContext, joint: str, target: str) -> bool:
     """Whether a joint moves the part that is named, or a part of the whole that is."""
     owner, _, part = target.partition(".")
     if joint.partition(".")[0] != owner:
@@ -184,7 +183,7 @@ def _lid(setting: Setting, joint: str, target: str) -> bool:
     return not part or any(j.child == part and f"{owner}.{j.name}" == joint for j in setting.joints(owner))
 
 
-def _stacks(setting: Setting, there: Affordances) -> Iterator[Idea]:
+def _stacks(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
     """A container onto a support, then the largest thing that fits into it: a bowl on a plate, a cup in the bowl."""
     for below, middle in product(there.supports, there.containers):
         if middle == below or middle not in there.things or not _fits(setting, (middle,), below):
@@ -196,7 +195,7 @@ def _stacks(setting: Setting, there: Affordances) -> Iterator[Idea]:
             yield Idea(f"stack_{top}_{middle}_{below}", tuple(s.goal for s in steps), steps, 1)
 
 
-def _gathered(setting: Setting, there: Affordances) -> Iterator[Idea]:
+def _gathered(setting: TaskContext, there: Affordances) -> Iterator[Idea]:
     """All things of a category, or of a word of their names, into one container or onto one support."""
     for word, group in _kinds(there):
         for target in dict.fromkeys((*there.containers, *there.supports)):
@@ -218,7 +217,7 @@ def _kinds(there: Affordances) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield word, tuple(names)
 
 
-def _fits(setting: Setting, things: tuple[str, ...], target: str) -> bool:
+def _fits(setting: TaskContext, things: tuple[str, ...], target: str) -> bool:
     """Whether things are no broader than what they go into or onto; a first look, not a proof."""
     low, high = setting.bounds(target)
     room = np.sort((high - low)[:2])
@@ -229,7 +228,7 @@ def _fits(setting: Setting, things: tuple[str, ...], target: str) -> bool:
     return taken <= ROOM * float(np.prod(room))
 
 
-def _need(setting: Setting, thing: str) -> float:
+def _need(setting: TaskContext, thing: str) -> float:
     """The smallest face of the box around a thing [m^2]."""
     low, high = setting.bounds(thing)
     return float(np.prod(np.sort(high - low)[:2]))

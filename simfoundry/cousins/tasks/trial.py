@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from simfoundry.cousins.outline import Outline
-from simfoundry.cousins.settling import settle_layout
-from simfoundry.cousins.support import Support
-from simfoundry.cousins.tasks.setting import Setting
-from simfoundry.cousins.twin import bare
+from simfoundry.cousins.layout.acceptance import settle_layout
+from simfoundry.cousins.layout.supports import Outline, Support
+from simfoundry.cousins.layout.twin import bare
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.geometry.frames import Array, Pose, rpy_from_quat
 from simfoundry.predicates.judging.bodies import Bodies
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Joint, SceneObject
+from simfoundry.scene.model import Joint
 from simfoundry.scene.place import CLEARANCE, PlaceError, overlap, solve
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.models.place import Place
 from simfoundry.worlds import open_world
 
@@ -42,20 +40,8 @@ class Rest(NamedTuple):
     why: str = ""
 
 
-def item_in(setting: Setting, name: str, state: SceneState) -> SceneObject:
-    """An object as it is in a state: its pose and its joints."""
-    item = setting.twin.scene.object(name)
-    at = state.of_object(item)
-    joints = tuple(
-        replace(j, motion=to) if isinstance(to, Pose) else replace(j, position=to) if to is not None else j
-        for j in item.joints
-        for to in (at.get(j.name),)
-    )
-    return replace(item, X_WO=state.poses[name], joints=joints, variants=())
-
-
 def dropped(
-    setting: Setting, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
+    setting: TaskContext, name: str, target: str, inside: bool, xy: tuple[float, float], q: Array, state: SceneState
 ) -> Pose:
     """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], first touches what it comes down on.
 
@@ -73,11 +59,11 @@ def dropped(
         rpy_deg=(roll, pitch, yaw),
     )
     owner = target.partition(".")[0]
-    found = solve(twin.item(name), place, {owner: item_in(setting, owner, state)}, twin.scene.viewer)
+    found = solve(twin[name].item, place, {owner: object_at(twin.scene.object(owner), state)}, twin.scene.viewer)
     return Pose.of(found.p, q)
 
 
-def standing(setting: Setting, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
+def standing(setting: TaskContext, name: str, level: Support, xy: tuple[float, float], q: Array) -> Pose:
     """Where a thing, turned by ``q`` (wxyz), its middle over ``xy`` [m], stands on a level of an object.
 
     Raises :class:`~simfoundry.scene.place.PlaceError` where it would stand out of the level or meet the object.
@@ -95,7 +81,7 @@ def standing(setting: Setting, name: str, level: Support, xy: tuple[float, float
     return X_WO
 
 
-def put(setting: Setting, name: str, X_WO: Pose, state: SceneState) -> SceneState:
+def put(setting: TaskContext, name: str, X_WO: Pose, state: SceneState) -> SceneState:
     """A state with a thing elsewhere, and with it what rides on it."""
     moved = X_WO @ state.poses[name].inverse()
     along = {n: moved @ state.poses[n] for n in setting.twin.riders(name)}
@@ -103,7 +89,7 @@ def put(setting: Setting, name: str, X_WO: Pose, state: SceneState) -> SceneStat
 
 
 def turned(
-    setting: Setting, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
+    setting: TaskContext, owner: str, joint: Joint, to: float, held: dict[str, str], state: SceneState
 ) -> SceneState:
     """A state with a joint elsewhere [rad or m]; what is ``held`` by its link, named ``owner.link``, goes along."""
     item = setting.twin.scene.object(owner)
@@ -119,7 +105,7 @@ def turned(
     return SceneState.of(poses, joints, state.motions)
 
 
-def rest(setting: Setting, state: SceneState, moving: set[str]) -> Rest:
+def rest(setting: TaskContext, state: SceneState, moving: set[str]) -> Rest:
     """Let physics run. ``moving`` may move as they come to rest, all others stay."""
     settled = settle_layout(setting.twin.world, state, setting.twin.absent)
     if settled.restless:
@@ -133,7 +119,7 @@ def rest(setting: Setting, state: SceneState, moving: set[str]) -> Rest:
     return Rest(settled.state)
 
 
-def lost(setting: Setting, condition: Any, state: SceneState) -> str:
+def lost(setting: TaskContext, condition: Any, state: SceneState) -> str:
     """Why what holds in MuJoCo at rest does not last in another engine of the setting; empty where it does.
 
     Each time in a world of its own: PyBullet remembers contacts over a reset, and what was tried before must not tell.
@@ -151,7 +137,7 @@ def lost(setting: Setting, condition: Any, state: SceneState) -> str:
     return ""
 
 
-def open_end(setting: Setting, owner: str, joint: Joint, wanted: str) -> float | None:
+def open_end(setting: TaskContext, owner: str, joint: Joint, wanted: str) -> float | None:
     """Where a joint is ``Open`` or ``Closed`` [rad or m]: an end of its way; None where it is so at neither."""
     twin = setting.twin
     for end in sorted(joint.limits or (), key=abs, reverse=wanted == "Open"):
@@ -161,7 +147,7 @@ def open_end(setting: Setting, owner: str, joint: Joint, wanted: str) -> float |
     return None
 
 
-def link_named(setting: Setting, target: str) -> str:
+def link_named(setting: TaskContext, target: str) -> str:
     """``owner.link`` of what a target names; of a whole object its root."""
     bodies = Bodies(setting.twin.scene)
     thing = bodies.thing(target)

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.cousins.reasons import Reason
-from simfoundry.cousins.tasks.meaning import branches, objects_of
-from simfoundry.cousins.tasks.setting import Setting, numbers
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.cousins.tasks.candidate_poses import branches, cavity_words, levels, objects_of, places, spots, turns
+from simfoundry.cousins.tasks.context import TaskContext, numbers
 from simfoundry.cousins.tasks.trial import dropped, link_named, lost, open_end, put, rest, standing, turned
-from simfoundry.cousins.tasks.ways import cavity_words, levels, places, spots, turns
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.predicates import PredicateError, Verdict
 from simfoundry.scene.place import PlaceError
@@ -69,7 +68,7 @@ class _Attempt:
         return {"all": [*(str(call) for call in calls), *(term for owner, term in self.barred if owner == name)]}
 
 
-def witness(setting: Setting, goal: Any) -> Witness | tuple[Reason, ...]:
+def witness(setting: TaskContext, goal: Any) -> Witness | tuple[Reason, ...]:
     """A witness of a goal, or why there is none. Names and predicates are known to be right."""
     refused: tuple[Reason, ...] = ()
     for way in branches(goal):
@@ -83,7 +82,7 @@ def witness(setting: Setting, goal: Any) -> Witness | tuple[Reason, ...]:
     return refused
 
 
-def _made(setting: Setting, goal: Any, way: list[Call]) -> Witness | tuple[Reason, ...]:
+def _made(setting: TaskContext, goal: Any, way: list[Call]) -> Witness | tuple[Reason, ...]:
     attempt = _Attempt(setting.twin.state, barred=list(_barred(goal)))
     way = [Call("Above", call.args[::-1]) if call.predicate == "Under" else call for call in way]
     for call in way:
@@ -138,7 +137,7 @@ def _owner(call: Call) -> str:
 # -- joints -----------------------------------------------------------------------------------------------------------
 
 
-def _set(setting: Setting, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
+def _set(setting: TaskContext, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
     """Open or close what a predicate names."""
     owner = call.args[0].partition(".")[0]
     joints = setting.joints(call.args[0])
@@ -165,7 +164,7 @@ def _set(setting: Setting, attempt: _Attempt, call: Call) -> tuple[Reason, ...]:
 # -- things -----------------------------------------------------------------------------------------------------------
 
 
-def _put(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
+def _put(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
     """Put a thing where all ``calls`` about it hold; where what is closed is in the way, it is opened."""
     if lacks := setting.cannot_take(name):
         return lacks
@@ -190,14 +189,14 @@ def _put(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> t
     return ()
 
 
-def _shut(setting: Setting, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
+def _shut(setting: TaskContext, attempt: _Attempt, target: str) -> list[tuple[str, str]]:
     """The joints of the part that is named, or of the whole, that are not open: a drawer takes nothing while shut."""
     owner = target.partition(".")[0]
     judge, state = setting.twin.judge, attempt.state
     return [(owner, j.name) for j in setting.joints(target) if not judge(f"Open({owner}.{j.name})", state).value]
 
 
-def _tried(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
+def _tried(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> tuple[Reason, ...]:
     """Put a thing in one way after the other until what is asked of it holds at rest.
 
     Physics runs where it holds as the thing touches down, and in the end where it nearly does.
@@ -246,7 +245,7 @@ class _Tried:
 
 
 def _touchdowns(
-    setting: Setting, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
+    setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], tried: _Tried
 ) -> Iterator[tuple[SceneState, Verdict]]:
     """States in which the thing has come down on what carries it, each with what is asked of it there."""
     asked = attempt.asked(name, calls)
@@ -266,7 +265,7 @@ def _touchdowns(
 
 
 def _settled(
-    setting: Setting, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
+    setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call], state: SceneState, tried: _Tried
 ) -> tuple[Reason, ...] | None:
     """Let a thing come to rest. None where that does not bring about what is asked; nothing in the way: ``()``."""
     spot = tuple(np.round(state.poses[name].p, 2).tolist())
@@ -296,7 +295,7 @@ def _settled(
     return ()
 
 
-def _landings(setting: Setting, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
+def _landings(setting: TaskContext, attempt: _Attempt, name: str, calls: list[Call]) -> Iterator[Callable[[], Pose]]:
     """Where a thing may lie: it comes down from above, and then stands on each level that the target has."""
     target, within = _carrier(setting, name, calls)
     for xy, q in _ways(setting, attempt, name, calls[0]):
@@ -307,14 +306,16 @@ def _landings(setting: Setting, attempt: _Attempt, name: str, calls: list[Call])
                 yield partial(standing, setting, name, level, xy, q)
 
 
-def _ways(setting: Setting, attempt: _Attempt, name: str, call: Call) -> Iterator[tuple[tuple[float, float], Array]]:
+def _ways(
+    setting: TaskContext, attempt: _Attempt, name: str, call: Call
+) -> Iterator[tuple[tuple[float, float], Array]]:
     every = turns(setting, name)
     for k, xy in enumerate(places(setting, call, attempt.state)):
         for q in every if k < 2 else every[:FEW]:
             yield xy, q
 
 
-def _carrier(setting: Setting, name: str, calls: list[Call]) -> tuple[str, bool]:
+def _carrier(setting: TaskContext, name: str, calls: list[Call]) -> tuple[str, bool]:
     """On what a thing comes down, and whether it is to lie in it."""
     first = calls[0]
     if first.predicate in ON:
@@ -324,7 +325,7 @@ def _carrier(setting: Setting, name: str, calls: list[Call]) -> tuple[str, bool]
     return carried[0], False
 
 
-def _cannot(setting: Setting, name: str, calls: list[Call], tried: _Tried) -> Reason:
+def _cannot(setting: TaskContext, name: str, calls: list[Call], tried: _Tried) -> Reason:
     low, high = setting.bounds(name)
     size = " x ".join(f"{100 * v:.1f}" for v in (high - low).tolist())
     asked = " and ".join(str(call) for call in calls)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
-from simfoundry.evaluate.expert.pace import CAREFUL
+from simfoundry.evaluate.expert.motion import Held, Path, Reach
 from simfoundry.evaluate.expert.places import PlaceAt
-from simfoundry.evaluate.expert.reach import Held, Path, Reach
-from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.object_shapes import solid
 from simfoundry.worlds.footing import center_of_mass

@@ -7,18 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
+from simfoundry.evaluate.expert.grasps import Grasp, Jaws, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
-from simfoundry.evaluate.expert.jaws import Jaws
-from simfoundry.evaluate.expert.pace import CAREFUL
-from simfoundry.evaluate.expert.places import at_state
-from simfoundry.evaluate.expert.reach import Path, Reach
-from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
+from simfoundry.evaluate.expert.motion import Path, Reach
+from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject
 from simfoundry.scene.object_shapes import solid
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, object_at
 
 WIDE = (0.94, 0.75, 0.5)
 """Shares of its range to which a joint is opened, the first that the arm can lead it to."""
@@ -179,7 +176,7 @@ def _along(reach: Reach, q: Array, grasp: Grasp, leading: _Leading) -> Path | No
 
 def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then: float) -> Pose:
     """How what is fixed to a joint's child moves in the world when the joint goes from ``now`` to ``then``."""
-    here = at_state(item, state)
+    here = object_at(item, state)
     X_OC = link_poses(here, {**state.of_object(item), joint.name: now})[joint.child]
     X_OD = link_poses(here, {**state.of_object(item), joint.name: then})[joint.child]
     return here.X_WO @ X_OD @ X_OC.inverse() @ here.X_WO.inverse()
@@ -187,7 +184,7 @@ def _motion(item: SceneObject, state: SceneState, joint: Joint, now: float, then
 
 def _away(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -> Array:
     """The level direction from a hinge to the middle of what it turns."""
-    here = at_state(item, state)
+    here = object_at(item, state)
     hinge = (here.X_WO @ link_poses(here)[joint.child]).p
     away = (corners.mean(axis=0) - hinge) * [1.0, 1.0, 0.0]
     return np.asarray(away / max(float(np.linalg.norm(away)), 1e-9))

@@ -17,7 +17,7 @@ from simfoundry.geometry.walls import DIRECTIONS, WALLED, hollow
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls, solid
-from simfoundry.scene.state import SceneState
+from simfoundry.scene.state import SceneState, object_at
 
 TURNS = 8
 """Turns about the vertical that are tried."""
@@ -49,19 +49,6 @@ class PlaceAt:
 
     X_WO: Pose
     cost: float
-
-
-def at_state(item: SceneObject, state: SceneState) -> SceneObject:
-    """The object where the state has it."""
-    now = state.of_object(item)
-    joints = []
-    for joint in item.joints:
-        value = now.get(joint.name)
-        if isinstance(value, Pose):
-            joints.append(replace(joint, motion=value))
-        else:
-            joints.append(joint if value is None else replace(joint, position=value))
-    return replace(item, X_WO=state.poses[item.name], joints=tuple(joints))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +85,7 @@ def places(scene: Scene, state: SceneState, name: str, target: str, inside: bool
 
 def _target(scene: Scene, state: SceneState, name: str, target: str, inside: bool) -> _Target:
     owner, _, link = target.partition(".")
-    item = at_state(scene.object(owner), state)
+    item = object_at(scene.object(owner), state)
     whole = hulls(item)
     number = [each.name for each in item.links].index(link) if link else None
     part = whole if number is None else whole.of_link(number)
@@ -110,7 +97,7 @@ def _target(scene: Scene, state: SceneState, name: str, target: str, inside: boo
         X_WC=item.X_WO @ link_poses(item)[link] if link else item.X_WO,
         top=part.extent(UP)[1],
         walls=solid(item, state, [link] if link else None),
-        others=tuple(hulls(at_state(o, state)) for o in others),
+        others=tuple(hulls(object_at(o, state)) for o in others),
         inside=inside,
     )
 

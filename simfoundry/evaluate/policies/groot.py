@@ -9,11 +9,11 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation, PolicyError
 from simfoundry.evaluate.policies.groot_modality import Modality, eef_9d, modality
-from simfoundry.evaluate.policies.reading import pictures, reading
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, reading
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.zmq_socket import Requests
 from simfoundry.geometry.frames import Array
-from simfoundry.spec.models.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 READINGS = {"joint_position": "joints", "gripper_position": "gripper"}
 """What servers call the robot's senses, and what these are in a policy document; ``eef_9d`` is made apart."""
@@ -131,3 +131,18 @@ def _joined(answer: Any) -> Array:
     if len(found[0]) != len(found[1]):
         raise PolicyError(f"it has {len(found[0])} steps of joints and {len(found[1])} of the gripper")
     return np.concatenate(found, axis=1)
+
+
+PROTOCOL = PolicyProtocol(
+    open=GrootPolicy,
+    schemes=("tcp",),
+    port=5555,
+    has_path=False,
+    tells_state=False,
+    short_form={
+        "horizon": 15,
+        "cameras": droid_cameras(
+            {"exterior_image_1_left": "exterior", "wrist_image_left": "wrist"}, size=(320, 180), render=(320, 180)
+        ),
+    },
+)

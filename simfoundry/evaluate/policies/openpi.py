@@ -5,10 +5,10 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation
-from simfoundry.evaluate.policies.reading import pictures, state
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
-from simfoundry.spec.models.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 DROID_STATE = MappingProxyType({"observation/joint_position": "joints", "observation/gripper_position": "gripper"})
 """What the policies of DROID are told of the robot."""
@@ -42,3 +42,17 @@ class OpenpiPolicy(RemotePolicy):
     def close(self) -> None:
         """Hang up."""
         self._connection.close()
+
+
+PROTOCOL = PolicyProtocol(
+    open=OpenpiPolicy,
+    schemes=("ws", "wss"),
+    port=8000,
+    short_form={
+        "cameras": droid_cameras(
+            {"observation/exterior_image_1_left": "exterior", "observation/wrist_image_left": "wrist"},
+            size=(224, 224),
+            render=(448, 252),
+        )
+    },
+)

@@ -12,11 +12,11 @@ from types import MappingProxyType
 from typing import Any
 
 from simfoundry.evaluate.policies.base import Observation
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, state
 from simfoundry.evaluate.policies.openpi import DROID_STATE
-from simfoundry.evaluate.policies.reading import pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
-from simfoundry.spec.models.policy import PolicySpec
+from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec
 
 RESET_DONE = "reset successful"
 """What a server says, in a text, once it has forgotten the rollout before."""
@@ -86,3 +86,21 @@ def _wanted_cameras(wishes: Mapping[str, Any]) -> Iterator[str]:
         yield from (f"observation/exterior_image_{k}_{side}" for side in sides)
     if wishes.get("needs_wrist_camera") is True:
         yield from (f"observation/wrist_image_{side}" for side in sides)
+
+
+PROTOCOL = PolicyProtocol(
+    open=RoboarenaPolicy,
+    schemes=("ws", "wss"),
+    port=8000,
+    short_form={
+        "cameras": droid_cameras(
+            {
+                "observation/exterior_image_0_left": "exterior",
+                "observation/exterior_image_1_left": "exterior_2",
+                "observation/wrist_image_left": "wrist",
+            },
+            size=(320, 180),
+            render=(320, 180),
+        )
+    },
+)

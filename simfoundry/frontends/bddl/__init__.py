@@ -1,6 +1,6 @@
 """Tasks of LIBERO and BEHAVIOR in, and ours out to them: the Behavior Domain Definition Language (BDDL)."""
 
-from simfoundry.frontends.bddl.problem import Problem, read_problem
+from simfoundry.frontends.bddl.problem import BddlProblem, read_problem
 from simfoundry.frontends.bddl.task import read_bddl_task
 
-__all__ = ["Problem", "read_bddl_task", "read_problem"]
+__all__ = ["BddlProblem", "read_bddl_task", "read_problem"]

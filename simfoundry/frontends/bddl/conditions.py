@@ -1,6 +1,6 @@
-"""Conditions of BDDL as conditions of the language: quantifiers become `all`, `any` and `not` over the scene's objects.
+"""Convert conditions of BDDL: quantifiers become `all`, `any` and `not` over the scene's objects.
 
-What they mean is as the `bddl` package evaluates it: `forn` is exactly so many, `fornpairs` exactly so many pairs,
+They mean what the `bddl` package evaluates: `forn` is exactly so many, `fornpairs` exactly so many pairs,
 `forpairs` as many of one kind as there are of the fewer, each with a partner.
 """
 
@@ -12,29 +12,29 @@ from itertools import combinations, product
 from math import comb
 from typing import Any
 
-from simfoundry.frontends.bddl.expressions import Group, Word
+from simfoundry.frontends.bddl.expressions import BddlGroup, BddlWord
 
 MOST_TERMS = 20_000
-"""A goal of more predicates than this says nothing to anybody."""
+"""Predicates of a written-out goal: nobody reads more, and quantifiers over many objects explode."""
 
 Condition = Any
 """A predicate, or a mapping of `all`, `any` or `not`, as in a document."""
 
 Scope = Mapping[str, str]
-"""What variables stand for, by their names."""
+"""Objects that variables stand for, by the names of the variables."""
 
 
 @dataclass
-class Reading:
-    """Turns conditions into ours: ``atom`` makes a predicate of its name and arguments, ``things`` are all by type."""
+class ConditionReader:
+    """Converts conditions: ``atom`` makes a predicate of its name and arguments, ``things`` are the objects by type."""
 
-    atom: Callable[[Group, str, list[str]], Condition | None]
+    atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     things: Mapping[str, Sequence[str]]
     missing: list[str] = field(default_factory=list)
     terms: int = 0
 
-    def condition(self, group: Group, scope: Scope) -> Condition | None:
-        """One condition; None where something of it is missing, which is then in ``missing``."""
+    def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
+        """Return one condition; None where something of it is missing, which is then in ``missing``."""
         match group.head:
             case "and" | "or":
                 return self._joined(
@@ -51,7 +51,7 @@ class Reading:
         words = [scope.get(word.plain, word.text.removeprefix("?")) for word in group.words]
         return self.atom(group, group.head, words)
 
-    def _quantified(self, group: Group, scope: Scope) -> Condition | None:
+    def _quantified(self, group: BddlGroup, scope: Scope) -> Condition | None:
         numbered = group.head in ("forn", "fornpairs")
         pairs = group.head in ("forpairs", "fornpairs")
         parts = list(group.groups)
@@ -82,7 +82,7 @@ class Reading:
         return self._paired(group, table, rows, columns)
 
     def _paired(
-        self, group: Group, table: list[list[Condition | None]], rows: Sequence[str], columns: Sequence[str]
+        self, group: BddlGroup, table: list[list[Condition | None]], rows: Sequence[str], columns: Sequence[str]
     ) -> Condition | None:
         least = min(len(rows), len(columns))
         lines = [[cell for k, cell in enumerate(line) if rows[i] != columns[k]] for i, line in enumerate(table)]
@@ -90,16 +90,16 @@ class Reading:
         sides = [self._at_least(group, least, [self._joined("any", one) for one in side]) for side in (lines, turned)]
         return self._joined("all", sides)
 
-    def _at_least(self, group: Group, least: int, found: list[Condition | None]) -> Condition | None:
-        """That so many of some hold."""
+    def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
+        """At least so many of some conditions hold."""
         if not self._affordable(group, len(found), least):
             return None
         if least == len(found):
             return self._joined("all", found)
         return self._joined("any", [self._joined("all", list(chosen)) for chosen in combinations(found, least)])
 
-    def _exactly(self, group: Group, count: int, found: list[Condition | None]) -> Condition | None:
-        """That so many of some hold and the others do not."""
+    def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
+        """Exactly so many of some conditions hold."""
         if count > len(found):
             self._lack(group, f"{count} are to hold of {len(found)}")
             return None
@@ -111,7 +111,7 @@ class Reading:
         ]
         return self._joined("any", ways)
 
-    def _affordable(self, group: Group, of: int, chosen: int) -> bool:
+    def _affordable(self, group: BddlGroup, of: int, chosen: int) -> bool:
         self.terms += comb(of, chosen) * of
         if self.terms > MOST_TERMS:
             self._lack(group, f"written out it is more than {MOST_TERMS} predicates")
@@ -122,17 +122,17 @@ class Reading:
             return None
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
-    def _members(self, group: Group) -> tuple[str, Sequence[str]]:
-        """The variable of ``(?x - type)`` and the things that it ranges over."""
-        words = [item for item in group.items if isinstance(item, Word)]
+    def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
+        """The variable of ``(?x - type)`` and the objects that it ranges over."""
+        words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
         return words[0].plain, self.things.get(words[2].plain, ())
 
-    def _number(self, group: Group) -> int | None:
+    def _number(self, group: BddlGroup) -> int | None:
         return int(group.head) if group.head.isdigit() and len(group.head) < 6 else None
 
-    def _lack(self, group: Group, what: str) -> None:
+    def _lack(self, group: BddlGroup, what: str) -> None:
         """Note something that is missing, once."""
         text = f"line {group.line}: {what}"
         if text not in self.missing:
@@ -140,7 +140,7 @@ class Reading:
 
 
 def negated(condition: Condition | None) -> Condition | None:
-    """That a condition does not hold, with `not` only before predicates; `Open` and `Closed` are each other's."""
+    """Return the negation of a condition, with `not` only before predicates; `Open` negates `Closed`."""
     if condition is None:
         return None
     if isinstance(condition, dict):

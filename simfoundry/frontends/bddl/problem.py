@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from simfoundry.frontends.bddl.expressions import Group, Word, read_group
+from simfoundry.frontends.bddl.expressions import BddlGroup, BddlWord, read_group
 from simfoundry.frontends.errors import ImportRefusedError
 
 
 @dataclass(frozen=True)
-class Region:
+class BddlRegion:
     """A part of a thing, or a rectangle on it.
 
     ``ranges`` are (lowest x, lowest y, highest x, highest y) in the frame of ``target`` [m]; ``yaw`` is the lowest and
@@ -26,7 +26,7 @@ class Region:
 
 
 @dataclass(frozen=True)
-class Problem:
+class BddlProblem:
     """A problem: ``things`` are the types of all objects and fixtures by their names, ``regions`` by their long names.
 
     ``domain`` is ``robosuite`` for LIBERO and ``omnigibson`` (``igibson`` in older files) for BEHAVIOR.
@@ -37,18 +37,18 @@ class Problem:
     domain: str
     language: str
     things: Mapping[str, str]
-    regions: Mapping[str, Region]
+    regions: Mapping[str, BddlRegion]
     interest: tuple[str, ...]
-    init: tuple[Group, ...]
-    goal: Group
+    init: tuple[BddlGroup, ...]
+    goal: BddlGroup
 
 
-def read_problem(path: Path) -> Problem:
+def read_problem(path: Path) -> BddlProblem:
     """Read a BDDL file; raises :class:`ImportRefusedError`."""
     whole = read_group(path)
     if whole.head != "define":
         raise ImportRefusedError(path, "it does not begin with `(define`", whole.line)
-    sections: dict[str, Group] = {}
+    sections: dict[str, BddlGroup] = {}
     for group in whole.groups:
         if group.head in sections:
             raise ImportRefusedError(path, f"`{group.head}` stands here again", group.line)
@@ -63,7 +63,7 @@ def read_problem(path: Path) -> Problem:
     for key in (":fixtures", ":objects"):
         if key in sections:
             _read_things(path, sections[key], things)
-    return Problem(
+    return BddlProblem(
         file=path,
         name=_text(sections["problem"]) or path.stem,
         domain=_text(sections.get(":domain")).lower(),
@@ -76,13 +76,13 @@ def read_problem(path: Path) -> Problem:
     )
 
 
-def _text(group: Group | None) -> str:
+def _text(group: BddlGroup | None) -> str:
     return " ".join(word.text for word in group.words) if group is not None else ""
 
 
-def _read_things(path: Path, group: Group, things: dict[str, str]) -> None:
+def _read_things(path: Path, group: BddlGroup, things: dict[str, str]) -> None:
     """``a b - kind c - other``, as PDDL writes typed lists."""
-    waiting: list[Word] = []
+    waiting: list[BddlWord] = []
     words = list(group.words)
     while words:
         word = words.pop(0)
@@ -101,9 +101,9 @@ def _read_things(path: Path, group: Group, things: dict[str, str]) -> None:
         things.setdefault(name.text, name.text)
 
 
-def _regions(path: Path, group: Group | None) -> dict[str, Region]:
+def _regions(path: Path, group: BddlGroup | None) -> dict[str, BddlRegion]:
     """By ``TARGET_NAME``, as the conditions call them."""
-    found: dict[str, Region] = {}
+    found: dict[str, BddlRegion] = {}
     for region in group.groups if group is not None else ():
         parts = {part.head: part for part in region.groups}
         if ":target" not in parts or not parts[":target"].words:
@@ -111,20 +111,20 @@ def _regions(path: Path, group: Group | None) -> dict[str, Region]:
         target = parts[":target"].words[0].text
         ranges = _numbers(path, parts.get(":ranges"), 4)
         yaw = _numbers(path, parts.get(":yaw_rotation"), 2)
-        name = region.items[0].text if isinstance(region.items[0], Word) else region.head
+        name = region.items[0].text if isinstance(region.items[0], BddlWord) else region.head
         box = (ranges[0], ranges[1], ranges[2], ranges[3]) if ranges else None
-        found[f"{target}_{name}"] = Region(name, target, box, (yaw[0], yaw[1]) if yaw else None)
+        found[f"{target}_{name}"] = BddlRegion(name, target, box, (yaw[0], yaw[1]) if yaw else None)
     return found
 
 
-def _numbers(path: Path, group: Group | None, count: int) -> list[float] | None:
+def _numbers(path: Path, group: BddlGroup | None, count: int) -> list[float] | None:
     """The numbers of ``(:key ((1 2 3 4)))``: of the first rectangle where there are more."""
     while group is not None and group.groups:
         group = group.groups[0]
     if group is None:
         return None
     try:
-        numbers = [float(item.text) for item in group.items if isinstance(item, Word)]
+        numbers = [float(item.text) for item in group.items if isinstance(item, BddlWord)]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):

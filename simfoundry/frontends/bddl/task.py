@@ -1,24 +1,24 @@
-"""A BDDL problem as a task in a scene: its names bound to the scene's objects, its regions to starts and goals."""
+"""Convert a BDDL problem to a task: its names bound to the scene's objects, its regions to starts and goals."""
 
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.bddl.conditions import Condition, Reading
-from simfoundry.frontends.bddl.expressions import Group
-from simfoundry.frontends.bddl.problem import Problem, Region, read_problem
-from simfoundry.frontends.document_data import rounded
-from simfoundry.frontends.draft import Draft
+from simfoundry.frontends.bddl.conditions import Condition, ConditionReader
+from simfoundry.frontends.bddl.expressions import BddlGroup
+from simfoundry.frontends.bddl.problem import BddlProblem, BddlRegion, read_problem
+from simfoundry.frontends.document_data import relative_path, rounded
+from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import rpy_from_quat
 from simfoundry.scene.model import Joint, Scene, SceneObject
+from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 
 BINARY = {
@@ -32,16 +32,15 @@ _SYNSET = re.compile(r"(.+)\.[nvar]\.\d+(_\d+)?\Z")
 
 
 def read_bddl_task(
-    path: Path, scene_file: Path, scene: Scene, out: Path, bound: Mapping[str, str]
-) -> tuple[TaskSpec, Draft]:
-    """The task of a BDDL file in a scene, for a document at ``out``, and what of it is left out or assumed.
+    path: Path, _spec: SceneSpec, scene: Scene, out: Path, options: ImportOptions
+) -> tuple[TaskSpec, ModelDraft]:
+    """Read the task of a BDDL file for a scene; ``bound`` of the options has objects for names that do not tell.
 
-    ``bound`` says which object of the scene a name of the file means, where the names do not tell. Raises
-    :class:`ImportRefusedError`, which names everything that is missing, each with its line.
+    Raises :class:`ImportRefusedError`, which names everything that is missing, each with its line.
     """
     problem = read_problem(path)
-    draft = Draft(problem.name, "BDDL")
-    task = _Task(problem, scene, bound, draft)
+    draft = ModelDraft(problem.name, "BDDL")
+    task = _TaskReader(problem, scene, options.bound, draft)
     goal = task.goal()
     start, reset = task.start()
     if task.missing:
@@ -53,22 +52,24 @@ def read_bddl_task(
     instruction = problem.language or _sentence(problem.name)
     if not problem.language:
         draft.assumed("instruction", "none is given; the name of the problem stands for it")
+    assert options.scene is not None
     name = plain_name(path.stem if problem.domain == "robosuite" else re.sub(r"-\d+\Z", "", problem.name), "task")
     data: dict[str, Any] = {
-        "simfoundry": "task/1", "name": name, "scene": _relative(scene_file, out), "instruction": instruction[:500],
+        "simfoundry": "task/1", "name": name, "scene": relative_path(options.scene, out),
+        "instruction": instruction[:500],
         "goal": goal, **({"start": start} if start else {}), **({"reset": {"objects": reset}} if reset else {}),
     }  # fmt: skip
     return TaskSpec.model_validate(rounded(data)), draft
 
 
 @dataclass
-class _Task:
+class _TaskReader:
     """One problem while it is turned into a task."""
 
-    problem: Problem
+    problem: BddlProblem
     scene: Scene
     bound: Mapping[str, str]
-    draft: Draft
+    draft: ModelDraft
     missing: list[str] = field(default_factory=list)
     unbound: set[str] = field(default_factory=set)
 
@@ -76,7 +77,7 @@ class _Task:
         kinds: dict[str, list[str]] = {}
         for name, kind in self.problem.things.items():
             kinds.setdefault(kind.lower(), []).append(name)
-        reading = Reading(self._atom, kinds, self.missing)
+        reading = ConditionReader(self._atom, kinds, self.missing)
         found = reading.condition(self.problem.goal, {})
         if found is None and not self.missing:
             self.missing.append(
@@ -84,7 +85,7 @@ class _Task:
             )
         return found
 
-    def _atom(self, group: Group, name: str, words: list[str]) -> Condition | None:
+    def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Condition | None:
         """One predicate of the goal."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
@@ -103,7 +104,7 @@ class _Task:
         self._lack(group, f"there is no predicate for `{name}`")
         return None
 
-    def _binary(self, group: Group, predicate: str, first: str, second: str) -> Condition | None:
+    def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Condition | None:
         thing = self._thing(group, first)
         region = self.problem.regions.get(second)
         if region is not None and region.ranges is not None:
@@ -118,12 +119,12 @@ class _Task:
         return text
 
     def _put_in(self, target: str) -> bool:
-        """Whether the words ask for something to go into a thing."""
+        """Return whether the instruction asks for something to go into an object."""
         noun = re.escape((self.scene.object(owner_of(target)).category or target).rpartition("_")[2])
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
-    def _in_rectangle(self, group: Group, thing: str, region: Region) -> Condition | None:
+    def _in_rectangle(self, group: BddlGroup, thing: str, region: BddlRegion) -> Condition | None:
         """A goal region on a table is a point here, within the tolerance of `At`."""
         box = self._rectangle(group, region)
         if box is None:
@@ -132,7 +133,7 @@ class _Task:
         self.draft.changed(f"region `{region.name}`", "a goal region is the tolerance of `At` about its middle", size)
         return f"At({thing}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
-    def _thing(self, group: Group, name: str) -> str | None:
+    def _thing(self, group: BddlGroup, name: str) -> str | None:
         """The scene's object that a name means."""
         found = bind(name, self.problem, self.scene, self.bound)
         if found is None and name not in self.unbound:
@@ -142,7 +143,7 @@ class _Task:
             self._lack(group, f"no object of the scene is `{name}`{what}")
         return found
 
-    def _part(self, group: Group, name: str, predicate: str) -> str | None:
+    def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
         """The object, or the link of it, that a name or the name of a region means."""
         region = self.problem.regions.get(name)
         owner = self._thing(group, region.target if region is not None else name)
@@ -158,7 +159,7 @@ class _Task:
         self.draft.changed(f"region `{name}`", f"it is taken for the whole of `{owner}`")
         return owner
 
-    def _joints(self, group: Group, name: str) -> list[str]:
+    def _joints(self, group: BddlGroup, name: str) -> list[str]:
         """The joints that a name or the name of a region means, as ``object.joint``."""
         region = self.problem.regions.get(name)
         owner = self._thing(group, region.target if region is not None else name)
@@ -176,11 +177,11 @@ class _Task:
             return []
         return [f"{owner}.{found[0]}"]
 
-    def _unclear(self, group: Group, region: Region, owner: str, there: list[str], found: list[str]) -> None:
+    def _unclear(self, group: BddlGroup, region: BddlRegion, owner: str, there: list[str], found: list[str]) -> None:
         which = f"both {' and '.join(found)} could be" if found else f"none of {', '.join(there)} is"
         self._lack(group, f"{which} the `{region.name}` of `{owner}`")
 
-    def _rectangle(self, group: Group, region: Region) -> tuple[float, float, float, float] | None:
+    def _rectangle(self, group: BddlGroup, region: BddlRegion) -> tuple[float, float, float, float] | None:
         """The rectangle of a region in the world, square to its axes [m]."""
         owner = self._thing(group, region.target)
         if owner is None or region.ranges is None:
@@ -192,7 +193,7 @@ class _Task:
         return min(xs), min(ys), max(xs), max(ys)
 
     def start(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What differs from the scene at the start, and the regions of the reset."""
+        """Return the differences from the scene at the start, and the regions of the reset."""
         joints: dict[str, dict[str, float]] = {}
         regions: dict[str, Any] = {}
         for group in self.problem.init:
@@ -208,7 +209,7 @@ class _Task:
                 self.draft.dropped(f"`{group.head}` at the start", "the scene says how things stand")
         return ({"joints": joints} if joints else {}), regions
 
-    def _region(self, group: Group, name: str, region: Region, regions: dict[str, Any]) -> None:
+    def _region(self, group: BddlGroup, name: str, region: BddlRegion, regions: dict[str, Any]) -> None:
         thing, box = self._thing(group, name), self._rectangle(group, region)
         if thing is None or box is None:
             return
@@ -225,13 +226,13 @@ class _Task:
                 found["yaw_deg"] = (low - turns, high - turns)
         regions[thing] = found
 
-    def _lack(self, group: Group, what: str) -> None:
+    def _lack(self, group: BddlGroup, what: str) -> None:
         text = f"line {group.line}: {what}"
         if text not in self.missing:
             self.missing.append(text)
 
 
-def bind(name: str, problem: Problem, scene: Scene, bound: Mapping[str, str]) -> str | None:
+def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
     """The scene's object that a name of a problem means: as told, by its name, or by its type and number."""
     if name in bound:
         return bound[name]
@@ -253,12 +254,12 @@ def _type(kind: str) -> str:
 
 
 def _opened(item: SceneObject, name: str) -> float:
-    """Where a joint is when it is open: at the end of its way that is farther from zero [rad or m]."""
+    """The open position of a joint: the limit that is farther from zero [rad or m]."""
     joint: Joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 
 
-def _alike(region: Region, parts: Mapping[str, str]) -> list[str]:
+def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
     """The parts, by what they are called, that the name of a region means: that of its name, or those of a word."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
@@ -275,10 +276,6 @@ def owner_of(name: str) -> str:
 def _words(name: str) -> set[str]:
     """The words of a name that tell one part from another."""
     return set(plain_name(name).split("_")) - {"region", "side", "joint", "link", "contain", "init", "drawer"}
-
-
-def _relative(scene_file: Path, out: Path) -> str:
-    return Path(os.path.relpath(scene_file.resolve(), out.resolve().parent)).as_posix()
 
 
 def _sentence(name: str) -> str:

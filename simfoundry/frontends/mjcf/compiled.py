@@ -1,88 +1,156 @@
-"""MJCF that SimFoundry compiled: its names and texts say which scene it was, so that the same scene comes back.
+"""Restore MJCF that SimFoundry compiled: its names and custom fields hold what MJCF cannot express of the scene.
 
-See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the texts.
+See :mod:`simfoundry.backends.mjcf` for the names and :mod:`simfoundry.backends.mjcf.custom` for the fields.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from simfoundry.backends.mjcf.custom import MARK
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LightDraft
+from simfoundry.frontends.compiled_robot import robot_draft
+from simfoundry.frontends.draft import (
+    BodyDraft,
+    JointDraft,
+    LightDraft,
+    LinkPath,
+    ModelDraft,
+)
+from simfoundry.frontends.errors import ImportRefusedError
+from simfoundry.frontends.mjcf.elements import read_camera
+from simfoundry.frontends.mjcf.source import MjcfSource
 from simfoundry.geometry.frames import Pose
 
 BACKGROUND = ":background:"
-"""How the names of geoms start that are seen around the scene."""
+"""Prefix of the visual geoms of the background."""
+
+ROBOT, MOUNT = ":robot", ":mount"
+"""Suffixes of the texts that hold the fields of a robot and the frame that carries a camera."""
 
 
 @dataclass(frozen=True)
-class Said:
+class CustomFields:
     """The custom texts and numbers of a file of ours, by name."""
 
     texts: Mapping[str, str]
     numbers: Mapping[str, tuple[float, ...]]
 
 
-def said(mujoco: Any, model: Any) -> Said | None:
-    """What a compiled model says in custom texts and numbers; None where it is not of our making."""
+def custom_fields(mujoco: Any, model: Any) -> CustomFields | None:
+    """Return the custom texts and numbers of a compiled model; None where it is not of our making."""
     kinds = mujoco.mjtObj
     texts, numbers = {}, {}
     data = bytes(model.text_data)
-    for k in range(model.ntext):
-        start, size = int(model.text_adr[k]), int(model.text_size[k])
+    for k, (start, size) in enumerate(zip(model.text_adr.tolist(), model.text_size.tolist(), strict=True)):
         text = data[start : start + size].rstrip(b"\0").decode("utf-8", "replace")
         texts[mujoco.mj_id2name(model, kinds.mjOBJ_TEXT, k)] = text
-    for k in range(model.nnumeric):
-        start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
-        values = tuple(float(v) for v in model.numeric_data[start : start + size])
+    for k, (start, size) in enumerate(zip(model.numeric_adr.tolist(), model.numeric_size.tolist(), strict=True)):
+        values = tuple(model.numeric_data[start : start + size].tolist())
         numbers[mujoco.mj_id2name(model, kinds.mjOBJ_NUMERIC, k)] = values
-    return Said(texts, numbers) if MARK in texts else None
+    return CustomFields(texts, numbers) if MARK in texts else None
 
 
-def restore(draft: Draft, own: Said, placed: Mapping[str, Pose], free: Mapping[str, str]) -> None:
-    """Give a draft the names of its scene, and put together what are parts of one object.
+def take_robots(draft: ModelDraft, path: Path, mujoco: Any, model: Any, own: CustomFields) -> Any:
+    """Move the robots of a file and the cameras on them into ``draft``; return the model without them."""
+    names = [name.removesuffix(ROBOT) for name in own.texts if name.endswith(ROBOT)]
+    roots = {mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name): name for name in names}
+    roots.pop(-1, None)
+    if not roots:
+        return model
+    source = MjcfSource(mujoco, model, None, draft, is_own=True)
+    for body, name in roots.items():
+        try:
+            words = json.loads(own.texts[f"{name}{ROBOT}"])
+        except ValueError:
+            words = None
+        if not isinstance(words, dict):
+            message = f"robot `{name}` is not as compiled files have it: its text is no JSON object"
+            raise ImportRefusedError(path, message)
+        X_WB = Pose.of(model.body_pos[body], model.body_quat[body])
+        draft.robots.append(robot_draft(path, name, words, X_WB))
+    for k in range(model.ncam):
+        root = int(model.body_rootid[model.cam_bodyid[k]])
+        if root in roots:
+            _take_camera(source, own, k, roots[root])
+    return _without_bodies(path, mujoco, list(roots.values()))
 
-    ``placed`` are the poses of MuJoCo's bodies in the world, and ``free`` the names of their free joints, by body.
+
+def _take_camera(source: MjcfSource, own: CustomFields, k: int, robot: str) -> None:
+    """A camera on one of the robot's frames; where no text names the frame, on the link that carries it."""
+    camera, model = read_camera(source, k), source.model
+    if camera is None:
+        return
+    frame = own.texts.get(f"{camera.name}{MOUNT}", "")
+    site = source.mujoco.mj_name2id(model, source.mujoco.mjtObj.mjOBJ_SITE, f"{robot}.{frame}")
+    if site >= 0:
+        camera.X_WC = Pose.of(model.site_pos[site], model.site_quat[site]).inverse() @ camera.X_WC
+    body = source.name("body", int(model.cam_bodyid[k]))
+    camera.mount = (robot, frame or body.removeprefix(robot).removeprefix("."))
+    source.draft.cameras.append(camera)
+
+
+def _without_bodies(path: Path, mujoco: Any, names: list[str]) -> Any:
+    """The model without some bodies of the world. Robots come after all objects, so theirs are the last coordinates."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    states = [(key.name, list(key.qpos), list(key.ctrl)) for key in spec.keys]
+    for key in list(spec.keys):
+        spec.delete(key)
+    for name in names:
+        spec.delete(spec.body(name))
+    model = spec.compile()
+    for name, qpos, ctrl in states:
+        spec.add_key(name=name, qpos=qpos[: model.nq], ctrl=ctrl[: model.nu])
+    return spec.compile()
+
+
+def restore(draft: ModelDraft, own: CustomFields, poses: Mapping[str, Pose], free_joints: Mapping[str, str]) -> None:
+    """Give a draft the names of its scene, and join the parts of one object.
+
+    ``poses`` are those of MuJoCo's bodies in the world, and ``free_joints`` the names of free joints, by body.
     """
     owners = {body.name: body for body in draft.bodies if f"{body.name}:root" in own.texts}
-    _name_places(draft, owners, own)
+    _rename_places(draft, owners, own)
     for body in list(draft.bodies):
         owner = body.name.partition(".")[0]
         if owner not in owners:
             continue
-        _name_links(body, owner, own)
+        _rename_links(body, owner, own)
         if body.name in owners:
-            _describe(body, own)
+            body.exact = True
+            body.category = own.texts.get(f"{body.name}.category")
+            body.labels = tuple(own.texts.get(f"{body.name}.labels", "").split())
         elif f"{body.name}:parent" in own.texts:
-            joint = _free_joint(body, owner, own, placed, free)
+            joint = _free_joint(body, owner, own, poses, free_joints[body.name])
             owners[owner].links |= body.links
             owners[owner].joints += [joint, *body.joints]
             draft.bodies.remove(body)
     draft.relations = [text for text in own.texts.get("relations", "").split("; ") if text]
     for name, values in own.numbers.items():
         if name.endswith(":dome"):
-            strength = max(*values, 1e-9)
+            strength = max(*values, 1e-9)  # a black light has no colour
             red, green, blue = (v / strength for v in values)
             draft.lights.append(LightDraft(name.removesuffix(":dome"), "dome", max(values), (red, green, blue)))
 
 
-def _link_name(qualified: str, owner: str, own: Said) -> str:
+def _link_name(qualified: str, owner: str, own: CustomFields) -> str:
     return own.texts[f"{owner}:root"] if qualified == owner else qualified.removeprefix(f"{owner}.")
 
 
-def _name_places(draft: Draft, owners: Mapping[str, BodyDraft], own: Said) -> None:
-    """Rename the links of what is said of several bodies: of cameras that ride on them, of contacts left out."""
+def _rename_places(draft: ModelDraft, owners: Mapping[str, BodyDraft], own: CustomFields) -> None:
+    """Rename the links that cameras and excluded pairs name."""
 
-    def place(body: str, link: str) -> tuple[str, str]:
-        owner = body.partition(".")[0]
-        return (owner, _link_name(link, owner, own)) if owner in owners else (body, link)
+    def place(end: LinkPath) -> LinkPath:
+        owner = end[0].partition(".")[0]
+        return (owner, _link_name(end[1], owner, own)) if owner in owners else end
 
     for camera in draft.cameras:
         if camera.mount is not None:
-            camera.mount = place(*camera.mount)
-    pairs = [(place(*a), place(*b)) for a, b in draft.no_contact]
+            camera.mount = place(camera.mount)
+    pairs = [(place(a), place(b)) for a, b in draft.no_contact]
     draft.no_contact = [(a, b) for a, b in pairs if a[0] != b[0]]
     for a, b in pairs:
         if a[0] == b[0]:
@@ -90,8 +158,8 @@ def _name_places(draft: Draft, owners: Mapping[str, BodyDraft], own: Said) -> No
             within.no_contact.append((a[1], b[1]))
 
 
-def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
-    """Names of links, joints and parts without the object's before them."""
+def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
+    """Give links, joints and parts their names without the object's before them."""
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
@@ -109,23 +177,14 @@ def _name_links(body: BodyDraft, owner: str, own: Said) -> None:
         link.name = names[old]
     body.links = {link.name: link for link in body.links.values()}
     body.root = names[body.root]
-    # What is said of its own links came before or after the names: it is told apart by whether it has them.
+    # Pairs of its own links were added before or after the renaming, so either name may be there.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
 
 
-def _describe(body: BodyDraft, own: Said) -> None:
-    body.exact = True
-    body.category = own.texts.get(f"{body.name}.category")
-    body.labels = tuple(own.texts.get(f"{body.name}.labels", "").split())
-
-
-def _free_joint(
-    body: BodyDraft, owner: str, own: Said, placed: Mapping[str, Pose], free: Mapping[str, str]
-) -> JointDraft:
-    """The free joint between a part of an object that lies loose and what it is said to lie on."""
+def _free_joint(body: BodyDraft, owner: str, own: CustomFields, poses: Mapping[str, Pose], name: str) -> JointDraft:
+    """The free joint between a loose part of an object and its parent link."""
     parent, zero = own.texts[f"{body.name}:parent"], own.numbers[f"{body.name}:zero"]
     X_PC = Pose.of(zero[:3], zero[3:])
     below = owner if parent == own.texts[f"{owner}:root"] else f"{owner}.{parent}"
-    motion = (placed[below] @ X_PC).inverse() @ body.X_WO
-    name = free[body.name].removeprefix(f"{owner}.")
-    return JointDraft(name, "free", parent, body.root, X_PC, motion=motion)
+    motion = (poses[below] @ X_PC).inverse() @ body.X_WO
+    return JointDraft(name.removeprefix(f"{owner}."), "free", parent, body.root, X_PC, motion=motion)

@@ -1,4 +1,4 @@
-"""Geoms of a compiled MuJoCo model as parts of links."""
+"""Read the geoms of a compiled MuJoCo model as parts of links."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.frontends.draft import Draft, MeshDraft, PartDraft, PrimitiveShape, Rgba
+from simfoundry.frontends.draft import MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
+from simfoundry.frontends.mjcf.source import MjcfSource
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
 GROUND = 20.0
-"""Width [m] of the box that stands for a plane without an end."""
+"""Width [m] of the box that stands for an infinite plane: as wide as a document allows."""
 
 DEPTH = 0.1
-"""Thickness [m] of the box that stands for a plane; its top is the plane."""
+"""Thickness [m] of that box, whose top is the plane: nothing falls through it within a step."""
 
 HIDDEN_GROUP = 3
-"""MuJoCo's viewers show geoms of lower groups only: those above are there to be touched."""
+"""MuJoCo's viewers show geoms of lower groups only: those above are for contact."""
 
 UNSET = (0.5, 0.5, 0.5, 1.0)
 """MuJoCo's colour of a geom that gives none."""
 
 
-class Geoms:
+class MjcfGeoms:
     """Turns geoms into parts; a mesh that many geoms use is written once."""
 
-    def __init__(self, mujoco: Any, model: Any, draft: Draft, own: bool = False) -> None:
-        self.mujoco, self.model, self.draft, self.own = mujoco, model, draft, own
+    def __init__(self, source: MjcfSource) -> None:
+        self.source, self.mujoco, self.model, self.draft = source, source.mujoco, source.model, source.draft
         self.meshes: dict[tuple[int, int], MeshDraft] = {}
-        self.textured_shapes = 0
 
     def part(self, geom: int) -> PartDraft | None:
-        """The part that a geom is, posed in its body; None, with a note, for one that cannot be said."""
+        """Return a geom as a part, posed in its body; None, with a note, for one that the language has not."""
         model, types = self.model, self.mujoco.mjtGeom
-        name = self.mujoco.mj_id2name(model, self.mujoco.mjtObj.mjOBJ_GEOM, geom)
+        name = self.source.name("geom", geom)
         kind = self.mujoco.mjtGeom(int(model.geom_type[geom]))
         X_BG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
         geometry: PrimitiveShape | MeshDraft
@@ -58,24 +58,19 @@ class Geoms:
             case types.mjGEOM_PLANE:
                 geometry = BoxShape(box=(2 * a or GROUND, 2 * b or GROUND, DEPTH))
                 X_BG = X_BG @ Pose.of([0, 0, -DEPTH / 2])
-                self.draft.changed(
-                    f"plane `{name or geom}`", f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it"
-                )
+                what = f"plane `{name or geom}`"
+                self.draft.changed(what, f"a box of {2 * a or GROUND:g} x {2 * b or GROUND:g} m stands for it")
             case types.mjGEOM_MESH | types.mjGEOM_SDF:
                 geometry, X_BG = self.mesh(geom, X_BG)
             case _:
-                self.draft.dropped(
-                    f"geom `{name or geom}`", f"the language has no {kind.name.removeprefix('mjGEOM_').lower()}"
-                )
+                kind_name = kind.name.removeprefix("mjGEOM_").lower()
+                self.draft.dropped(f"geom `{name or geom}`", f"the language has no {kind_name}")
                 return None
-        return self.surface(geom, PartDraft(name or self.role(geom), geometry, X_LG=X_BG))
-
-    def role(self, geom: int) -> str:
-        """A name for a geom without one, by what it is for."""
-        return "collision" if self.use(geom) == "collision" else "visual" if self.use(geom) == "visual" else "geom"
+        use = self.use(geom)
+        return self.with_contact(geom, PartDraft(name or {"both": "geom"}.get(use, use), geometry, use, X_BG))
 
     def use(self, geom: int) -> str:
-        """What a geom is for: what touches nothing is seen, what viewers hide touches."""
+        """The use of a geom: one without contact is visual, one that viewers hide is for contact only."""
         model = self.model
         touches = bool(model.geom_contype[geom]) or bool(model.geom_conaffinity[geom])
         if not touches:
@@ -83,24 +78,19 @@ class Geoms:
         hidden = int(model.geom_group[geom]) >= HIDDEN_GROUP or self.rgba(geom)[3] == 0
         return "collision" if hidden else "both"
 
-    def surface(self, geom: int, part: PartDraft) -> PartDraft:
-        """The part with its use, friction and colour."""
+    def with_contact(self, geom: int, part: PartDraft) -> PartDraft:
+        """The part with its contact parameters and colour."""
         model = self.model
-        part.use = self.use(geom)
-        if part.use != "visual":
-            part.friction = float(model.geom_friction[geom, 0])
-            dimensions = int(model.geom_condim[geom])
-            if dimensions == 1:
-                part.friction = 0.0
-            if dimensions >= 4:
-                part.torsional = float(model.geom_friction[geom, 1])
-            if dimensions >= 6:
-                part.rolling = float(model.geom_friction[geom, 2])
-            if self.own and model.nuser_geom:
-                part.restitution = float(model.geom_user[geom, 0])
+        if part.collides:
+            sliding, spinning, rolling = model.geom_friction[geom].tolist()
+            dimensions, contact = int(model.geom_condim[geom]), part.contact
+            contact.friction = sliding if dimensions > 1 else 0.0
+            contact.torsional = spinning if dimensions >= 4 else None
+            contact.rolling = rolling if dimensions >= 6 else None
+            if self.source.is_own and model.nuser_geom:
+                contact.restitution = float(model.geom_user[geom, 0])
         material = int(model.geom_matid[geom])
-        textured = material >= 0 and self.texture(material) >= 0
-        if textured and not isinstance(part.geometry, MeshDraft):
+        if self.texture(material) >= 0 and not isinstance(part.geometry, MeshDraft):
             self.draft.dropped(f"texture of geom `{part.name}`", "only meshes have textures")
         color = self.rgba(geom)
         if color != UNSET and part.use != "collision":
@@ -117,6 +107,8 @@ class Geoms:
 
     def texture(self, material: int) -> int:
         """The id of the colour texture of a material; -1 for none that can be laid on a mesh."""
+        if material < 0:
+            return -1
         roles = np.ravel(self.model.mat_texid[material])
         role = int(self.mujoco.mjtTextureRole.mjTEXROLE_RGB)
         texture = int(roles[role]) if len(roles) > role else int(roles[0])
@@ -127,22 +119,17 @@ class Geoms:
         """The mesh of a geom in the frame of its file, and its pose there."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
         X_FM = Pose.of(model.mesh_pos[mesh], model.mesh_quat[mesh])
-        material = int(model.geom_matid[geom])
-        texture = self.texture(material) if material >= 0 else -1
+        texture = self.texture(int(model.geom_matid[geom]))
         if (mesh, texture) not in self.meshes:
-            self.meshes[mesh, texture] = self.mesh_draft(mesh, texture, X_FM)
+            name = self.source.name("mesh", mesh) or f"mesh_{mesh}"
+            parts = [self.mesh_part(mesh, texture, X_FM)]
+            self.meshes[mesh, texture] = mesh_of_parts(parts, plain_name(name, "mesh"))
         return self.meshes[mesh, texture], X_BG @ X_FM.inverse()
 
-    def mesh_draft(self, mesh: int, texture: int, X_FM: Pose) -> MeshDraft:
-        """A mesh with its texture; ``X_FM`` takes MuJoCo's frame of it into that of its file."""
-        name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_MESH, mesh) or f"mesh_{mesh}"
-        return mesh_of_parts([self.mesh_part(mesh, texture, X_FM)], plain_name(name, "mesh"))
-
     def baked(self, geom: int) -> MeshPart:
-        """The mesh of a geom in the frame of its body, with its colour and texture."""
+        """Return the mesh of a geom in the frame of its body, with its colour and texture."""
         model, mesh = self.model, int(self.model.geom_dataid[geom])
-        material = int(model.geom_matid[geom])
-        texture = self.texture(material) if material >= 0 else -1
+        texture = self.texture(int(model.geom_matid[geom]))
         part = self.mesh_part(mesh, texture, Pose.of(model.geom_pos[geom], model.geom_quat[geom]))
         return replace(part, rgba=self.rgba(geom))
 

@@ -1,65 +1,55 @@
-"""The authors' release in: an OmniGibson scene JSON with its object list and URDF folders, as a scene.
+"""Read scenes of the authors' release: an OmniGibson scene JSON with its object list and URDF folders.
 
-Its traps are handled and said: quaternions have w last, masses stand in the URDF only, frictions in the object list,
-joint positions have no names, and the table is a plane without an end.
+Its traps: quaternions have w last, masses stand in the URDF only, frictions in the object list, joint positions have no
+names, and the table is an infinite plane.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, LinkDraft, MeshDraft, PartDraft, RobotDraft
+from simfoundry.frontends.draft import (
+    DEFAULTS,
+    BodyDraft,
+    ImportOptions,
+    LinkDraft,
+    MeshDraft,
+    ModelDraft,
+    PartDraft,
+    RobotDraft,
+)
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.mass_repair import make_sound
+from simfoundry.frontends.json_file import read_json
+from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.urdf import read_urdf
 from simfoundry.geometry.frames import Pose, from_xyzw
 from simfoundry.spec.models.base import BoxShape, CapsuleShape, CylinderShape, Round, SphereShape
 
-MAX_BYTES = 100_000_000
 TABLE = (4.0, 4.0, 0.04)
-"""Size [m] of the box that stands for the plane on which everything lies; its top is the plane."""
+"""Size [m] of the box that stands for the plane below everything: wider than a robot reaches; its top is the plane."""
 
 ROBOTS = {"FrankaPanda": "franka_panda", "FrankaMounted": "franka_panda", "YAM": "yam"}
-"""Robots of the release and what they are called here."""
+"""Robots of the release and their models here."""
 
 LEVELS = 5
+"""Folders upward in which the assets are looked for: scenes lie four levels below the root of the release."""
 
 
-def read_omnigibson(path: Path, packages: Mapping[str, Path] | None = None, density: float | None = None) -> Draft:
-    """The scene of a JSON file of the release; raises :class:`ImportRefusedError`.
-
-    ``density`` [kg/m^3] is for links that state no mass.
-    """
-    return _Scene(path, packages or {}, density).read()
+def read_omnigibson(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
+    """Read the scene of a JSON file of the release; raises :class:`ImportRefusedError`."""
+    return _SceneReader(path, options).read()
 
 
-def read_json(path: Path) -> Any:
-    """The content of a JSON file of bounded size."""
-    try:
-        data = path.open("rb").read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise ImportRefusedError(path, f"it is larger than {MAX_BYTES // 1_000_000} MB")
-        return json.loads(data)
-    except OSError as error:
-        raise ImportRefusedError(path, f"it cannot be read: {error.strerror}") from None
-    except json.JSONDecodeError as error:
-        raise ImportRefusedError(path, f"it is not JSON: {error.msg}", error.lineno) from None
-    except (UnicodeDecodeError, RecursionError):
-        raise ImportRefusedError(path, "it is not JSON") from None
-
-
-class _Scene:
+class _SceneReader:
     """One scene file while it is read."""
 
-    def __init__(self, path: Path, packages: Mapping[str, Path], density: float | None) -> None:
-        self.path, self.packages = path, packages
+    def __init__(self, path: Path, options: ImportOptions) -> None:
+        self.path, self.options, self.packages = path, options, options.packages
         self.data = read_json(path)
-        self.draft = Draft(path.stem, "OmniGibson", density=density)
+        self.draft = ModelDraft(path.stem, "OmniGibson", density=options.density)
         self.infos = self.at(self.data, "objects_info", "init_info")
         self.states = self.at(self.data, "state", "registry", "object_registry")
         self.listed = self.object_list()
@@ -73,7 +63,7 @@ class _Scene:
         return data
 
     def object_list(self) -> dict[str, dict[str, Any]]:
-        """What `scene_objects_info.json` says, by name of the object."""
+        """The entries of `scene_objects_info.json` by name of the object."""
         here = self.path.resolve().parent
         places = [folder / sub for folder in (here, *here.parents[:2]) for sub in ("", "s10_sim")]
         for place in [*places, *self.packages.values()]:
@@ -82,12 +72,11 @@ class _Scene:
                 listed = read_json(file)
                 entries = listed.values() if isinstance(listed, dict) else []
                 return {str(e["name"]): e for e in entries if isinstance(e, dict) and "name" in e}
-        self.draft.assumed(
-            "friction of the objects", "scene_objects_info.json is not found; 0.5, as the evaluation takes it"
-        )
+        why = "scene_objects_info.json is not found; 0.5, as the evaluation takes it"
+        self.draft.assumed("friction of the objects", why)
         return {}
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         for name, info in self.infos.items():
             args, state = info.get("args") or {}, self.states.get(name) or {}
             kind = str(info.get("class_name", ""))
@@ -100,7 +89,7 @@ class _Scene:
         self.plane()
         if not self.draft.bodies:
             raise ImportRefusedError(self.path, "it has no object")
-        make_sound(self.draft, str(self.path))
+        repair_masses(self.draft, str(self.path))
         return self.draft
 
     def pose(self, name: str, state: dict[str, Any]) -> Pose:
@@ -112,25 +101,22 @@ class _Scene:
                 raise ValueError
             X_WO = Pose.of(p, from_xyzw(q))
         except (TypeError, ValueError):
-            raise ImportRefusedError(
-                self.path, f"the state of `{name}` has no usable `root_link.pos` and `ori`"
-            ) from None
+            message = f"the state of `{name}` has no usable `root_link.pos` and `ori`"
+            raise ImportRefusedError(self.path, message) from None
         speeds = [float(v) for key in ("lin_vel", "ang_vel") for v in root.get(key) or ()]
         if any(abs(v) > 1e-3 for v in speeds):
             self.draft.dropped(f"velocity of `{name}`", "a scene starts at rest")
         return X_WO
 
     def object(self, name: str, args: dict[str, Any], state: dict[str, Any]) -> None:
-        """An object from its URDF, with the friction and pose that stand elsewhere."""
+        """An object from its URDF, with the friction and pose from other files."""
         category, model = str(args.get("category") or name), str(args.get("model") or "")
         entry = self.listed.get(name, {})
-        draft = read_urdf(self.urdf(name, category, model, args), self.packages, self.draft.density)
+        draft = read_urdf(self.urdf(name, category, model, args), self.options)
         body = draft.bodies[0]
         self.draft.notes += draft.notes
         generic = name.startswith("iter_") and name[5:].isdigit()
-        taken = {made.name for made in self.draft.bodies}
-        wished = category if generic else name
-        body.name = next(n for k in range(1, 100_000) if (n := wished if k == 1 else f"{wished}_{k}") not in taken)
+        body.name = self.draft.free_name(category if generic else name)
         body.category, body.note = category, f"`{name}` of the release"
         body.fixed = bool(args.get("fixed_base"))
         body.X_WO = self.pose(name, state)
@@ -139,9 +125,8 @@ class _Scene:
         self.joints(name, body, state)
         for word in ("mass", "joint_limits"):
             if args.get(word):
-                self.draft.dropped(
-                    f"`{word}` of `{name}` in the scene", "it is a record; what counts stands in the URDF"
-                )
+                why = "it is a record; what counts stands in the URDF"
+                self.draft.dropped(f"`{word}` of `{name}` in the scene", why)
         if args.get("visual_only"):
             for link in body.links.values():
                 link.collision = "none"
@@ -186,15 +171,13 @@ class _Scene:
             link.parts = [_scaled(part, s) for part in link.parts]
 
     def friction(self, body: BodyDraft, entry: dict[str, Any], args: dict[str, Any]) -> None:
-        own = entry.get("friction")
-        materials = args.get("link_physics_materials") or {}
+        own, materials = entry.get("friction"), args.get("link_physics_materials") or {}
         for link in body.links.values():
-            if isinstance(own, int | float) and own >= 0:
-                link.friction = float(own)
             said = materials.get(link.name)
             value = said.get("dynamic_friction", said.get("static_friction")) if isinstance(said, dict) else None
-            if isinstance(value, int | float) and value >= 0:
-                link.friction = float(value)
+            for friction in (own, value):
+                if isinstance(friction, int | float) and friction >= 0:
+                    link.contact.friction = float(friction)
 
     def joints(self, name: str, body: BodyDraft, state: dict[str, Any]) -> None:
         """Joint positions, which the file lists without names: PhysX counts joints level by level from the root."""
@@ -213,9 +196,8 @@ class _Scene:
         for joint, value in zip(order, listed, strict=True):
             joint.position = value
         if len(order) > 1:
-            self.draft.assumed(
-                f"joint positions of `{name}`", "the file lists them without names; level by level from the root"
-            )
+            why = "the file lists them without names; level by level from the root"
+            self.draft.assumed(f"joint positions of `{name}`", why)
 
     def robot(self, name: str, kind: str, args: dict[str, Any], state: dict[str, Any]) -> None:
         model = ROBOTS.get(kind)
@@ -229,16 +211,15 @@ class _Scene:
         self.draft.robots.append(RobotDraft(name, model, self.pose(name, state)))
 
     def plane(self) -> None:
-        """The plane that carries everything, as a thing with an edge."""
+        """The infinite plane that carries everything, as a box."""
         scene = (self.data.get("init_info") or {}).get("args") or {}
         info = self.data.get("ground_plane_info") or {}
         if scene.get("use_floor_plane") is False and not info:
             return
         height = float((info.get("position") or (0, 0, 0))[2])
         if info:
-            self.draft.changed(
-                "`ground_plane_info`", "the table stands at that height; OmniGibson itself does not restore it"
-            )
+            why = "the table stands at that height; OmniGibson itself does not restore it"
+            self.draft.changed("`ground_plane_info`", why)
         part = PartDraft("table", BoxShape(box=TABLE))
         X_WO = Pose.of([0, 0, height - TABLE[2] / 2])
         self.draft.bodies.append(BodyDraft("table", "base", {"base": LinkDraft("base", [part])}, fixed=True, X_WO=X_WO))

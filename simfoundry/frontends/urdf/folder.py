@@ -1,4 +1,4 @@
-"""A folder of URDFs that SimFoundry compiled: ``poses.json`` says what stands where, each URDF what it is."""
+"""Read a folder of URDFs that SimFoundry compiled: ``poses.json`` has their poses, each URDF one object."""
 
 from __future__ import annotations
 
@@ -9,35 +9,41 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.compiled_robot import robot_draft
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft, PartDraft
+from simfoundry.frontends.draft import BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, PartDraft
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.urdf import read_urdf
+from simfoundry.frontends.json_file import read_json
+from simfoundry.frontends.urdf.reader import read_urdf
 from simfoundry.geometry.frames import Pose
 from simfoundry.spec.models.base import CapsuleShape, CylinderShape, Round, SphereShape
 
-_KNOWN = ("effort limit", "velocity limit", "texture laid")
-"""Notes on what stands in every file of ours: limits that URDF demands, textures that its meshes name as well."""
+_ALWAYS_THERE = ("effort limit", "velocity limit", "texture laid")
+"""Notes on content of every file of ours: limits that URDF demands, textures that its meshes name as well."""
 
 TUBE, TOP, BOTTOM = "_tube", "_top", "_bottom"
-"""How the pieces end that stand for a capsule, which URDF lacks."""
+"""Suffixes of the pieces that stand for a capsule, which URDF lacks."""
+
+SAME_PLACE_M = 1e-9
+"""Positions [m] that differ by less are equal but for the digits of the file."""
 
 
-def is_poses(data: object) -> bool:
-    """Whether a JSON file says where URDFs stand."""
+def is_poses(path: Path) -> bool:
+    """Return whether a JSON file has the poses of URDFs."""
+    data = read_json(path)
     entries = list(data.values()) if isinstance(data, dict) else []
     return bool(entries) and all(isinstance(entry, dict) and "urdf" in entry for entry in entries)
 
 
-def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]) -> Draft:
-    """The scene of a ``poses.json``; raises :class:`ImportRefusedError`."""
-    draft = Draft(path.parent.name, "URDF")
+def read_poses(path: Path, options: ImportOptions) -> ModelDraft:
+    """Read the scene of a ``poses.json``; raises :class:`ImportRefusedError`."""
+    draft = ModelDraft(path.parent.name, "URDF")
     free: list[tuple[BodyDraft, Mapping[str, Any]]] = []
-    for name, entry in data.items():
+    for name, entry in read_json(path).items():
         try:
             if "robot" in entry:
-                draft.robots.append(robot_draft(path, name, entry["robot"], Pose.of(entry["p"], entry["q_wxyz"])))
+                X_WB = Pose.of(entry["p"], entry["q_wxyz"])
+                draft.robots.append(robot_draft(path, name, entry["robot"], X_WB))
                 continue
-            body = _body(draft, path, name, entry, packages)
+            body = _body(draft, path, name, entry, options)
         except (KeyError, TypeError, ValueError) as error:
             raise ImportRefusedError(path, f"`{name}` is not as compiled files have it: {error!r}") from None
         if "free" in entry:
@@ -45,17 +51,17 @@ def read_poses(path: Path, data: Mapping[str, Any], packages: Mapping[str, Path]
         else:
             draft.bodies.append(body)
     for body, said in free:
-        _put_together(draft, body, said, path)
+        _attach_free_link(draft, body, said, path)
     return draft
 
 
-def _body(draft: Draft, path: Path, name: str, entry: Mapping[str, Any], packages: Mapping[str, Path]) -> BodyDraft:
-    """One URDF with what its entry says of it; notes of what was left out say which it was."""
+def _body(draft: ModelDraft, path: Path, name: str, entry: Mapping[str, Any], options: ImportOptions) -> BodyDraft:
+    """One URDF with the fields of its entry."""
     file = (path.parent / str(entry["urdf"])).resolve()
     if not file.is_relative_to(path.parent.resolve()) or not file.is_file():
         raise ImportRefusedError(path, f"`{name}` names the file `{entry['urdf']}`, which is not in this folder")
-    read = read_urdf(file, packages)
-    draft.notes += [note for note in read.notes if not note.what.startswith(_KNOWN)]
+    read = read_urdf(file, ImportOptions(options.packages))
+    draft.notes += [note for note in read.notes if not note.what.startswith(_ALWAYS_THERE)]
     body = read.bodies[0]
     body.name, body.exact = name, True
     body.fixed, body.X_WO = bool(entry["fixed"]), Pose.of(entry["p"], entry["q_wxyz"])
@@ -68,8 +74,8 @@ def _body(draft: Draft, path: Path, name: str, entry: Mapping[str, Any], package
     return body
 
 
-def _put_together(draft: Draft, body: BodyDraft, said: Mapping[str, Any], path: Path) -> None:
-    """Make a part of an object that lies loose a part of it again."""
+def _attach_free_link(draft: ModelDraft, body: BodyDraft, said: Mapping[str, Any], path: Path) -> None:
+    """Join a body to the object whose loose part it is."""
     owner = next((b for b in draft.bodies if b.name == said["object"]), None)
     if owner is None or said["parent"] not in owner.links:
         raise ImportRefusedError(path, f"`{body.name}` is part of `{said['object']}`, which is not there")
@@ -80,16 +86,16 @@ def _put_together(draft: Draft, body: BodyDraft, said: Mapping[str, Any], path: 
 
 
 def _with_capsules(link: LinkDraft) -> list[PartDraft]:
-    """The parts of a link, each cylinder with its two balls as the capsule that they stand for."""
+    """The parts of a link, with a capsule for each cylinder and two balls that stand for one."""
     by_name = {(part.name, part.use): part for part in link.parts}
     gone: set[int] = set()
     for (name, use), tube in by_name.items():
         ends = [by_name.get((name.removesuffix(TUBE) + end, use)) for end in (TOP, BOTTOM)]
         if not name.endswith(TUBE) or not isinstance(tube.geometry, CylinderShape) or None in ends:
             continue
-        round_ = tube.geometry.cylinder
-        if all(end is not None and _is_end(end, tube, round_, up) for end, up in zip(ends, (1, -1), strict=True)):
-            tube.name, tube.geometry = name.removesuffix(TUBE), CapsuleShape(capsule=round_)
+        size = tube.geometry.cylinder
+        if all(end is not None and _is_end(end, tube, size, up) for end, up in zip(ends, (1, -1), strict=True)):
+            tube.name, tube.geometry = name.removesuffix(TUBE), CapsuleShape(capsule=size)
             gone |= {id(end) for end in ends}
     return [part for part in link.parts if id(part) not in gone]
 
@@ -97,5 +103,5 @@ def _with_capsules(link: LinkDraft) -> list[PartDraft]:
 def _is_end(end: PartDraft, tube: PartDraft, size: Round, up: int) -> bool:
     ball = end.geometry
     at = tube.X_LG.apply(np.array([0.0, 0.0, up * size.height / 2]))
-    near = bool(np.allclose(end.X_LG.p, at, rtol=0, atol=1e-9))
+    near = bool(np.allclose(end.X_LG.p, at, rtol=0, atol=SAME_PLACE_M))
     return near and isinstance(ball, SphereShape) and ball.sphere == size.radius

@@ -9,16 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import Draft, DriveDraft
+from simfoundry.frontends.draft import DriveDraft, JointDraft, ModelDraft
+from simfoundry.frontends.urdf.reader import UNLIMITED_SLIDE_M
 from simfoundry.geometry.frames import Array, Pose
-
-FAR = 1000.0
-"""Limit [m] of a slide that has none."""
 
 AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0, 0, 1.0])}
 
-End = tuple[str, Pose, Array]
-"""What a joint is fastened to, by path; the frame there in the body's, and the scale of its units."""
+INFINITE = 1e30
+"""Limits and forces above this mean that there is none: USD writes infinity as a large number of single precision."""
+
+JointEnd = tuple[str, Pose, Array]
+"""A body of a joint by its path, the frame of the joint's target in the body's, and the scale of its units."""
 
 _FRICTION = ("physxJoint:jointFriction", "mjc:frictionloss", "newton:friction")
 _ARMATURE = ("physxJoint:armature", "mjc:armature", "newton:armature")
@@ -27,43 +28,37 @@ _DAMPING = ("mjc:damping", "newton:damping")
 
 @dataclass
 class UsdJoint:
-    """A joint: body0 is its parent, body1 its child, until a tree turns it about.
+    """A joint: body0 is its parent, body1 its child, until a tree reverses it.
 
-    ``X_0`` and ``X_1`` are its frames in the two bodies; ``axis`` is in its own frame; limits [rad or m].
+    ``X_0`` and ``X_1`` are its frames in the two bodies; the axis of ``draft`` is in its own frame.
     """
 
     path: str
-    type: str
     parent: str
     child: str
     X_0: Pose
     X_1: Pose
-    axis: Array
-    limits: tuple[float, float] | None = None
-    damping: float = 0.0
-    friction: float = 0.0
-    armature: float = 0.0
-    drive: DriveDraft | None = None
-    closed: str | None = None
+    draft: JointDraft
 
     def frame(self, body: str) -> Pose:
-        """Its frame in one of its two bodies."""
+        """Return its frame in one of its two bodies."""
         return self.X_0 if body == self.parent else self.X_1
 
 
 def read_joint(
-    draft: Draft, pxr: Any, prim: Any, end: Callable[[list[Any]], End], units: tuple[float, float]
+    draft: ModelDraft, pxr: Any, prim: Any, end: Callable[[list[Any]], JointEnd], to_m: float, to_kg: float
 ) -> UsdJoint:
-    """A joint of the stage; what of it cannot be said is noted. ``units`` are metres and kilograms per unit."""
+    """Read a joint of the stage, whose units are ``to_m`` [m] and ``to_kg`` [kg]; what the language lacks is noted."""
     joint = pxr.UsdPhysics.Joint(prim)
     (parent, X_P, scale_0), (child, X_C, scale_1) = (
         end(list(r.GetTargets())) for r in (joint.GetBody0Rel(), joint.GetBody1Rel())
     )
     X_0 = X_P @ _local(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
     X_1 = X_C @ _local(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
-    made = UsdJoint(str(prim.GetPath()), "fixed", parent, child, X_0, X_1, AXES["X"])
-    _kind(draft, pxr, prim, made, units)
-    return made
+    path = str(prim.GetPath())
+    reader = _JointReader(draft, pxr, prim, JointDraft(path, "fixed", parent, child, axis=AXES["X"]), to_m, to_kg)
+    reader.read()
+    return UsdJoint(path, parent, child, X_0, X_1, reader.joint)
 
 
 def _local(position: Any, rotation: Any, scale: Array) -> Pose:
@@ -72,115 +67,114 @@ def _local(position: Any, rotation: Any, scale: Array) -> Pose:
     return Pose.of(p, q if any(q) else (1.0, 0.0, 0.0, 0.0))
 
 
-def _kind(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, units: tuple[float, float]) -> None:
-    physics, kind, what = pxr.UsdPhysics, prim.GetTypeName(), f"joint `{made.path}`"
-    match kind:
-        case "PhysicsFixedJoint":
+@dataclass
+class _JointReader:
+    """A joint while its kind, limits and dynamics are read."""
+
+    draft: ModelDraft
+    pxr: Any
+    prim: Any
+    joint: JointDraft
+    to_m: float
+    to_kg: float
+
+    @property
+    def label(self) -> str:
+        return f"joint `{self.joint.name}`"
+
+    def read(self) -> None:
+        physics, prim, kind = self.pxr.UsdPhysics, self.prim, self.prim.GetTypeName()
+        match kind:
+            case "PhysicsFixedJoint":
+                return
+            case "PhysicsRevoluteJoint" | "PhysicsPrismaticJoint":
+                turns = kind == "PhysicsRevoluteJoint"
+                schema = physics.RevoluteJoint(prim) if turns else physics.PrismaticJoint(prim)
+                self.joint.axis = AXES[schema.GetAxisAttr().Get()]
+                self.limit(turns, schema.GetLowerLimitAttr().Get(), schema.GetUpperLimitAttr().Get())
+                closed = prim.GetAttribute("simfoundry:closed")
+                self.joint.closed = closed.Get() if closed and closed.Get() in ("lower", "upper") else None
+                self.dynamics("angular" if turns else "linear", turns)
+            case "PhysicsSphericalJoint":
+                self.joint.type = "ball"
+                schema = physics.SphericalJoint(prim)
+                cones = (schema.GetConeAngle0LimitAttr().Get(), schema.GetConeAngle1LimitAttr().Get())
+                if any(c is not None and 0 <= c < 180 for c in cones):
+                    self.draft.dropped(f"cone limit of {self.label}", "the language has no word for it")
+            case "PhysicsJoint":
+                self.six_axes()
+            case _:
+                self.draft.dropped(f"motion of {self.label}", f"the language has no {kind}; it is fixed")
+
+    def limit(self, turns: bool, low: float | None, high: float | None) -> None:
+        """Set the type and limits of a joint with one axis."""
+        joint, factor = self.joint, math.radians(1.0) if turns else self.to_m
+        low, high = (
+            None if b is None or not math.isfinite(b) or abs(b) > INFINITE else float(b) * factor for b in (low, high)
+        )
+        if low is not None and high is not None and low < high:
+            joint.type, joint.limits = ("revolute" if turns else "prismatic"), (low, high)
+        elif low is not None and high is not None and low == high:
+            self.draft.changed(self.label, "its limits leave it no way, so it is fixed at zero")
+        elif turns:
+            joint.type = "continuous"
+            if (low is None) != (high is None):
+                self.draft.dropped(f"the one limit of {self.label}", "a joint has two limits or none")
+        else:
+            far = UNLIMITED_SLIDE_M
+            joint.type, joint.limits = "prismatic", (-far if low is None else low, far if high is None else high)
+            self.draft.changed(self.label, f"it has no limits; {far:g} m to either side stand for that")
+
+    def dynamics(self, token: str, turns: bool) -> None:
+        """Set damping, friction, armature and drive; angular quantities are per degree in the stage."""
+        prim, joint, to_m, to_kg = self.prim, self.joint, self.to_m, self.to_kg
+        force = to_kg * to_m * (to_m if turns else 1.0)
+        per_unit = math.degrees(1.0) if turns else 1.0 / to_m
+        joint.friction = _first(prim, _FRICTION) * force
+        joint.armature = _first(prim, _ARMATURE) * to_kg * (to_m**2 if turns else 1.0)
+        joint.damping = _first(prim, _DAMPING) * (1.0 if prim.HasAttribute("mjc:damping") else force * per_unit)
+        if not prim.HasAPI(self.pxr.UsdPhysics.DriveAPI, token):
             return
-        case "PhysicsRevoluteJoint" | "PhysicsPrismaticJoint":
-            turns = kind == "PhysicsRevoluteJoint"
-            schema = physics.RevoluteJoint(prim) if turns else physics.PrismaticJoint(prim)
-            made.axis = AXES[schema.GetAxisAttr().Get()]
-            bounds = (schema.GetLowerLimitAttr().Get(), schema.GetUpperLimitAttr().Get())
-            _limited(draft, made, what, turns, bounds, units[0])
-            closed = prim.GetAttribute("simfoundry:closed")
-            made.closed = closed.Get() if closed and closed.Get() in ("lower", "upper") else None
-            _dynamics(draft, pxr, prim, made, "angular" if turns else "linear", units)
-        case "PhysicsSphericalJoint":
-            made.type = "ball"
-            cones = (
-                physics.SphericalJoint(prim).GetConeAngle0LimitAttr().Get(),
-                physics.SphericalJoint(prim).GetConeAngle1LimitAttr().Get(),
-            )
-            if any(c is not None and 0 <= c < 180 for c in cones):
-                draft.dropped(f"cone limit of {what}", "the language has no word for it")
-        case "PhysicsJoint":
-            _six_axes(draft, pxr, prim, made, what, units)
-        case _:
-            draft.dropped(f"motion of {what}", f"the language has no {kind}; it is fixed")
+        drive = self.pxr.UsdPhysics.DriveAPI(prim, token)
+        stiffness, damping = (float(a.Get() or 0.0) for a in (drive.GetStiffnessAttr(), drive.GetDampingAttr()))
+        if stiffness <= 0 and damping <= 0:
+            return
+        if drive.GetTypeAttr().Get() == "acceleration":
+            self.draft.dropped(f"drive of {self.label}", "it gives accelerations, and drives here give forces")
+            return
+        factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
+        joint.drive = DriveDraft(max(0.0, stiffness) * factor, max(0.0, damping) * factor)
+        limit, target = drive.GetMaxForceAttr().Get(), drive.GetTargetPositionAttr()
+        if limit is not None and 0 < limit < INFINITE:
+            joint.drive.force_limit = float(limit) * force
+        if target.HasAuthoredValue() and stiffness > 0:
+            joint.drive.target = float(target.Get()) * (math.radians(1.0) if turns else to_m)
 
-
-def _limited(draft: Draft, made: UsdJoint, what: str, turns: bool, bounds: tuple[Any, Any], to_m: float) -> None:
-    """The type and limits of a joint with one axis."""
-    factor = math.radians(1.0) if turns else to_m
-    low, high = (None if b is None or not math.isfinite(b) or abs(b) > 1e30 else float(b) * factor for b in bounds)
-    if low is not None and high is not None and low < high:
-        made.type, made.limits = ("revolute" if turns else "prismatic"), (low, high)
-    elif low is not None and high is not None and low == high:
-        draft.changed(what, "its limits leave it no way, so it is fixed at zero")
-    elif turns:
-        made.type = "continuous"
-        if (low is None) != (high is None):
-            draft.dropped(f"the one limit of {what}", "a joint has two limits or none")
-    else:
-        made.type, made.limits = "prismatic", (-FAR if low is None else low, FAR if high is None else high)
-        draft.changed(what, f"it has no limits; {FAR:g} m to either side stand for that")
-
-
-def _dynamics(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, token: str, units: tuple[float, float]) -> None:
-    """Damping, friction, armature and drive; angular quantities are for degrees in the stage."""
-    to_m, to_kg = units
-    turns = token == "angular"
-    force = to_kg * to_m * (to_m if turns else 1.0)
-    per_unit = math.degrees(1.0) if turns else 1.0 / to_m
-    made.friction = _first(prim, _FRICTION) * force
-    made.armature = _first(prim, _ARMATURE) * to_kg * (to_m**2 if turns else 1.0)
-    made.damping = _first(prim, _DAMPING) * (1.0 if prim.HasAttribute("mjc:damping") else force * per_unit)
-    if not prim.HasAPI(pxr.UsdPhysics.DriveAPI, token):
-        return
-    drive = pxr.UsdPhysics.DriveAPI(prim, token)
-    stiffness, damping = (float(a.Get() or 0.0) for a in (drive.GetStiffnessAttr(), drive.GetDampingAttr()))
-    if stiffness <= 0 and damping <= 0:
-        return
-    if drive.GetTypeAttr().Get() == "acceleration":
-        draft.dropped(f"drive of joint `{made.path}`", "it gives accelerations, and drives here give forces")
-        return
-    factor = to_kg * (to_m**2 * math.degrees(1.0) if turns else 1.0)
-    made.drive = DriveDraft(max(0.0, stiffness) * factor, max(0.0, damping) * factor)
-    limit = drive.GetMaxForceAttr().Get()
-    if limit is not None and 0 < limit < 1e30 and math.isfinite(limit):
-        made.drive.force_limit = float(limit) * force
-    target = drive.GetTargetPositionAttr()
-    if target.HasAuthoredValue() and stiffness > 0:
-        made.drive.target = float(target.Get()) * (math.radians(1.0) if turns else to_m)
+    def six_axes(self) -> None:
+        """A joint whose axes are locked one by one: fixed, of one axis, a ball or free; any other is noted."""
+        free: dict[str, tuple[float | None, float | None]] = {}
+        for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
+            low, high = None, None
+            if self.prim.HasAPI(self.pxr.UsdPhysics.LimitAPI, token):
+                limit = self.pxr.UsdPhysics.LimitAPI(self.prim, token)
+                low, high = limit.GetLowAttr().Get(), limit.GetHighAttr().Get()
+            if low is None or high is None or low < high:
+                free[token] = (low, high)
+        if len(free) == 6:
+            self.joint.type = "free"
+        elif list(free) == ["rotX", "rotY", "rotZ"]:
+            self.joint.type = "ball"
+        elif len(free) == 1:
+            ((token, bounds),) = free.items()
+            self.joint.axis, turns = AXES[token[-1]], token.startswith("rot")
+            self.limit(turns, *bounds)
+            self.dynamics(token, turns)
+        elif free:
+            why = "a joint here has one axis, is a ball, or is free; it is fixed"
+            self.draft.dropped(f"motion of {self.label}", why, ", ".join(free))
 
 
 def _first(prim: Any, names: tuple[str, ...]) -> float:
-    for name in names:
-        value = prim.GetAttribute(name).Get() if prim.HasAttribute(name) else None
-        if isinstance(value, int | float) and math.isfinite(value) and value > 0:
-            return float(value)
-    return 0.0
-
-
-def _six_axes(draft: Draft, pxr: Any, prim: Any, made: UsdJoint, what: str, units: tuple[float, float]) -> None:
-    """A joint whose axes are locked one by one: fixed, of one axis, a ball or free; any other is noted."""
-    free = []
-    for token in ("transX", "transY", "transZ", "rotX", "rotY", "rotZ"):
-        if not prim.HasAPI(pxr.UsdPhysics.LimitAPI, token):
-            free.append(token)
-            continue
-        limit = pxr.UsdPhysics.LimitAPI(prim, token)
-        low, high = limit.GetLowAttr().Get(), limit.GetHighAttr().Get()
-        if low is None or high is None or low < high:
-            free.append(token)
-    if not free:
-        return
-    if len(free) == 6:
-        made.type = "free"
-        return
-    if free == ["rotX", "rotY", "rotZ"]:
-        made.type = "ball"
-        return
-    if len(free) == 1:
-        (token,) = free
-        made.axis = AXES[token[-1]]
-        turns = token.startswith("rot")
-        bounds: tuple[Any, Any] = (None, None)
-        if prim.HasAPI(pxr.UsdPhysics.LimitAPI, token):
-            limit = pxr.UsdPhysics.LimitAPI(prim, token)
-            bounds = (limit.GetLowAttr().Get(), limit.GetHighAttr().Get())
-        _limited(draft, made, what, turns, bounds, units[0])
-        _dynamics(draft, pxr, prim, made, token, units)
-        return
-    draft.dropped(f"motion of {what}", "a joint here has one axis, is a ball, or is free; it is fixed", ", ".join(free))
+    """The first positive of some attributes; 0 where there is none."""
+    values = (prim.GetAttribute(name).Get() for name in names if prim.HasAttribute(name))
+    return next((float(v) for v in values if isinstance(v, int | float) and math.isfinite(v) and v > 0), 0.0)

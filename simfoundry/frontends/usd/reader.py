@@ -1,8 +1,9 @@
-"""Any USD stage in: UsdPhysics bodies, colliders and joints, looks, cameras and lights, in SI units, z up."""
+"""Read any USD stage: UsdPhysics bodies, colliders and joints, looks, cameras and lights, in SI units, z up."""
 
 from __future__ import annotations
 
 import math
+import posixpath
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,35 +12,31 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, Draft, JointDraft, LinkDraft
+from simfoundry.frontends.draft import DEFAULTS, BodyDraft, ImportOptions, JointDraft, LinkDraft, ModelDraft, free_name
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.file_search import Search
-from simfoundry.frontends.mass_repair import make_sound
+from simfoundry.frontends.file_search import FileSearch
+from simfoundry.frontends.mass_repair import repair_masses
 from simfoundry.frontends.usd.compiled.stage import error_text
-from simfoundry.frontends.usd.geoms import Geoms, is_collider
+from simfoundry.frontends.usd.geoms import UsdGprims, is_collider
 from simfoundry.frontends.usd.joints import UsdJoint, read_joint
-from simfoundry.frontends.usd.masses import Body, weigh
+from simfoundry.frontends.usd.masses import UsdBody, add_mass
 from simfoundry.frontends.usd.views import add_cameras, add_lights
 from simfoundry.geometry.frames import Array, Pose
 
 WORLD = ""
 """The path that stands for the world among those of bodies."""
 
-_EXPECTED = {
-    "Xform",
-    "Scope",
-    "Material",
-    "Shader",
-    "PhysicsScene",
-    "GeomSubset",
-    "NodeGraph",
-    "PhysicsCollisionGroup",
-    "",
-}
+_EXPECTED = (
+    "Xform", "Scope", "Material", "Shader", "PhysicsScene", "GeomSubset", "NodeGraph", "PhysicsCollisionGroup", "",
+)  # fmt: skip
+"""Types of prims without content of their own, or read with others."""
+
+AT_ZERO = 1e-5
+"""Positions of joints [m or rad] below this are zero but for the digits of a stage."""
 
 
-def read_usd(path: Path, density: float | None = None) -> Draft:
-    """The scene of a USD file, ``density`` [kg/m^3] for what states no mass; raises :class:`ImportRefusedError`."""
+def read_usd(path: Path, options: ImportOptions = DEFAULTS) -> ModelDraft:
+    """Read the scene of a USD file; raises :class:`ImportRefusedError`."""
     from pxr import Gf, Tf, Usd, UsdGeom, UsdLux, UsdPhysics, UsdShade, UsdUtils
 
     pxr = SimpleNamespace(
@@ -53,21 +50,21 @@ def read_usd(path: Path, density: float | None = None) -> Draft:
         reason = " ".join(reasons[0].split()) if reasons else "it cannot be opened"
         raise ImportRefusedError(path, f"OpenUSD refuses it: {reason[:200]}") from None
     _check_layers(path, stage)
-    draft = _Usd(path, pxr, stage, density).read()
+    draft = _UsdReader(path, pxr, stage, options.density).read()
     quiet.TakeUncoalescedDiagnostics()
     return draft
 
 
 def _check_layers(path: Path, stage: Any) -> None:
     """Refuse layers outside the folders of the file."""
-    root = Search(path).root.resolve()
+    root = FileSearch(path).root.resolve()
     for layer in stage.GetUsedLayers(includeClipLayers=True):
         place = layer.realPath
         if place and not Path(place.partition("[")[0]).resolve().is_relative_to(root):
             raise ImportRefusedError(path, f"it takes in {place}, which lies outside {root}")
 
 
-class _Usd:
+class _UsdReader:
     """A stage on its way into a draft."""
 
     def __init__(self, path: Path, pxr: Any, stage: Any, density: float | None) -> None:
@@ -76,24 +73,25 @@ class _Usd:
         self.to_m = float(usd.GetStageMetersPerUnit(stage)) or 1.0
         self.to_kg = float(physics.GetStageKilogramsPerUnit(stage)) or 1.0
         default = stage.GetDefaultPrim()
-        self.draft = Draft(default.GetName() if default else path.stem, "USD", density=density)
+        self.draft = ModelDraft(default.GetName() if default else path.stem, "USD", density=density)
         self.W = np.eye(4)
         self.W[:3, :3] *= self.to_m
         if usd.GetStageUpAxis(stage) == "Y":
             self.W[:3, :3] = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]) @ self.W[:3, :3]
         self.transforms = usd.XformCache()
-        self.geoms = Geoms(pxr, self.draft, self.to_kg, self.to_m)
-        self.bodies: dict[str, Body] = {}
+        self.geoms = UsdGprims(pxr, self.draft, self.to_kg, self.to_m)
+        self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
-        """By path of a body: what it became part of, and as which link."""
+        """By path of a body: its draft and its link."""
 
-    def read(self) -> Draft:
+    def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
         self.gravity(prims)
         for prim in prims:
             if prim.HasAPI(self.pxr.UsdPhysics.RigidBodyAPI) and self.enabled(prim):
-                self.bodies[str(prim.GetPath())] = self.body(prim)
+                path = str(prim.GetPath())
+                self.bodies[path] = UsdBody(prim, *self.frame(prim), LinkDraft(path))
         statics: dict[str, list[Any]] = {}
         for prim in prims:
             if prim.IsA(self.pxr.UsdGeom.Gprim):
@@ -104,11 +102,11 @@ class _Usd:
                     statics.setdefault(self.group(prim), []).append(prim)
             elif not self.known(prim):
                 self.left[prim.GetTypeName()] += 1
-        self.static_things(statics)
+        self.static_objects(statics)
         joints = list(self.joints(prims))
         self.trees(joints)
         for body in self.bodies.values():
-            weigh(self.pxr, self.draft, body, self.colliders(body), self.geoms, (self.to_m, self.to_kg))
+            add_mass(self.pxr, self.draft, body, self.colliders(body), self.geoms)
         add_cameras(self.draft, self.pxr, prims, self.matrix, self.mounts())
         add_lights(self.draft, self.pxr, prims, self.matrix)
         for kind, count in sorted(self.left.items()):
@@ -118,7 +116,7 @@ class _Usd:
             raise ImportRefusedError(self.path, f"it has no geometry{': ' + missing[0][:200] if missing else ''}")
         for error in missing:
             self.draft.dropped("what it takes in", "OpenUSD cannot compose it", error[:200])
-        make_sound(self.draft, str(self.path))
+        repair_masses(self.draft, str(self.path))
         return self.draft
 
     def gravity(self, prims: list[Any]) -> None:
@@ -139,14 +137,9 @@ class _Usd:
         return self.pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False
 
     def known(self, prim: Any) -> bool:
-        """Whether a prim is read elsewhere, or says nothing by itself."""
-        usd = self.pxr
-        kinds = (
-            usd.UsdGeom.Camera,
-            usd.UsdPhysics.Joint,
-            usd.UsdLux.BoundableLightBase,
-            usd.UsdLux.NonboundableLightBase,
-        )
+        """Return whether a prim is read elsewhere, or has no content of its own."""
+        usd, lux = self.pxr.UsdGeom, self.pxr.UsdLux
+        kinds = (usd.Camera, self.pxr.UsdPhysics.Joint, lux.BoundableLightBase, lux.NonboundableLightBase)
         return prim.GetTypeName() in _EXPECTED or any(prim.IsA(kind) for kind in kinds)
 
     def matrix(self, prim: Any) -> Array:
@@ -169,11 +162,7 @@ class _Usd:
         out[:3, :3], out[:3, 3] = rotation, X_WP[:3, 3]
         return Pose.from_matrix(out), scales
 
-    def body(self, prim: Any) -> Body:
-        X_WP, scale = self.frame(prim)
-        return Body(prim, X_WP, scale, LinkDraft(str(prim.GetPath())))
-
-    def owner(self, prim: Any) -> Body | None:
+    def owner(self, prim: Any) -> UsdBody | None:
         """The nearest rigid body above a prim, or that it is."""
         while prim and not prim.IsPseudoRoot():
             if str(prim.GetPath()) in self.bodies:
@@ -181,7 +170,7 @@ class _Usd:
             prim = prim.GetParent()
         return None
 
-    def add_part(self, body: Body, prim: Any) -> None:
+    def add_part(self, body: UsdBody, prim: Any) -> None:
         if self.geoms.use(prim) == "none":
             return
         part = self.geoms.part(prim, np.asarray(body.X_WB.inverse().matrix @ self.matrix(prim)))
@@ -203,24 +192,16 @@ class _Usd:
             return str(prim.GetPath())
         return str(parent.GetPath())
 
-    def static_things(self, statics: dict[str, list[Any]]) -> None:
-        """What belongs to no rigid body stands still."""
+    def static_objects(self, statics: dict[str, list[Any]]) -> None:
+        """Fixed objects of the gprims that belong to no rigid body."""
         for path, prims in statics.items():
             prim = self.stage.GetPrimAtPath(path)
-            X_WP, scale = self.frame(prim)
-            made = Body(prim, X_WP, scale, LinkDraft("base"))
+            body = UsdBody(prim, *self.frame(prim), LinkDraft("base"))
             for gprim in prims:
-                self.add_part(made, gprim)
-            if not made.link.parts:
-                continue
-            self.draft.bodies.append(
-                BodyDraft(self.unique(prim.GetName()), "base", {"base": made.link}, fixed=True, X_WO=X_WP)
-            )
-
-    def unique(self, name: str) -> str:
-        taken = {body.name for body in self.draft.bodies}
-        names = (name if k == 1 else f"{name}_{k}" for k in range(1, 100_000))
-        return next(n for n in names if n not in taken)
+                self.add_part(body, gprim)
+            if body.link.parts:
+                name = self.draft.free_name(prim.GetName())
+                self.draft.bodies.append(BodyDraft(name, "base", {"base": body.link}, fixed=True, X_WO=body.X_WB))
 
     def joints(self, prims: list[Any]) -> Iterator[UsdJoint]:
         for prim in prims:
@@ -229,10 +210,10 @@ class _Usd:
             joint = self.pxr.UsdPhysics.Joint(prim)
             if joint.GetJointEnabledAttr().Get() is False:
                 continue
-            yield read_joint(self.draft, self.pxr, prim, self.end, (self.to_m, self.to_kg))
+            yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """What a joint is fastened to: a body, or the world; the frame there and its scale."""
+        """The body of a joint, or the world; the frame of its target there and its scale."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -245,7 +226,7 @@ class _Usd:
         return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
 
     def trees(self, joints: list[UsdJoint]) -> None:
-        """Bodies that joints connect are one thing; joints that close a loop are noted."""
+        """Make one object of bodies that joints connect; joints that close a loop are noted."""
         left = dict(self.bodies)
         at: dict[str, list[UsdJoint]] = {}
         for joint in joints:
@@ -264,8 +245,8 @@ class _Usd:
     def is_root(self, path: str) -> bool:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
-    def tree(self, root: str, left: dict[str, Body], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
-        """One thing: its root, and all that joints carry from there."""
+    def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
+        """One object: its root, and all that joints carry from there."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
         frames = {root: Pose.of()}
@@ -275,7 +256,7 @@ class _Usd:
         draft.links[root] = body.link
         if ground is not None:
             used.add(id(ground))
-            if ground.type == "fixed":
+            if ground.draft.type == "fixed":
                 draft.fixed = True
             else:
                 base = "base"
@@ -305,22 +286,21 @@ class _Usd:
         self, draft: BodyDraft, joint: UsdJoint, parent: str, child: str, X_PJ: Pose, frames: dict[str, Pose]
     ) -> None:
         """Carry a child by a joint; the frame of its link moves to the joint."""
-        X_CJ = joint.frame(child)
-        X_CL = Pose.of(X_CJ.p) if joint.type != "fixed" else Pose.of()
+        X_CJ, drafted = joint.frame(child), joint.draft
+        X_CL = Pose.of(X_CJ.p) if drafted.type != "fixed" else Pose.of()
         frames[child] = self.bodies[child].X_BL = X_CL
-        made = JointDraft(joint.path, joint.type, parent, child, X_PJ @ (X_CL.inverse() @ X_CJ).inverse())
         # Of a joint that carries its body0 the axis is turned about, so that its coordinate stays.
-        made.axis = X_CJ.rotation @ joint.axis * (-1.0 if joint.child == parent else 1.0)
-        made.limits, made.damping, made.friction = joint.limits, joint.damping, joint.friction
-        made.armature, made.drive, made.closed = joint.armature, joint.drive, joint.closed
+        drafted.axis = X_CJ.rotation @ drafted.axis * (-1.0 if joint.child == parent else 1.0)
+        drafted.parent, drafted.child = parent, child
+        drafted.X_PC = X_PJ @ (X_CL.inverse() @ X_CJ).inverse()
         for part in self.bodies[child].link.parts:
             part.X_LG = X_CL.inverse() @ part.X_LG
-        if made.type in ("revolute", "continuous", "prismatic"):
-            made.position = self.position(draft, made, parent, child, frames)
-        draft.joints.append(made)
+        if drafted.type in ("revolute", "continuous", "prismatic"):
+            drafted.position = self.position(draft, drafted, parent, child, frames)
+        draft.joints.append(drafted)
 
     def position(self, draft: BodyDraft, joint: JointDraft, parent: str, child: str, frames: dict[str, Pose]) -> float:
-        """Where a joint is in the stage: the motion along its axis between its place at zero and where its child is."""
+        """The position of a joint: the motion of its child along its axis since zero."""
         X_WP = draft.X_WO if parent not in self.bodies else self.bodies[parent].X_WB @ frames[parent]
         moved = joint.X_PC.inverse() @ X_WP.inverse() @ self.bodies[child].X_WB @ frames[child]
         axis = joint.axis / np.linalg.norm(joint.axis)
@@ -329,35 +309,25 @@ class _Usd:
         else:
             value = 2 * math.atan2(float(moved.q[1:] @ axis), float(moved.q[0]))
             value = (value + math.pi) % (2 * math.pi) - math.pi
-        return 0.0 if abs(value) < 1e-5 else value
+        return 0.0 if abs(value) < AT_ZERO else value
 
     def rename(self, draft: BodyDraft) -> None:
-        """Name a thing and its links by their prims: paths until now, because names may repeat."""
-        real = [path for path in draft.links if path in self.bodies]
-        short: dict[str, str] = {"base": "base"}
-        for path in real:
-            name, count = self.bodies[path].prim.GetName(), 1
-            while (name if count == 1 else f"{name}_{count}") in short.values():
-                count += 1
-            short[path] = name if count == 1 else f"{name}_{count}"
-        draft.name = self.unique(self.thing_name(real))
-        links = {}
+        """Name an object, its links and joints by their prims; until now they are paths, because names may repeat."""
+        bodies = [path for path in draft.links if path in self.bodies]
+        names = {"base": "base"}
+        for path in bodies:
+            names[path] = free_name(self.bodies[path].prim.GetName(), list(names.values()))
+        draft.name = self.draft.free_name(self.object_name(bodies))
         for path, link in draft.links.items():
-            link.name = short[path]
-            links[link.name] = link
+            link.name = names[path]
             if path in self.bodies:
                 self.placed_links[path] = (draft, link.name)
-        draft.links, draft.root = links, short[draft.root]
-        names: set[str] = set()
+        draft.links, draft.root = {link.name: link for link in draft.links.values()}, names[draft.root]
+        taken: set[str] = set()
         for joint in draft.joints:
-            joint.parent, joint.child = short[joint.parent], short[joint.child]
-            name = base = joint.name.rpartition("/")[2]
-            count = 1
-            while name in names:
-                count += 1
-                name = f"{base}_{count}"
-            names.add(name)
-            joint.name = name
+            joint.parent, joint.child = names[joint.parent], names[joint.child]
+            joint.name = free_name(joint.name.rpartition("/")[2], taken)
+            taken.add(joint.name)
 
     def mounts(self) -> dict[str, tuple[BodyDraft, str, Pose]]:
         """By path of a body: what it became part of, and the frame of its link in the world of the stage."""
@@ -366,19 +336,13 @@ class _Usd:
             for path, (draft, link) in self.placed_links.items()
         }
 
-    def thing_name(self, paths: list[str]) -> str:
-        """The name of what holds all bodies of a thing, unless that is the stage itself."""
-        if len(paths) == 1:
-            return str(self.bodies[paths[0]].prim.GetName())
-        shared = paths[0].split("/")[:-1]
-        for path in paths[1:]:
-            words = path.split("/")
-            shared = shared[
-                : next((k for k, (a, b) in enumerate(zip(shared, words, strict=False)) if a != b), len(shared))
-            ]
-        return shared[-1] if len(shared) > 1 else str(self.bodies[paths[0]].prim.GetName())
+    def object_name(self, paths: list[str]) -> str:
+        """The name of the prim that holds all bodies of an object, unless that is the stage itself."""
+        first, *others = paths
+        shared = posixpath.commonpath([posixpath.dirname(first), *others]).rpartition("/")[2]
+        return shared if shared and others else str(self.bodies[first].prim.GetName())
 
-    def colliders(self, body: Body) -> list[Any]:
+    def colliders(self, body: UsdBody) -> list[Any]:
         """The colliders of a rigid body."""
         below = self.pxr.Usd.PrimRange(body.prim, self.pxr.Usd.TraverseInstanceProxies())
         return [prim for prim in below if is_collider(self.pxr, prim) and self.owner(prim) is body]

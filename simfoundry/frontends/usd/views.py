@@ -1,4 +1,4 @@
-"""Cameras and lights of a USD stage."""
+"""Read the cameras and lights of a USD stage."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.draft import BodyDraft, CameraDraft, Draft, LightDraft
+from simfoundry.frontends.draft import BodyDraft, CameraDraft, LightDraft, ModelDraft
 from simfoundry.geometry.frames import Array, Pose
 
 WIDTH = 640
-"""Width [px] of the picture of a camera: USD gives its proportions only."""
+"""Width [px] of the picture of a camera, of which USD gives the proportions only: that of MuJoCo's cameras."""
 
-FULL = {"DistantLight": math.pi, "SphereLight": 4 * math.pi, "DomeLight": 1.0}
-"""Intensity of a light of UsdLux that lights a white surface fully; a point light does so at 1 m."""
+LIGHTS = {
+    "DistantLight": ("distant", math.pi),
+    "SphereLight": ("point", 4 * math.pi),
+    "DomeLight": ("dome", 1.0),
+}
+"""The kind of a light of UsdLux, and its intensity that lights a white surface fully; a point light does so at 1 m."""
+
+BRIGHTEST = 20.0
+"""Brighter lights are meant for a camera with an exposure: those of Omniverse have thousands."""
 
 Matrix = Callable[[Any], Array]
 Mounts = dict[str, tuple[BodyDraft, str, Pose]]
@@ -29,62 +36,54 @@ def _pose(X_WP: Array) -> Pose:
     return Pose.from_matrix(out)
 
 
-def add_cameras(draft: Draft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
-    """Perspective cameras; those below a rigid body ride on its link."""
-    for prim in prims:
-        if not prim.IsA(pxr.UsdGeom.Camera):
-            continue
-        camera = pxr.UsdGeom.Camera(prim)
+def add_cameras(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix, mounts: Mounts) -> None:
+    """Add perspective cameras; those below a rigid body ride on its link."""
+    for prim in (prim for prim in prims if prim.IsA(pxr.UsdGeom.Camera)):
+        camera, what = pxr.UsdGeom.Camera(prim), f"camera `{prim.GetPath()}`"
+        names = ("focalLength", "horizontalAperture", "verticalAperture", "horizontalApertureOffset",
+                 "verticalApertureOffset")  # fmt: skip
+        focal, across, up, right, above = (float(prim.GetAttribute(name).Get()) for name in names)
         if camera.GetProjectionAttr().Get() != "perspective":
-            draft.dropped(f"camera `{prim.GetPath()}`", "it is orthographic, and cameras are pinholes here")
+            draft.dropped(what, "it is orthographic, and cameras are pinholes here")
             continue
-        focal = float(camera.GetFocalLengthAttr().Get())
-        across, up = (float(a.Get()) for a in (camera.GetHorizontalApertureAttr(), camera.GetVerticalApertureAttr()))
         if min(focal, across, up) <= 0:
-            draft.dropped(f"camera `{prim.GetPath()}`", "its focal length or aperture is not positive")
+            draft.dropped(what, "its focal length or aperture is not positive")
             continue
         height = max(1, round(WIDTH * up / across))
-        draft.assumed(f"picture size of camera `{prim.GetPath()}`", f"none is given; {WIDTH} px wide")
-        X_WP = _pose(matrix(prim)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
-        made = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WP)
-        aside = [
-            float(a.Get()) for a in (camera.GetHorizontalApertureOffsetAttr(), camera.GetVerticalApertureOffsetAttr())
-        ]
-        if any(aside):
-            made.cx = (WIDTH - 1) / 2 - aside[0] / across * WIDTH
-            made.cy = (height - 1) / 2 + aside[1] / up * height
+        draft.assumed(f"picture size of {what}", f"none is given; {WIDTH} px wide")
+        X_WC = _pose(matrix(prim)) @ Pose.of(q=(0.0, 1.0, 0.0, 0.0))
+        drafted = CameraDraft(prim.GetName(), (WIDTH, height), focal / across * WIDTH, focal / up * height, X_WC)
+        if right or above:
+            drafted.cx = (WIDTH - 1) / 2 - right / across * WIDTH
+            drafted.cy = (height - 1) / 2 + above / up * height
         carrier = prim.GetParent()
         while carrier and str(carrier.GetPath()) not in mounts:
             carrier = carrier.GetParent()
         if carrier:
             body, link, X_WL = mounts[str(carrier.GetPath())]
-            made.mount, made.X_WC = (body.name, link), X_WL.inverse() @ X_WP
-        draft.cameras.append(made)
+            drafted.mount, drafted.X_WC = (body.name, link), X_WL.inverse() @ X_WC
+        draft.cameras.append(drafted)
 
 
-def add_lights(draft: Draft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
-    """Distant, sphere and dome lights; others are noted."""
-    for prim in prims:
-        if not (prim.IsA(pxr.UsdLux.BoundableLightBase) or prim.IsA(pxr.UsdLux.NonboundableLightBase)):
+def add_lights(draft: ModelDraft, pxr: Any, prims: list[Any], matrix: Matrix) -> None:
+    """Add distant, sphere and dome lights; others are noted."""
+    kinds = (pxr.UsdLux.BoundableLightBase, pxr.UsdLux.NonboundableLightBase)
+    for prim in (prim for prim in prims if any(prim.IsA(kind) for kind in kinds)):
+        type_name, path = prim.GetTypeName(), prim.GetPath()
+        if type_name not in LIGHTS:
+            draft.dropped(f"light `{path}`", "lights here are distant, points or domes", type_name)
             continue
-        kind = prim.GetTypeName()
-        if kind not in FULL:
-            draft.dropped(f"light `{prim.GetPath()}`", "lights here are distant, points or domes", kind)
-            continue
+        kind, full = LIGHTS[type_name]
         light = pxr.UsdLux.LightAPI(prim)
-        strength = float(light.GetIntensityAttr().Get()) * 2 ** float(light.GetExposureAttr().Get()) / FULL[kind]
+        strength = float(light.GetIntensityAttr().Get()) * 2 ** float(light.GetExposureAttr().Get()) / full
         r, g, b = (min(max(float(v), 0.0), 1.0) for v in light.GetColorAttr().Get())
         X_WP = _pose(matrix(prim))
-        x, y, z = (float(v) for v in X_WP.p)
-        dx, dy, dz = (float(v) for v in np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0)
-        if kind == "DomeLight" and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
-            draft.dropped(f"texture of light `{prim.GetPath()}`", "a dome has one colour here")
-        if strength > 20:
-            draft.changed(
-                f"intensity of light `{prim.GetPath()}`",
-                "it is for a camera with an exposure; here 1 is full light",
-                f"{strength:.4g}",
-            )
+        x, y, z = X_WP.p.tolist()
+        dx, dy, dz = (np.round(X_WP.rotation @ (0, 0, -1), 9) + 0.0).tolist()
+        if kind == "dome" and pxr.UsdLux.DomeLight(prim).GetTextureFileAttr().Get():
+            draft.dropped(f"texture of light `{path}`", "a dome has one colour here")
+        if strength > BRIGHTEST:
+            why = "it is for a camera with an exposure; here 1 is full light"
+            draft.changed(f"intensity of light `{path}`", why, f"{strength:.4g}")
             strength = 1.0
-        word = {"DistantLight": "distant", "SphereLight": "point", "DomeLight": "dome"}[kind]
-        draft.lights.append(LightDraft(prim.GetName(), word, strength, (r, g, b), (dx, dy, dz), (x, y, z)))
+        draft.lights.append(LightDraft(prim.GetName(), kind, strength, (r, g, b), (dx, dy, dz), (x, y, z)))

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
 from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
+from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.poses import Turn
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
 from simfoundry.scene.robot import Robot
@@ -31,6 +34,17 @@ class Body:
     def name(self) -> str:
         """The name of the object or robot."""
         return self.item.name
+
+    @cached_property
+    def parents(self) -> dict[int, tuple[int, Joint]]:
+        """The link that each link but the first hangs on, and the joint between them, by index."""
+        numbers = {link.name: k for k, link in enumerate(self.item.links)}
+        return {numbers[joint.child]: (numbers[joint.parent], joint) for joint in self.item.joints}
+
+    @cached_property
+    def turns(self) -> dict[int, Turn]:
+        """The rotations about the axis of the joint that moves each link but the first, by index."""
+        return {k: Turn(joint.axis) for k, (_, joint) in self.parents.items()}
 
     def index(self, link: str) -> int:
         """The index of a link."""
@@ -61,6 +75,7 @@ class Bodies:
         self.objects = tuple(o.name for o in scene.objects)
         self.robots = tuple(r.name for r in scene.robots if mujoco_model(r))
         self._bodies: dict[str, Body] = {}
+        self._hollow: dict[Thing, tuple[int, ...]] = {}
 
     def __getitem__(self, name: str) -> Body:
         if name not in self._bodies:
@@ -103,6 +118,18 @@ class Bodies:
         if not any(body.forms[k] for k in chosen):
             raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
         return Thing(argument, owner, chosen, not part)
+
+    def hollow_links(self, thing: Thing) -> tuple[int, ...]:
+        """The links of a thing that have a cavity, by index; raises :class:`PredicateError` if there is none."""
+        if thing not in self._hollow:
+            forms = self[thing.owner].forms
+            found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)
+            self._hollow[thing] = found
+        if not self._hollow[thing]:
+            raise PredicateError(
+                f"`{thing.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow"
+            )
+        return self._hollow[thing]
 
     def joints(self, argument: str) -> Joints:
         """The joints with an end that an argument names: one, or all of an object."""

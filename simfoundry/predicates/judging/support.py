@@ -11,12 +11,22 @@ from simfoundry.geometry.frames import Array
 from simfoundry.predicates.judging.bodies import Thing
 from simfoundry.predicates.judging.plumb import centre_of_mass
 from simfoundry.predicates.judging.terms import Context
-from simfoundry.predicates.judging.thresholds import SUPPORT_DEG, TOUCH
+from simfoundry.predicates.judging.thresholds import CLOSE, FRICTION_SHARE, SUPPORT_DEG, TOUCH
 from simfoundry.predicates.judging.view import View, over
 from simfoundry.scene.lengths import length
 
-STEEPEST = math.cos(math.radians(SUPPORT_DEG))
-"""The cosine of :data:`~simfoundry.predicates.judging.thresholds.SUPPORT_DEG`."""
+
+def least_cosine(context: Context, a: Thing, b: Thing) -> float:
+    """The least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
+    friction = math.sqrt(_friction(context, a) * _friction(context, b))
+    return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
+
+
+def _friction(context: Context, thing: Thing) -> float:
+    """The mean coefficient of the colliders of a thing; 0 if it has none."""
+    links = context.bodies[thing.owner].item.links
+    found = [collider.friction for k in thing.links for collider in links[k].colliders]
+    return sum(found) / len(found) if found else 0.0
 
 
 class Contact:
@@ -24,16 +34,31 @@ class Contact:
 
     def __init__(self, context: Context, a: Thing, b: Thing) -> None:
         self.context, self.a, self.b = context, a, b
+        self.least_cosine = least_cosine(context, a, b)
         self._up: Array = np.zeros(0)
+        self._rival: NDArray[np.bool_] = np.zeros(0, bool)
 
     def gap(self, view: View) -> Array:
-        """The distance [m], (n,); remembers the push of the states in which the two touch."""
-        gap, up = self.context.distances.support(view, self.a, self.b, TOUCH, STEEPEST)
-        self._up = up[gap < TOUCH]
+        """The distance [m], (n,); remembers the push, and where something else is closer and supports ``a``."""
+        support = self.context.distances.support
+        gap, up = support(view, self.a, self.b, CLOSE, self.least_cosine)
+        self._rival = np.zeros(view.n, bool)
+        loose = np.flatnonzero(gap > CLOSE)
+        if len(loose):
+            some = view.at(loose)
+            gap[loose], up[loose] = support(some, self.a, self.b, TOUCH, self.least_cosine)
+            near = loose[gap[loose] < TOUCH]
+            for other in self.context.others(self.a, self.b) if len(near) else ():
+                self._rival[near] |= _supports(self.context, view.at(near), other, self.a, CLOSE)
+        self._up = up[self.margin(gap) > 0]
         return gap
 
+    def margin(self, gap: Array) -> Array:
+        """The margin [m] of the distances that :meth:`gap` returned, (n,)."""
+        return np.asarray(np.where(self._rival, CLOSE, TOUCH) - gap)
+
     def push(self, _: View) -> Array:
-        """The cosine between up and the push in the states in which :meth:`gap` has found the two to touch."""
+        """The cosine between up and the push in the states in which the margin is positive."""
         return self._up
 
 
@@ -106,7 +131,8 @@ def supported_by(context: Context, view: View, a: Thing, gaps: dict[Thing, Array
     return load
 
 
-def _supports(context: Context, view: View, a: Thing, b: Thing) -> NDArray[np.bool_]:
-    """True where ``a`` touches ``b`` and pushes it up, (n,)."""
-    gap, up = context.distances.support(view, b, a, TOUCH, STEEPEST)
-    return np.asarray((gap <= TOUCH) & (up >= STEEPEST))
+def _supports(context: Context, view: View, a: Thing, b: Thing, limit: float = TOUCH) -> NDArray[np.bool_]:
+    """True where ``a`` is no farther than ``limit`` [m] from ``b`` and pushes it up, (n,)."""
+    cosine = least_cosine(context, b, a)
+    gap, up = context.distances.support(view, b, a, limit, cosine)
+    return np.asarray((gap <= limit) & (up >= cosine))

@@ -20,7 +20,7 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.order import KeyOrder, key_order
 from simfoundry.spec.yaml.spelling import call
 from simfoundry.spec.yaml.text import Document, YamlError, parse
-from simfoundry.spec.yaml.tree import CommentedTree, plain_tree, read_tree, with_data
+from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
 
 _BOM = "\ufeff"
@@ -214,7 +214,7 @@ class _Round:
         """Return the longest part of a path that stands in the text."""
         return path[: len(self._steps(path)) - 1]
 
-    def _tree(self, path: Path_) -> CommentedTree:
+    def _tree(self, path: Path_) -> YamlTree:
         tree = read_tree(self.document)
         for k, part in enumerate(path):
             if isinstance(tree.value, tuple):

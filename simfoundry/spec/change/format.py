@@ -13,7 +13,7 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.project import project_root
 from simfoundry.spec.yaml.text import Document, YamlError, parse, read
-from simfoundry.spec.yaml.tree import KIND, CommentedTree, read_tree
+from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 
 _MODELINE = re.compile(r"#\s*yaml-language-server:\s*\$schema=(\S+)\s*\Z")
@@ -64,7 +64,7 @@ def schema_line(path: Path, document: Document, root: Path | None = None) -> str
 
     It is looked for up to ``root``, by default that of the document's project.
     """
-    tree = CommentedTree(None, tuple(_top_comments(document.text)))
+    tree = YamlTree(None, tuple(_top_comments(document.text)))
     named = next((m[1] for m in map(_MODELINE.match, tree.above) if m), None)
     folder = path.resolve().parent
     if named is not None and ("://" in named or (folder / named).is_file()):

@@ -10,7 +10,7 @@ from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import former_paths
 from simfoundry.spec.yaml.text import Document, YamlError, parse
-from simfoundry.spec.yaml.tree import KIND, CommentedTree, read_tree
+from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 
 
@@ -19,7 +19,7 @@ class Migration:
     """The step from one version of a kind to the version ``to``, and how it changes a document."""
 
     to: str
-    change: Callable[[CommentedTree], CommentedTree]
+    change: Callable[[YamlTree], YamlTree]
 
 
 STEPS: Mapping[str, Migration] = {}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from importlib import import_module
 
 from simfoundry.spec.check.checker import Checker, Use
 from simfoundry.spec.diagnostics import Diagnostic
@@ -19,37 +18,10 @@ def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> 
     if sound is None:
         return []
     c = Checker(loaded, whole, use)
-    _check_of(getattr(sound, "simfoundry"))(c, sound)  # noqa: B009
+    name = str(getattr(sound, "simfoundry")).partition("/")[0]  # noqa: B009
+    getattr(import_module(f"{__package__}.{name}"), f"check_{name}")(c, sound)
     _conflicts(c, sound)
     return c.findings
-
-
-def _check_of(kind: str) -> Callable[[Checker, Any], None]:
-    """The check of a kind of document, loaded when it is first needed."""
-    match kind:
-        case "scene/1":
-            from simfoundry.spec.check.scene import check_scene
-
-            return check_scene
-        case "task/1":
-            from simfoundry.spec.check.task import check_task
-
-            return check_task
-        case "asset/1":
-            from simfoundry.spec.check.asset import check_asset
-
-            return check_asset
-        case "capture/1":
-            from simfoundry.spec.check.capture import check_capture
-
-            return check_capture
-        case "policy/1":
-            from simfoundry.spec.check.policy import check_policy
-
-            return check_policy
-    from simfoundry.spec.check.cousins import check_cousins
-
-    return check_cousins
 
 
 def _conflicts(c: Checker, spec: DocumentSpec) -> None:

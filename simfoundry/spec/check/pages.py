@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-
-from simfoundry.spec.diagnostics import CODES
 
 FOLDER = Path(__file__).parent / "findings"
 
@@ -63,21 +62,27 @@ def page(code: str) -> Page:
     return Page(code, title.removeprefix(f"# {code} "), body)
 
 
-def pages() -> list[Page]:
+@cache
+def pages() -> tuple[Page, ...]:
     """Every page, by code."""
-    return [page(path.stem) for path in sorted(FOLDER.glob("SF*.md"))]
+    return tuple(page(path.stem) for path in sorted(FOLDER.glob("SF*.md")))
+
+
+def titles() -> dict[str, str]:
+    """The title of each code."""
+    return {found.code: found.title for found in pages()}
 
 
 def code_of(text: str) -> str | None:
     """The code that a person means by ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None where there is none."""
     match = _CODE.fullmatch(text.strip())
     code = f"SF{int(match[1]):03}" if match else ""
-    return code if code in CODES else None
+    return code if code in titles() else None
 
 
-def grouped() -> dict[str, list[str]]:
-    """The title of each group that has codes, with its codes."""
-    return {title: [c for c in sorted(CODES) if c.startswith(start)] for start, title in GROUPS.items()}
+def grouped() -> dict[str, dict[str, str]]:
+    """The title of each group of codes, with the titles of its codes."""
+    return {title: {c: t for c, t in titles().items() if c.startswith(start)} for start, title in GROUPS.items()}
 
 
 _INTRODUCTION = """\
@@ -95,7 +100,7 @@ def findings_page() -> str:
     """``docs/findings.md``: every page in one, with a table of contents."""
     lines = [_INTRODUCTION]
     for title, codes in grouped().items():
-        lines += [f"{title}:\n", *(f"- [{c} {CODES[c]}](#{_slug(f'{c} {CODES[c]}')})" for c in codes), ""]
+        lines += [f"{title}:\n", *(f"- [{c} {t}](#{_slug(f'{c} {t}')})" for c, t in codes.items()), ""]
     for found in pages():
         lines += [f'<a id="{found.code.lower()}"></a>\n', f"## {found.code} {found.title}\n", found.body]
     return "\n".join(lines).rstrip() + "\n"

@@ -11,7 +11,8 @@ from simfoundry.spec.check.names import SceneNames
 from simfoundry.spec.check.plausible import volume
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES, is_document, packaged_model
 from simfoundry.spec.models.base import WORLD, BodySpec
-from simfoundry.spec.models.robot import ROBOTS, RobotFiles, RobotSpec
+from simfoundry.spec.models.robot import RobotFiles, RobotSpec
+from simfoundry.spec.models.robot_file import find_robot, read_robot_file, robot_names
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec, SceneSpec
 from simfoundry.spec.models.variants import variant_of
 
@@ -135,9 +136,13 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
             if file is not None and packaged_model(file) is None and c.file(file, (*path, "model", key), suffixes):
                 _robot_file(c, key, file, (*path, "model", key))
         return
-    known = robot.known()
+    try:
+        known = find_robot(robot.model)
+    except SimfoundryError as error:
+        c.add("SF107", (*path, "model"), str(error))
+        return
     if known is None:
-        c.name(robot.model, ROBOTS, (*path, "model"), "robot")
+        c.name(robot.model, robot_names(), (*path, "model"), "robot")
     elif isinstance(robot.joints, dict):
         for joint in robot.joints:
             c.name(joint, known.home, (*path, "joints", joint), f"joint of `{robot.model}`")
@@ -146,11 +151,9 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
     """Whether a robot file is one, which is read as the language is: without any model."""
     if key == "file":
-        from simfoundry.spec.models.robot_model import read_models
-
         file = c.loaded.file(reference)
         try:
-            read_models(file)
+            read_robot_file(file)
         except SimfoundryError as error:
             c.add("SF107", path, str(error).replace(str(file), reference))
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from simfoundry.spec.diagnostics import Diagnostic, nearest
-from simfoundry.spec.models.base import SHAPE_KEYS, WIRE_KEY, Model
+from simfoundry.spec.models.base import PATTERNS, SHAPE_KEYS, WIRE_KEY, Model
 from simfoundry.spec.models.types import former_keys, models_at
 from simfoundry.spec.yaml.spelling import number
 from simfoundry.spec.yaml.text import Document, Path_
@@ -192,9 +192,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
     if "[key]" in error["loc"] or kind == "string_pattern_mismatch":
         pattern = error.get("ctx", {}).get("pattern")
         if pattern == WIRE_KEY:
-            from simfoundry.spec.editor.snippets import NAMES
-
-            return f"{found} is not a key", NAMES[pattern][1]
+            return f"{found} is not a key", PATTERNS[pattern].rule
         suggestion = _as_name(str(error["input"]))
         rule = "a name is lower-case letters, digits and `_`, and starts with a letter"
         return f"{found.removeprefix('the text ')} is not a name", rule + (f": `{suggestion}`" if suggestion else "")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from importlib.resources import files
 from typing import Any
 
+from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.write import number
 
@@ -23,140 +25,10 @@ three numbers and *name → number* a mapping from names. Frames, orders and the
 [conventions.md](conventions.md).
 """
 
-EXAMPLES = {
-    "scene/1": """\
-simfoundry: scene/1
-name: breakfast
-viewpoint: arm
 
-materials:
-  wood: {density: 700, friction: 0.5}
-  ceramic: {density: 2400, friction: 0.35, restitution: 0.05, color: [0.9, 0.9, 0.85]}
-
-objects:
-  table:
-    fixed: true
-    shape: {box: [1.2, 0.7, 0.04]}
-    material: wood
-    pose: {xyz: [0.45, 0, -0.02]}
-  cup:
-    shape: {cylinder: {radius: 0.04, height: 0.1}}
-    material: ceramic
-    mass: {value: 0.31, range: [0.25, 0.4], source: category_table}
-    pose: {xyz: [0.4, 0.1, 0.05]}
-  saucer:
-    shape: {cylinder: {radius: 0.07, height: 0.012}}
-    material: ceramic
-    place: {on: table, left_of: cup, gap: 0.05}
-  cabinet:
-    asset: drawer_cabinet.asset.yaml
-    joints: {drawer_slide: 0.05}
-    pose: {xyz: [0.6, -0.15, 0.1], yaw_deg: 180}
-
-robots:
-  arm: {model: franka_robotiq, joints: home}
-
-cameras:
-  front: {size: [1280, 720], fx: 900, fy: 900, pose: {xyz: [1.4, 0, 0.6], look_at: [0.45, 0, 0]}}
-
-lights:
-  sky: {type: dome, intensity: 0.6}
-
-relations:
-  - OnTop(cup, table)
-""",
-    "task/1": """\
-simfoundry: task/1
-name: cup_on_saucer
-scene: breakfast.scene.yaml
-instruction: Put the cup on the saucer.
-goal:
-  all:
-    - OnTop(cup, saucer)
-    - Released(cup)
-subtasks:
-  pick_up_cup: {goal: Grasped(cup)}
-  cup_on_saucer: {goal: OnTop(cup, saucer)}
-reset:
-  objects:
-    cup: {x: [0.35, 0.45], y: [0, 0.15], yaw_deg: [-180, 180]}
-horizon: 450
-""",
-    "asset/1": """\
-simfoundry: asset/1
-name: drawer_cabinet
-category: cabinet
-
-materials:
-  board: {density: 650, friction: 0.4}
-
-links:
-  body:
-    material: board
-    parts:
-      left: {shape: {box: [0.3, 0.02, 0.2]}, pose: {xyz: [0, 0.11, 0]}}
-      right: {shape: {box: [0.3, 0.02, 0.2]}, pose: {xyz: [0, -0.11, 0]}}
-      top: {shape: {box: [0.3, 0.24, 0.02]}, pose: {xyz: [0, 0, 0.11]}}
-  drawer:
-    material: board
-    parts:
-      tray: {shape: {box: [0.26, 0.18, 0.06]}}
-
-joints:
-  drawer_slide:
-    type: prismatic
-    parent: body
-    child: drawer
-    axis: [1, 0, 0]
-    limits: [0, 0.2]
-    damping: 2
-""",
-    "capture/1": """\
-simfoundry: capture/1
-name: desk
-
-frames:
-  first:
-    color: color.png
-    depth: {image: depth.png, scale: 0.001}
-    camera: {fx: 615.3, fy: 615.1, cx: 319.5, cy: 239.5}
-    masks: {image: masks.png, names: {mug: 1, stapler: 2}}
-""",
-    "cousins/1": """\
-simfoundry: cousins/1
-name: breakfasts
-twin: cup_on_saucer.task.yaml
-count: 50
-seed: 7
-scene:
-  anchor: saucer
-  objects:
-    cup: [LeftOf, RightOf, InFrontOf, Behind]
-distractors: {count: [1, 3], mass: {max: 0.5}}
-""",
-    "policy/1": """\
-simfoundry: policy/1
-name: pi05_droid_jointpos
-protocol: openpi
-address: localhost:8000
-action_space: joint_position
-horizon: 8
-cameras:
-  observation/exterior_image_1_left: {camera: exterior_left, size: [224, 224], render: [448, 252]}
-  observation/wrist_image_left: {camera: wrist, size: [224, 224], render: [448, 252]}
-gripper: {open: 0, closed: 1, threshold: 0.5}
-""",
-}
-
-_PATTERNS = {
-    "^[a-z][a-z0-9_]*$": "name",
-    r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$": "name or name.part",
-    "^SF[0-9]{3}$": "code",
-    "^[A-Za-z_][A-Za-z0-9_./-]*$": "joint",
-    "^[A-Za-z0-9_][A-Za-z0-9_./-]*$": "key",
-    "^[A-Z_][A-Z0-9_]*$": "environment variable",
-}
-"""What the texts of a pattern are called."""
+def example(kind: str) -> str:
+    """Return the example of a kind of document, as ``scene/1``."""
+    return (files(__package__) / "examples" / f"{kind.partition('/')[0]}.yaml").read_text(encoding="utf-8")
 
 
 def reference() -> str:
@@ -167,7 +39,7 @@ def reference() -> str:
     lines = [INTRODUCTION]
     parts: dict[str, Schema] = {}
     for kind, schema in schemas.items():
-        lines += [f"## {kind}\n", f"{schema['description']}\n", "```yaml", EXAMPLES[kind].rstrip(), "```\n"]
+        lines += [f"## {kind}\n", f"{schema['description']}\n", "```yaml", example(kind).rstrip(), "```\n"]
         lines += _table(schema)
         lines += _sections({n: d for n, d in schema["$defs"].items() if n not in shared})
         parts |= {n: d for n, d in schema["$defs"].items() if n in shared}
@@ -224,9 +96,9 @@ def _type(field: Schema) -> str:
             return f"list of {_type(item)}{_length(field)}"
         case {"patternProperties": patterns}:
             pattern, value = next(iter(patterns.items()))
-            return f"{_PATTERNS[pattern]} → {_type(value)}"
+            return f"{PATTERNS[pattern].title} → {_type(value)}"
         case {"pattern": pattern}:
-            return _PATTERNS[pattern]
+            return PATTERNS[pattern].title
         case {"type": "object", "additionalProperties": dict(value)}:
             return f"text → {_type(value)}"
         case {"type": "string"}:

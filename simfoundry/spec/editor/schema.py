@@ -13,8 +13,10 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+from simfoundry.spec.editor import snippets
 from simfoundry.spec.editor.overlays import OVERLAY, loose
-from simfoundry.spec.editor.snippets import CHOICES, FIRST, MEMBERS, NAMES, WORDS, Body, predicates, robots
+from simfoundry.spec.editor.snippets import Body, predicates, robots, sentence
+from simfoundry.spec.models.base import PATTERNS
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.predicate import PREDICATES, built_in_predicates
 from simfoundry.spec.yaml.write import number
@@ -137,14 +139,14 @@ class _Parts:
         words = _words(key, text)
         if "enum" in core or "const" in core:
             return words | core
-        first = FIRST.get(f"{owner}.{key}", FIRST.get(key))
+        first = snippets.first_value(owner, key)
         if isinstance(default, int | float | str | list) and default != []:
             first = _holes(default)
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
         """What is said of a key; the models leave it out where it is what they say of its value."""
-        said = body.get("description") or WORDS.get(f"{owner}.{key}")
+        said = body.get("description") or snippets.description(owner, key)
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
@@ -164,10 +166,10 @@ class _Parts:
             return {"$ref": body["$ref"]}
         if "patternProperties" in body:
             ((pattern, value),) = body["patternProperties"].items()
-            title, text = NAMES[pattern]
+            title, text = PATTERNS[pattern].placeholder, PATTERNS[pattern].rule
             keys = {
                 "title": title,
-                "description": _sentence(text),
+                "description": sentence(text),
                 **_pattern(pattern),
                 **body.get("propertyNames", {}),
             }
@@ -184,7 +186,7 @@ class _Parts:
         if plain.get("type") == "boolean":
             plain = {"enum": [False, True]}
         if "enum" in plain:
-            return plain | {"enumDescriptions": list(CHOICES[tuple(plain["enum"])])}
+            return plain | {"enumDescriptions": snippets.meanings(list(map(_plain, plain["enum"])))}
         return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
 
     def item(self, body: Schema) -> Schema:
@@ -208,9 +210,8 @@ class _Parts:
         if not described:
             return core
         words = _words(_title(model), described)
-        if model not in MEMBERS:
-            return words | {"allOf": [core]}
-        return words | _snippet(MEMBERS[model], described) | {"allOf": [core]}
+        first = snippets.first_member(model)
+        return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
         """Alternatives as one schema: each keyword speaks of one type of value only."""
@@ -264,11 +265,7 @@ def _special(union: str) -> Schema:
 
 
 def _pattern(pattern: str) -> Schema:
-    return {"pattern": pattern, "patternErrorMessage": NAMES[pattern][1]}
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
+    return {"pattern": pattern, "patternErrorMessage": PATTERNS[pattern].rule}
 
 
 def _fragments(properties: Schema) -> Schema:
@@ -315,7 +312,7 @@ def _flow(body: Body) -> str:
     match body:
         case dict():
             return "{" + ", ".join(f"{key}: {_flow(value)}" for key, value in body.items()) + "}"
-        case list():
+        case tuple():
             return f"[{', '.join(map(_flow, body))}]"
     return body
 

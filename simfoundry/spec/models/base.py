@@ -4,21 +4,51 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-Name = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
-PartName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$", max_length=129)]
+NAME = r"^[a-z][a-z0-9_]*$"
+PART_NAME = r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)?$"
+CODE = "^SF[0-9]{3}$"
+JOINT_NAME = "^[A-Za-z_][A-Za-z0-9_./-]*$"
+WIRE_KEY = "^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
+VARIABLE = "^[A-Z_][A-Z0-9_]*$"
+
+
+class PatternText(NamedTuple):
+    """What editors, messages and the reference say of a text of a pattern.
+
+    Its name where editors offer one, its name in the reference, and the rule that a text must follow.
+    """
+
+    placeholder: str
+    title: str
+    rule: str
+
+
+PATTERNS = {
+    NAME: PatternText(
+        "name", "name", "a name starts with a lower-case letter, then lower-case letters, digits and `_`"
+    ),
+    PART_NAME: PatternText("name", "name or name.part", "a name as `cabinet`, or one of its links as `cabinet.drawer`"),
+    CODE: PatternText("SF402", "code", "the code of a warning, as `SF402`"),
+    JOINT_NAME: PatternText("joint", "joint", "the name of a joint, as the robot's own model has it"),
+    WIRE_KEY: PatternText("key", "key", "a key of the policy's own, as `observation/wrist_image_left`"),
+    VARIABLE: PatternText(
+        "VARIABLE", "environment variable", "the name of an environment variable in capitals, never a key itself"
+    ),
+}
+
+Name = Annotated[str, StringConstraints(pattern=NAME, max_length=64)]
+PartName = Annotated[str, StringConstraints(pattern=PART_NAME, max_length=129)]
 """``cabinet``, or ``cabinet.drawer``: one link of it."""
-WIRE_KEY = r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$"
-"""What keys of the messages of policies look like: ``observation/wrist_image_left``."""
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-Code = Annotated[str, StringConstraints(pattern=r"^SF[0-9]{3}$")]
+Code = Annotated[str, StringConstraints(pattern=CODE)]
 Reason = Annotated[str, StringConstraints(min_length=3, max_length=200)]
 FARTHEST = 1e6
 """No position [m] is farther out and no size [m] larger: there single precision, in which many simulators reckon, is

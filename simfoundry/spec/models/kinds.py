@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,30 +24,9 @@ def is_document(path: Path) -> bool:
 
 
 def model_of(kind: str) -> type[DocumentSpec]:
-    """The model of a kind of document."""
-    match kind:
-        case "scene/1":
-            from simfoundry.spec.models.scene import SceneSpec
-
-            return SceneSpec
-        case "task/1":
-            from simfoundry.spec.models.task import TaskSpec
-
-            return TaskSpec
-        case "asset/1":
-            from simfoundry.spec.models.asset import AssetSpec
-
-            return AssetSpec
-        case "capture/1":
-            from simfoundry.spec.models.capture import CaptureSpec
-
-            return CaptureSpec
-        case "cousins/1":
-            from simfoundry.spec.models.cousins import CousinsSpec
-
-            return CousinsSpec
-        case "policy/1":
-            from simfoundry.spec.models.policy import PolicySpec
-
-            return PolicySpec
-    raise KeyError(kind)
+    """Return the model of a kind of document: ``SceneSpec`` for ``scene/1``."""
+    if kind not in KINDS:
+        raise KeyError(kind)
+    name = kind.partition("/")[0]
+    model: type[DocumentSpec] = getattr(import_module(f"simfoundry.spec.models.{name}"), f"{name.capitalize()}Spec")
+    return model

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal, Self
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.plugins import Registry
+from simfoundry.spec.models.base import NAME, VARIABLE, WIRE_KEY, DocumentSpec, Model, Name, Number, Positive
 
 WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 """A key of the messages that the policy takes: ``observation/wrist_image_left``."""
-
-VARIABLE = r"^[A-Z_][A-Z0-9_]*$"
 
 
 def _variable(text: str) -> str:
@@ -31,11 +33,51 @@ Pixels = Annotated[int, Field(ge=1, le=8192)]
 Whole = Annotated[int, Field(ge=0, le=100)]
 Reading = Literal["joints", "gripper", "joints_gripper", "hand"]
 
-SCHEMES = {"openpi": ("ws", "wss"), "roboarena": ("ws", "wss"), "groot": ("tcp",)}
-"""What the address of each protocol may start with; the first is meant where none is given."""
 
-PORTS = {"openpi": 8000, "roboarena": 8000, "groot": 5555}
-"""The port of each protocol where the address has none."""
+@dataclass(frozen=True)
+class PolicyProtocol:
+    """Everything that is particular to one kind of policy server; each is one module, registered once.
+
+    ``open`` makes a policy of a document (a :class:`~simfoundry.evaluate.policies.base.Policy`). An address starts with
+    one of ``schemes``, the first if it has none, and has ``port`` if it has none; ``has_path`` if it may have a path.
+    ``tells_state`` is False if the server says itself what it is told of the robot. ``short_form`` are the keys of the
+    document that ``NAME:ADDRESS?…`` stands for, beside those that it gives.
+    """
+
+    open: Callable[[PolicySpec], Any]
+    schemes: tuple[str, ...]
+    port: int
+    has_path: bool = True
+    tells_state: bool = True
+    short_form: Mapping[str, Any] = field(default_factory=dict)
+
+
+PROTOCOLS: Registry[PolicyProtocol] = Registry(
+    "simfoundry.policies",
+    {name: f"simfoundry.evaluate.policies.{name}:PROTOCOL" for name in ("openpi", "roboarena", "groot")},
+    PolicyProtocol,
+)
+"""The protocols of policy servers by name; they are imported when a document names them."""
+
+
+def _protocol(name: str) -> str:
+    if name not in PROTOCOLS:
+        expected = " or ".join(f"'{known}'" for known in PROTOCOLS.names())
+        raise PydanticCustomError("literal_error", "expected {expected}", {"expected": expected})
+    try:
+        PROTOCOLS.load(name)
+    except SimfoundryError as error:
+        raise PydanticCustomError("sf104", "{message}", {"message": str(error)}) from None
+    return name
+
+
+ProtocolName = Annotated[
+    str,
+    StringConstraints(pattern=NAME, max_length=64),
+    AfterValidator(_protocol),
+    Field(json_schema_extra={"examples": list(PROTOCOLS.built_in)}),
+]
+"""A protocol by name: one of ours, or one that an installed package brings."""
 
 _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::([0-9]{1,5}))?(/[!-~]*)?")
 
@@ -43,17 +85,18 @@ _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::
 def address_uri(protocol: str, address: str) -> str:
     """An address in full, ``ws://localhost:8000`` of ``localhost``; raises :class:`ValueError` with a sentence."""
     found = _ADDRESS.fullmatch(address)
-    schemes = SCHEMES[protocol]
+    known = PROTOCOLS.load(protocol)
+    schemes = known.schemes
     if found is None:
-        raise ValueError(f"`{address}` is not an address, as `{schemes[0]}://localhost:{PORTS[protocol]}`")
+        raise ValueError(f"`{address}` is not an address, as `{schemes[0]}://localhost:{known.port}`")
     scheme, host, port, path = found.groups()
     if scheme is not None and scheme not in schemes:
         raise ValueError(f"an address of {protocol} starts with `{'://` or `'.join(schemes)}://`, not `{scheme}://`")
     if port is not None and not 0 < int(port) < 65536:
         raise ValueError(f"there is no port {port}; ports go from 1 to 65535")
-    if path is not None and protocol == "groot":
-        raise ValueError("an address of groot has no path")
-    number = "" if port is None and (scheme == "wss" or path) else f":{port or PORTS[protocol]}"
+    if path is not None and not known.has_path:
+        raise ValueError(f"an address of {protocol} has no path")
+    number = "" if port is None and (scheme == "wss" or path) else f":{port or known.port}"
     return f"{scheme or schemes[0]}://{host}{number}{path or ''}"
 
 
@@ -89,7 +132,9 @@ class PolicySpec(DocumentSpec):
     """A policy behind a server: where it is, and what its protocol does not say."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
-    protocol: Literal["openpi", "roboarena", "groot"] = Field(description="How the server speaks.")
+    protocol: ProtocolName = Field(
+        description="How the server speaks: `openpi`, `roboarena`, `groot`, or as an installed package knows it."
+    )
     address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
         description="Where the server is: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
     )
@@ -129,7 +174,7 @@ class PolicySpec(DocumentSpec):
         if self.velocity_unit is not None and self.action_space != "joint_velocity":
             message = "`velocity_unit` has no effect on joint positions"
             raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "velocity_unit"})
-        if self.protocol == "groot" and self.state is not None:
-            message = "a server of groot says itself what it is told of the robot; remove `state`"
+        if self.state is not None and not PROTOCOLS.load(self.protocol).tells_state:
+            message = f"a server of {self.protocol} says itself what it is told of the robot; remove `state`"
             raise PydanticCustomError("sf107", "{message}", {"message": message, "at": "state"})
         return self

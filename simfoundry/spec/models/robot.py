@@ -1,53 +1,33 @@
 """Robots in a scene: which model, where, and in which posture."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
-from simfoundry.spec.models.base import FileName, Model, Name, Number, PoseSpec, Positive
+from simfoundry.errors import SimfoundryError
+from simfoundry.spec.models.base import JOINT_NAME, FileName, Model, Name, Number, PoseSpec, Positive
 
-JointName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_./-]*$", max_length=128)]
+JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)]
 """A joint as the robot's own model calls it."""
 
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """What a scene may rely on about a robot without opening its model.
+    """What a scene may rely on about a robot without opening its model, as its file in ``simfoundry/robots`` says.
 
     ``reach`` [m]: the farthest a grasp can be from the base, measured along the ground; ``opening`` [m]: the widest
-    thing that fits between the fingers; ``links``: where cameras can be mounted; ``home`` [rad or m]: joint positions.
+    object that fits between the fingers; ``payload`` [kg]: the heaviest object that it should lift, None if unknown;
+    ``links``: where cameras can be mounted; ``home`` [rad or m]: joint positions by name.
     """
 
     reach: float
     opening: float
+    payload: float | None
     links: tuple[str, ...]
-    home: MappingProxyType[str, float]
-
-
-def _home(*positions: float, **more: float) -> MappingProxyType[str, float]:
-    return MappingProxyType({**{f"joint{k}": v for k, v in enumerate(positions, 1)}, **more})
-
-
-ROBOTS = MappingProxyType(
-    {
-        # Ours, of simple solids. Reach is measured (tests/robots/test_demo_arm.py): the pads with the gripper down, a
-        # centimetre above the ground that it stands on; home has the gripper over a table, 0.38 m in front.
-        "demo_arm": KnownRobot(0.82, 0.09, ("base", "hand"), _home(0.0, 0.0, 0.0, 2.0, 0.0, 1.141593, 0.0)),
-        # Datasheets of the Panda (0.855 m) and of the 2F-85 (85 mm); home is the posture in which DROID starts.
-        "franka_robotiq": KnownRobot(
-            0.855, 0.085, ("base", "hand"), _home(0.0, -0.628319, 0.0, -2.513274, 0.0, 1.884956, 0.0)
-        ),
-        "franka_panda": KnownRobot(
-            0.855, 0.08, ("base", "hand"), _home(0.0, -0.785398, 0.0, -2.356194, 0.0, 1.570796, 0.785398)
-        ),
-        # Measured on the maker's model: the grasp point comes 0.80 m from the base, 0.70 m with the gripper down.
-        "yam": KnownRobot(0.70, 0.076, ("base", "hand"), _home(0.0, 1.047, 1.047, 0.0, 0.0, 0.0)),
-    }
-)
-"""The robots that a scene can name, by name."""
+    home: Mapping[str, float]
 
 
 class RobotFiles(Model):
@@ -93,5 +73,10 @@ class RobotSpec(Model):
     )
 
     def known(self) -> KnownRobot | None:
-        """The known robot that it is, if any."""
-        return ROBOTS.get(self.model) if isinstance(self.model, str) else None
+        """The known robot that it is, if any; None too if its file is faulty, which `check` reports."""
+        from simfoundry.spec.models.robot_file import find_robot
+
+        try:
+            return find_robot(self.model) if isinstance(self.model, str) else None
+        except SimfoundryError:
+            return None

@@ -16,7 +16,7 @@ KIND = "simfoundry"
 
 
 @dataclass(frozen=True, slots=True)
-class CommentedTree:
+class YamlTree:
     """A value with the comments around it; each comment is a text from its ``#`` to the end of its line.
 
     ``value`` is a scalar, a mapping of trees or a tuple of trees. ``above`` are the comments before it (before its
@@ -46,16 +46,16 @@ class CommentedTree:
         yield from (((), text) for text in self.end)
 
 
-def plain_tree(data: Any) -> CommentedTree:
+def plain_tree(data: Any) -> YamlTree:
     """A tree without comments."""
     if isinstance(data, dict):
-        return CommentedTree({key: plain_tree(item) for key, item in data.items()})
+        return YamlTree({key: plain_tree(item) for key, item in data.items()})
     if isinstance(data, tuple | list):
-        return CommentedTree(tuple(plain_tree(item) for item in data))
-    return CommentedTree(data)
+        return YamlTree(tuple(plain_tree(item) for item in data))
+    return YamlTree(data)
 
 
-def with_data(tree: CommentedTree, data: Any) -> CommentedTree:
+def with_data(tree: YamlTree, data: Any) -> YamlTree:
     """Other plain data with the comments of ``tree``, in the order of ``data``.
 
     What remains keeps its comments, what is gone takes them along, and what is new has none. An entry of a mapping
@@ -64,17 +64,17 @@ def with_data(tree: CommentedTree, data: Any) -> CommentedTree:
     """
     if isinstance(data, dict):
         if not isinstance(tree.value, dict):
-            return CommentedTree(plain_tree(data).value, tree.above, tree.beside)
-        old: dict[str, CommentedTree] = tree.value
+            return YamlTree(plain_tree(data).value, tree.above, tree.beside)
+        old: dict[str, YamlTree] = tree.value
         return replace(tree, value={k: with_data(old[k], v) if k in old else plain_tree(v) for k, v in data.items()})
     if isinstance(data, tuple | list):
         if not isinstance(tree.value, tuple):
-            return CommentedTree(plain_tree(data).value, tree.above, tree.beside)
+            return YamlTree(plain_tree(data).value, tree.above, tree.beside)
         return replace(tree, value=_items(tree.value, tuple(data)))
-    return CommentedTree(data, tree.above, tree.beside)
+    return YamlTree(data, tree.above, tree.beside)
 
 
-def _items(old: tuple[CommentedTree, ...], new: tuple[Any, ...]) -> tuple[CommentedTree, ...]:
+def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, ...]:
     """The items of a list with new data, each with the comments of the item that it was."""
     before, after = [repr(item.data) for item in old], [repr(item) for item in new]
     source: dict[int, int] = {}  # of each new item
@@ -88,7 +88,7 @@ def _items(old: tuple[CommentedTree, ...], new: tuple[Any, ...]) -> tuple[Commen
     return tuple(with_data(old[source[k]], item) if k in source else plain_tree(item) for k, item in enumerate(new))
 
 
-def read_tree(document: Document) -> CommentedTree:
+def read_tree(document: Document) -> YamlTree:
     """The tree of a document as it was read (without what it extends) with all its comments; aliases are written out.
 
     Raises :class:`SpecError` where a key is written twice: one of the two would be lost.
@@ -99,14 +99,14 @@ def read_tree(document: Document) -> CommentedTree:
     return _with_notes(document.root, read_notes(text, document.root, KIND) if "#" in text else None)
 
 
-def _children(tree: CommentedTree) -> Iterator[tuple[str | int, CommentedTree]]:
+def _children(tree: YamlTree) -> Iterator[tuple[str | int, YamlTree]]:
     if isinstance(tree.value, dict):
         yield from tree.value.items()
     elif isinstance(tree.value, tuple):
         yield from enumerate(tree.value)
 
 
-def _with_notes(node: Node, notes: Notes | None) -> CommentedTree:
+def _with_notes(node: Node, notes: Notes | None) -> YamlTree:
     inside = notes.inside if notes is not None else {}
     value = node.value
     if isinstance(node.children, dict):
@@ -114,5 +114,5 @@ def _with_notes(node: Node, notes: Notes | None) -> CommentedTree:
     elif isinstance(node.children, list):
         value = tuple([_with_notes(child, inside.get(k)) for k, child in enumerate(node.children)])
     if notes is None:
-        return CommentedTree(value)
-    return CommentedTree(value, tuple(notes.above), notes.beside, tuple(notes.end))
+        return YamlTree(value)
+    return YamlTree(value, tuple(notes.above), notes.beside, tuple(notes.end))

@@ -11,7 +11,7 @@ from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.data import to_data
 from simfoundry.spec.models.order import KeyOrder, key_order
 from simfoundry.spec.yaml.spelling import call, folded, key_text, literal, number, rounded, scalar, string
-from simfoundry.spec.yaml.tree import CommentedTree, plain_tree
+from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 __all__ = ["number", "to_data", "to_yaml", "write_tree"]
 
@@ -52,7 +52,7 @@ def _rounded(data: Any) -> Any:
     return data
 
 
-def write_tree(tree: CommentedTree, model: type[Model] | None) -> str:
+def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
     """The canonical text of a document with its comments.
 
     Keys of ``model`` come in its order, other keys after them, and names as they are. Numbers are exact: the text
@@ -72,7 +72,7 @@ def write_tree(tree: CommentedTree, model: type[Model] | None) -> str:
     return "\n".join(_joined(lines)) + "\n"
 
 
-def entry_lines(tree: CommentedTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
+def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
     """The lines of one entry of a block mapping of a document, key and value, indented by ``indent`` columns.
 
     The comments above it are left out; those beside and inside it are written.
@@ -103,7 +103,7 @@ def _slot_at(path: tuple[str, ...], model: type[Model] | None) -> KeyOrder:
     return slot
 
 
-def _spelled(tree: CommentedTree, predicate: bool) -> CommentedTree:
+def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
     """The same tree with predicates as they are spelled."""
     value: Any = tree.value
     if isinstance(value, str):
@@ -119,7 +119,7 @@ def _spelled(tree: CommentedTree, predicate: bool) -> CommentedTree:
     return tree if same else replace(tree, value=new)
 
 
-def _collect_blocks(tree: CommentedTree, blocks: set[int]) -> bool:
+def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
     """Collect what cannot be written on one line: it holds a comment, a text of several lines, or a predicate.
 
     Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
@@ -148,7 +148,7 @@ class _Writer:
     def __init__(self, blocks: set[int]) -> None:
         self.blocks = blocks
 
-    def sections(self, tree: CommentedTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
+    def sections(self, tree: YamlTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
         """The entries of a document, a blank line before each that is written as a block."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
@@ -160,7 +160,7 @@ class _Writer:
             started = True
         yield from _comments(tree.end, 0)
 
-    def entries(self, tree: CommentedTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
+    def entries(self, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
         """The entries of a mapping, one below the other."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
@@ -168,7 +168,7 @@ class _Writer:
             yield from self.entry(key, child, slot.member(key), indent, section)
         yield from _comments(tree.end, indent)
 
-    def items(self, tree: CommentedTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
+    def items(self, tree: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
         """The items of a list, one below the other."""
         for item in tree.value:
             nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
@@ -180,7 +180,7 @@ class _Writer:
                 yield from self.short(f"{' ' * indent}-", item, slot.item, indent, item.beside)
         yield from _comments(tree.end, indent)
 
-    def nested_item(self, item: CommentedTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
+    def nested_item(self, item: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
         """An item that is a mapping or list over several lines, which start behind the dash."""
         inside = indent + 2
         mapping = isinstance(item.value, dict)
@@ -192,7 +192,7 @@ class _Writer:
             yield f"{dash} {first[0][inside:]}", first[1]
         yield from lines
 
-    def entry(self, key: str, tree: CommentedTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
+    def entry(self, key: str, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
         """One key with its value."""
         pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
@@ -211,7 +211,7 @@ class _Writer:
             return
         yield from self.short(head, tree, slot, indent, beside)
 
-    def short(self, head: str, tree: CommentedTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
+    def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
         """What is no block: on one line, or a long list or text over several."""
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
@@ -237,7 +237,7 @@ class _Writer:
         yield f"{head} {lines[0]}", beside
         yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
 
-    def is_block(self, tree: CommentedTree, slot: KeyOrder, column: int) -> bool:
+    def is_block(self, tree: YamlTree, slot: KeyOrder, column: int) -> bool:
         """Whether a mapping or list that starts at a column is written over several lines."""
         if not tree.value:
             return False
@@ -245,14 +245,14 @@ class _Writer:
             return self.is_list_of_lines(tree, slot, column)
         return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
-    def is_list_of_lines(self, tree: CommentedTree, slot: KeyOrder, indent: int) -> bool:
+    def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, indent: int) -> bool:
         """Whether each item of a list has a line of its own: predicates, and what does not fit on one."""
         if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
         return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
 
-    def flow(self, tree: CommentedTree, slot: KeyOrder, where: Any) -> str:
+    def flow(self, tree: YamlTree, slot: KeyOrder, where: Any) -> str:
         """A value on one line."""
         value = tree.value
         if isinstance(value, dict):
@@ -278,7 +278,7 @@ def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
     yield line
 
 
-def _above(tree: CommentedTree) -> tuple[str, ...]:
+def _above(tree: YamlTree) -> tuple[str, ...]:
     """The comments on the lines above; an empty mapping or list has no lines to hold its own."""
     return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.frontends.importer import Options, Report, import_file
+from simfoundry.frontends.draft import ImportOptions
+from simfoundry.frontends.importer import ImportReport, import_file
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
@@ -20,7 +21,7 @@ from tests.corpora.importing.outcome import Outcome
 from tests.corpora.importing.urdf import compare_urdf, read_side
 from tests.corpora.importing.usd import compare_usd, load_usd
 
-Comparing = Callable[[Outcome, Report, Scene, Path], None]
+Comparing = Callable[[Outcome, ImportReport, Scene, Path], None]
 
 
 def measure(corpus: str, file: str) -> Outcome:
@@ -32,7 +33,7 @@ def measure(corpus: str, file: str) -> Outcome:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "thing.scene.yaml"
         try:
-            report = import_file(path, out, Options())
+            report = import_file(path, out, ImportOptions())
             scene = lower_file(out)
             if compare is not None:
                 compare(outcome, report, scene, Path(folder))
@@ -59,7 +60,7 @@ def _comparison(outcome: Outcome, path: Path) -> Comparing | None:
     if outcome.format == "URDF":
         side = read_side(path)
 
-        def urdf(outcome: Outcome, report: Report, scene: Scene, folder: Path) -> None:
+        def urdf(outcome: Outcome, report: ImportReport, scene: Scene, folder: Path) -> None:
             assert side is not None
             build(scene, ["pybullet"], folder)
             compare_urdf(outcome, report, side, path, next((folder / "pybullet").glob("*.urdf")))
@@ -68,14 +69,14 @@ def _comparison(outcome: Outcome, path: Path) -> Comparing | None:
     if outcome.format == "MJCF":
         model = load_mjcf(path)
 
-        def mjcf(outcome: Outcome, report: Report, scene: Scene, folder: Path) -> None:
+        def mjcf(outcome: Outcome, report: ImportReport, scene: Scene, folder: Path) -> None:
             build(scene, ["mjcf"], folder)
             compare_mjcf(outcome, report, model, folder / "mjcf/scene.xml")
 
         return None if model is None or (model.nbody == 1 and model.ngeom == 0) else mjcf
     stage = load_usd(path)
 
-    def usd(outcome: Outcome, report: Report, scene: Scene, folder: Path) -> None:
+    def usd(outcome: Outcome, report: ImportReport, scene: Scene, folder: Path) -> None:
         build(scene, ["usd"], folder)
         compare_usd(outcome, report, stage, scene, folder / "usd/scene.usda")
 
@@ -88,7 +89,7 @@ def corrupt(corpus: str, file: str) -> Outcome:
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         try:
-            import_file(path, Path(folder) / "thing.scene.yaml", Options())
+            import_file(path, Path(folder) / "thing.scene.yaml", ImportOptions())
         except (SimfoundryError, SpecError) as error:
             outcome.refused = str(error).removeprefix(str(path)).lstrip(":0123456789 ")
         except Exception:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.frontends.importer import Report
+from simfoundry.frontends.importer import ImportReport
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import Pose
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
@@ -25,7 +25,7 @@ def load_mjcf(path: Path) -> Any:
         return None
 
 
-def compare_mjcf(outcome: Outcome, report: Report, a: Any, compiled: Path) -> None:
+def compare_mjcf(outcome: Outcome, report: ImportReport, a: Any, compiled: Path) -> None:
     """Masses, joints, world poses at the state of the scene, and mass matrices at random states."""
     import mujoco
 

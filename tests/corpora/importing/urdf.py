@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.frontends.importer import Report
+from simfoundry.frontends.importer import ImportReport
 from simfoundry.frontends.xmltree import read_xml
 from simfoundry.geometry.frames import Pose, from_xyzw
 from tests.corpora.importing.dynamics import STATES, TOLD, mass_matrix
@@ -62,7 +62,7 @@ def _pose(values: tuple[Any, Any]) -> tuple[Any, Any]:
     return values[0], from_xyzw(values[1])
 
 
-def compare_urdf(outcome: Outcome, report: Report, theirs: Side, original: Path, compiled: Path) -> None:
+def compare_urdf(outcome: Outcome, report: ImportReport, theirs: Side, original: Path, compiled: Path) -> None:
     """Masses, frames and limits by PyBullet, mass matrices by MuJoCo."""
     ours = read_side(compiled)
     if ours is None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.importer import Report
+from simfoundry.frontends.importer import ImportReport
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Scene
@@ -28,7 +28,7 @@ def load_usd(path: Path) -> Any:
         return None
 
 
-def compare_usd(outcome: Outcome, report: Report, stage: Any, scene: Scene, compiled: Path) -> None:
+def compare_usd(outcome: Outcome, report: ImportReport, stage: Any, scene: Scene, compiled: Path) -> None:
     """Bounds of all that is seen in the import; masses and limits of what is compiled back."""
     _compare_bounds(outcome, stage, scene)
     theirs, ours = _masses(stage), _masses(load_usd(compiled))

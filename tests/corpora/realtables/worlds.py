@@ -14,7 +14,7 @@ from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Link, Scene
 from simfoundry.worlds import open_world
 from simfoundry.worlds.base import LinkFacts
-from simfoundry.worlds.rest import Motion, simulate
+from simfoundry.worlds.rest import ObjectMotion, simulate
 from simfoundry.worlds.usd_readback import read_back as read_stage
 
 ENGINES = {"MuJoCo": "mujoco", "PyBullet": "pybullet"}
@@ -66,7 +66,7 @@ def rest(scene: Scene, engine: str, max_moved: float, max_turned_deg: float) -> 
     )
 
 
-def _sentence(motion: Motion) -> str:
+def _sentence(motion: ObjectMotion) -> str:
     return f"{motion.name} moved {motion.moved * 100:.1f} cm, turned {motion.turned_deg:.0f} deg"
 
 

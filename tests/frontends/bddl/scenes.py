@@ -7,11 +7,11 @@ from typing import Any
 
 import yaml
 
-from simfoundry.frontends.bddl import Problem
+from simfoundry.frontends.bddl import BddlProblem
 from simfoundry.frontends.names import plain_name
 
 
-def write_scene(problem: Problem, folder: Path) -> Path:
+def write_scene(problem: BddlProblem, folder: Path) -> Path:
     """Write a scene with all things of a problem side by side; returns its file."""
     objects: dict[str, Any] = {}
     surfaces = {region.target for region in problem.regions.values() if region.ranges is not None}

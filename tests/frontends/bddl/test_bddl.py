@@ -13,11 +13,12 @@ from typing import Any
 import pytest
 
 from simfoundry.frontends.bddl import read_problem
-from simfoundry.frontends.bddl.conditions import Reading
-from simfoundry.frontends.bddl.expressions import Group, read_group
+from simfoundry.frontends.bddl.conditions import ConditionReader
+from simfoundry.frontends.bddl.expressions import BddlGroup, read_group
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, import_file
-from simfoundry.frontends.task_export import ExportError, export_task
+from simfoundry.frontends.importer import import_file
+from simfoundry.frontends.task_export import TaskExportError, export_task
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load_kind
 from simfoundry.spec.models.task import TaskSpec
@@ -47,7 +48,7 @@ def _imported(tmp_path: Path, goal: str, text: str = LIBERO, name: str = "x.bddl
     file = tmp_path / name
     file.write_text(text.replace("GOAL", goal))
     scene = write_scene(read_problem(file), tmp_path)
-    import_file(file, tmp_path / "x.task.yaml", Options(scene=scene, force=True))
+    import_file(file, tmp_path / "x.task.yaml", ImportOptions(scene=scene, force=True))
     return _task(tmp_path / "x.task.yaml")
 
 
@@ -73,7 +74,7 @@ def _holds(condition: Any, facts: Mapping[str, bool]) -> bool:
     return {"all": all, "any": any}[key](_holds(item, facts) for item in below)
 
 
-def _truth(group: Group, scope: dict[str, str], kinds: Mapping[str, list[str]], facts: Mapping[str, bool]) -> bool:
+def _truth(group: BddlGroup, scope: dict[str, str], kinds: Mapping[str, list[str]], facts: Mapping[str, bool]) -> bool:
     """What BEHAVIOR's own evaluation says, written from its definition: counts over all things of a type."""
     below = group.groups
     if group.head in ("and", "or"):
@@ -121,11 +122,11 @@ def test_quantifiers_mean_what_behavior_means(tmp_path: Path, text: str) -> None
     kinds = {"cup": ["c1", "c2", "c3"], "plate": ["p1", "p2"]}
     names: set[str] = set()
 
-    def atom(_: Group, name: str, words: list[str]) -> str:
+    def atom(_: BddlGroup, name: str, words: list[str]) -> str:
         names.add(f"{name}({', '.join(words)})")
         return f"{name}({', '.join(words)})"
 
-    reading = Reading(atom, kinds)
+    reading = ConditionReader(atom, kinds)
     condition = reading.condition(group, {})
     assert condition is not None and not reading.missing
     rng = random.Random(5)
@@ -233,7 +234,7 @@ def test_a_task_goes_out_and_comes_back(tmp_path: Path, name: str, format_: str)
     export = export_task(spec, lower_file(scene_file), format_)
     file = tmp_path / "specs" / f"{name}.{'yaml' if format_ == 'omnigibson' else 'bddl'}"
     file.write_text(export.text)
-    import_file(file, tmp_path / "specs/back.task.yaml", Options(scene=scene_file))
+    import_file(file, tmp_path / "specs/back.task.yaml", ImportOptions(scene=scene_file))
     back = _task(tmp_path / "specs/back.task.yaml")
     how = (format_ != "libero", format_ == "omnigibson")  # only LIBERO names a part; only the release asks for release
     assert _said(back.goal, *how) == _said(spec.goal, *how)
@@ -254,11 +255,11 @@ def test_what_a_format_cannot_say_is_refused(tmp_path: Path) -> None:
     spec = _task(TASKS / "cup_in_bowl.task.yaml")
     scene = lower_file(TASKS / spec.scene)
     either = spec.model_copy(update={"goal": _imported(tmp_path, "(Or (On bowl_1 plate_1) (On bowl_2 plate_1))").goal})
-    with pytest.raises(ExportError, match="`any`"):
+    with pytest.raises(TaskExportError, match="`any`"):
         export_task(either, scene, "libero")
-    with pytest.raises(ExportError, match="no predicate for `Upright"):
+    with pytest.raises(TaskExportError, match="no predicate for `Upright"):
         export_task(spec.model_copy(update={"goal": "Upright(cup)"}), scene, "libero")
-    with pytest.raises(ExportError, match="nothing of the goal"):
+    with pytest.raises(TaskExportError, match="nothing of the goal"):
         export_task(spec.model_copy(update={"goal": "Released(cup)"}), scene, "behavior")
 
 

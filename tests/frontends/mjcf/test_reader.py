@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.geometry.shapes import Box
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import JointType
@@ -233,7 +234,7 @@ def test_an_unforeseen_error_is_a_refusal_with_its_line(tmp_path: Path, monkeypa
     with pytest.raises(
         ImportRefusedError, match=r"m\.xml:3: the importer failed .*KeyError: 'pad', at frontends/documents"
     ):
-        import_file(source, tmp_path / "m.scene.yaml", Options())
+        import_file(source, tmp_path / "m.scene.yaml", ImportOptions())
 
 
 @pytest.mark.parametrize(
@@ -267,5 +268,5 @@ def test_what_cannot_be_read_is_refused_with_its_reason(tmp_path: Path, text: st
     (tmp_path / "secret.stl").write_text("solid a\nendsolid a\n")
     source.write_text(text)
     with pytest.raises(ImportRefusedError, match=reason):
-        import_file(source, tmp_path / "one/two/a.scene.yaml", Options())
+        import_file(source, tmp_path / "one/two/a.scene.yaml", ImportOptions())
     assert [p.name for p in source.parent.iterdir()] == ["a.xml"]

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, Report, import_file
+from simfoundry.frontends.importer import ImportReport, import_file
 from simfoundry.geometry.frames import Pose, quat_from_rpy, to_xyzw
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load, load_kind
@@ -79,9 +80,9 @@ def release(tmp_path: Path) -> Path:
     return file
 
 
-def _imported(release: Path) -> tuple[Report, Path]:
+def _imported(release: Path) -> tuple[ImportReport, Path]:
     out = release.parent / "desk.scene.yaml"
-    return import_file(release, out, Options(force=True)), out
+    return import_file(release, out, ImportOptions(force=True)), out
 
 
 def test_what_stands_in_four_files_becomes_one_scene(release: Path) -> None:
@@ -134,12 +135,12 @@ og_task_config:
 """
 
 
-def _task(release: Path, text: str) -> tuple[Report, TaskSpec]:
+def _task(release: Path, text: str) -> tuple[ImportReport, TaskSpec]:
     _, scene = _imported(release)
     source = release.parent / "put_away.yaml"
     source.write_text(text)
     out = release.parent / "put_away.task.yaml"
-    report = import_file(source, out, Options(scene=scene, force=True))
+    report = import_file(source, out, ImportOptions(scene=scene, force=True))
     spec = load(out).spec
     assert isinstance(spec, TaskSpec)
     return report, spec

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simfoundry.frontends.draft import ImportOptions
 from simfoundry.frontends.errors import ImportRefusedError
-from simfoundry.frontends.importer import Options, import_file
+from simfoundry.frontends.importer import import_file
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.geometry.shapes import Box, Cylinder, Mesh
 from simfoundry.scene.kinematics import link_poses
@@ -214,9 +215,9 @@ def test_packages_are_found_upward_by_name_or_as_told(tmp_path: Path, scheme: st
     for place in ("bot/m", "elsewhere/m"):
         (tmp_path / place).mkdir(parents=True)
     (tmp_path / "elsewhere/m/t.obj").write_text(TETRAHEDRON)
-    assert import_file(source, out, Options({"bot": tmp_path / "elsewhere"})).meshes == 1
+    assert import_file(source, out, ImportOptions({"bot": tmp_path / "elsewhere"})).meshes == 1
     (tmp_path / "bot/m/t.obj").write_text(TETRAHEDRON)
-    assert import_file(source, out, Options(force=True)).meshes == 1
+    assert import_file(source, out, ImportOptions(force=True)).meshes == 1
 
 
 def test_mimic_and_contact_are_kept(importing: Importing) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd import compile_usd
 from simfoundry.frontends.usd.compiled.importing import Imported, import_usd
-from simfoundry.frontends.usd.compiled.reading import Reading, read_spec
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 
@@ -145,7 +145,7 @@ class Project:
         os.close(handle)
         return Usd.Stage.Open(str(shutil.copy(self.stage, copy)))
 
-    def read(self, stage: Usd.Stage) -> Reading:
+    def read(self, stage: Usd.Stage) -> StageReading:
         """The document of an edited stage."""
         reading = read_spec(stage)
         assert reading is not None

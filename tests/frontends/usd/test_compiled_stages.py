@@ -312,11 +312,14 @@ def test_metadata_that_somebody_spoilt_is_an_error_and_no_crash(desk: Project, k
 def test_the_metadata_can_be_read_by_people(desk: Project) -> None:
     """One line a key, and a relation as it is written."""
     text = desk.stage.read_text(encoding="utf-8")
-    assert ' "mass": {"value": 0.45, "range": [0.3, 0.6], "by": "vlm"},\n' in text
+    assert ' "mass": {"value": 0.45, "range": [0.3, 0.6], "source": "vlm"},\n' in text
     assert '"OnTop(plate, desk)"' in text
     stage = open_stage(desk.stage)
     plate = stage.GetPrimAtPath("/World/Objects/plate")
-    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {"capture": "monday", "fit": 0.002}
+    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {
+        "capture": "monday",
+        "fit_error": 0.002,
+    }
     assert str(desk.stage.parent) not in text and str(desk.document.parent) not in text
 
 

@@ -33,7 +33,7 @@ objects:
   # my mug
   mug:
     # weighed
-    mass: {value: 0.31, range: [0.2, 0.45], by: table}  # estimated
+    mass: {value: 0.31, range: [0.2, 0.45], source: table}  # estimated
     shape:
         cylinder:
             radius: 0.04   # outside
@@ -62,7 +62,7 @@ def _mug(data: Data) -> Data:
 
 def test_a_value_is_replaced_where_it_stands() -> None:
     edited = _edited(lambda d: _mug(d).update(mass=0.3))
-    assert edited == TEXT.replace("{value: 0.31, range: [0.2, 0.45], by: table}", "0.3")
+    assert edited == TEXT.replace("{value: 0.31, range: [0.2, 0.45], source: table}", "0.3")
 
 
 def test_values_in_braces_and_in_blocks_keep_the_layout_around_them() -> None:

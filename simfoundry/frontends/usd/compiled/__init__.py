@@ -2,13 +2,13 @@
 
 from simfoundry.frontends.usd.compiled.importing import Imported, import_stage, import_usd
 from simfoundry.frontends.usd.compiled.loading import load_usd
-from simfoundry.frontends.usd.compiled.reading import Reading, read_spec, read_stage
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError, carrier
 
 __all__ = [
     "Imported",
-    "Reading",
     "StageError",
+    "StageReading",
     "carrier",
     "import_stage",
     "import_usd",

@@ -1,4 +1,4 @@
-"""What a person changed at a part of a stage, in the words of the document; all else stays as it was written."""
+"""Edits of a member of a stage, as data of the document; everything else stays as it was written."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from simfoundry.frontends.usd.compiled.joints import edited_joints
 from simfoundry.frontends.usd.compiled.shapes import scaled
-from simfoundry.frontends.usd.compiled.stage import Part, fallback, links_of
-from simfoundry.frontends.usd.compiled.values import Note, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links_of
+from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
@@ -20,37 +20,37 @@ from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
 MOVED_M = 1e-4
-"""What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""
+"""Moves below this [m], and turns below ``UPRIGHT_DEG``, are none: hands in a viewer are not that steady."""
 
 SINGLE = 3.4e38
-"""Larger numbers have no place in single precision."""
+"""The greatest number of single precision."""
 
 ROUNDED = 2e-6
 """Relative difference that writing in single precision and reading back may make: some units of its last place."""
 
 _PIECES = ("Colliders", "Visuals")
 
-_TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
-"""Starts of attributes that, where somebody adds them, are reported unless they say what holds anyway."""
+_REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
+"""Prefixes of attributes that are reported where somebody adds them, unless they state the fallback."""
 
 
 @dataclass(frozen=True)
 class Edited:
-    """The data of a part as the stage has it, and what of the stage they cannot say."""
+    """The data of a member as the stage has it, with notes on what it cannot hold."""
 
     data: dict[str, Any]
-    notes: tuple[Note, ...]
+    notes: tuple[StageNote, ...]
 
 
-def edited_object(part: Part) -> Edited:
-    """An object: its pose, size, mass, surface, joints, and whether it is fixed; the same of each of its variants."""
+def edited_object(part: StageMember) -> Edited:
+    """Return an object: its pose, size, mass, surface, joints, and whether it is fixed; so for each of its variants."""
     if part.variant:
         return Edited(*edited_variants(part, _edited_one))
     return Edited(*_edited_one(part))
 
 
-def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
-    """The data of an object without variants, or of one of them, and what of the stage they cannot say."""
+def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
+    """The data of an object without variants, or of one of them, and notes."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
     handled |= {(link, "at") for link in links_of(part.built)[:1]}
@@ -66,8 +66,8 @@ def _edited_one(part: Part) -> tuple[dict[str, Any], tuple[Note, ...]]:
     return data, (*notes, *rest(part, handled, hint))
 
 
-def edited_robot(part: Part) -> Edited:
-    """A robot: where its base stands."""
+def edited_robot(part: StageMember) -> Edited:
+    """Return a robot: only its base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -75,12 +75,12 @@ def edited_robot(part: Part) -> Edited:
         now = part.now.get(path, {})
         for name in (n for n in values if n.startswith("state:") and differs(values[n], now.get(n))):
             message = f"`{name}` was {shown(values[name])} and is {shown(now.get(name))}"
-            notes.append(Note(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
+            notes.append(StageNote(f"{part.path}/{path}", message, "write the posture of a robot into its `joints`"))
     return Edited(data, tuple(notes))
 
 
-def has_moved(part: Part) -> bool:
-    """Whether a part stands elsewhere than where it was written."""
+def has_moved(part: StageMember) -> bool:
+    """Return whether a member has another pose than the written one."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
 
@@ -94,7 +94,7 @@ def _turned(old: Pose, new: Pose) -> bool:
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
-    """A pose as a person writes it; what of the one that was written ``before`` still holds stays as it is."""
+    """Return a pose as a person writes it; the parts of the one ``before`` that still hold stay as written."""
     new = to_data(pose_spec(pose))
     if not isinstance(before, dict):
         return new
@@ -105,7 +105,7 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
 
 
 def differs(a: Any, b: Any) -> bool:
-    """Whether two values differ by more than what single precision and rounding do."""
+    """Return whether two values differ by more than single precision and rounding."""
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
         return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
@@ -114,34 +114,34 @@ def differs(a: Any, b: Any) -> bool:
     return not math.isclose(a, b, rel_tol=ROUNDED, abs_tol=1e-10) and not (math.isnan(a) and math.isnan(b))
 
 
-def rest(part: Part, handled: set[tuple[str, str]], hint: str = "") -> Iterator[Note]:
-    """What else is otherwise than it was written, which nobody takes over."""
+def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> Iterator[StageNote]:
+    """Yield a note for each other difference from what was written; none of them is taken over."""
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
-            yield Note(path, "it was deleted, and an object keeps all its pieces")
+            yield StageNote(path, "it was deleted, and an object keeps all its pieces")
             continue
         now = part.now[relative]
         for name, value in values.items():
             if name != "at" and (relative, name) not in handled and differs(value, now.get(name)):
-                yield Note(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
+                yield StageNote(path, f"`{name}` was {shown(value)} and is {shown(now.get(name))}", hint)
         if relative and (relative, "at") not in handled and _displaced(values, now):
-            yield Note(path, "it was moved within its object", hint or "move the object itself")
+            yield StageNote(path, "it was moved within its object", hint or "move the object itself")
     for relative, now in part.now.items():
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
         built = part.built.get(relative)
         if built is None and relative and _counts(prim):
-            yield Note(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
+            yield StageNote(str(prim.GetPath()), "it was added inside an object", "put it beside the object")
             continue
         for name, value in now.items():
             if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
                 continue
-            if name.startswith(_TOLD) and differs(value, fallback(prim, name)):
-                yield Note(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
+            if name.startswith(_REPORTED_PREFIXES) and differs(value, fallback(prim, name)):
+                yield StageNote(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
 
 
 def shown(value: Any) -> str:
-    """A value in a message."""
+    """Return a value as messages show it."""
     if isinstance(value, tuple | list):
         return f"({', '.join(shown(v) for v in value)})"
     return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
@@ -158,13 +158,13 @@ def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
 
 
 def _counts(prim: Any) -> bool:
-    """Whether a prim is seen, touched or holds something."""
+    """Return whether a prim is a shape, a joint or a body."""
     from pxr import UsdGeom, UsdPhysics
 
     return bool(prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdPhysics.Joint) or prim.HasAPI(UsdPhysics.RigidBodyAPI))
 
 
-def _pose(part: Part, data: dict[str, Any]) -> None:
+def _pose(part: StageMember, data: dict[str, Any]) -> None:
     if has_moved(part):
         pose = pose_data(part.X_WP, None if "place" in data else data.get("pose", {}), part.X_WP_built)
         data.pop("place", None)
@@ -173,8 +173,8 @@ def _pose(part: Part, data: dict[str, Any]) -> None:
             data["pose"] = pose
 
 
-def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
-    """A thing that was scaled, or a primitive that was resized: what touches counts before what is seen."""
+def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
+    """An object that was scaled, or a primitive that was resized: colliders count before visuals."""
     factors = part.scale
     links = links_of(part.built)
     if links and "shape" in data:
@@ -188,13 +188,13 @@ def _size(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> It
         return
     changed, problem = scaled(data, factors)
     if problem:
-        yield Note(part.path, problem)
+        yield StageNote(part.path, problem)
     else:
         data.update(changed)
 
 
-def _resized(part: Part, relative: str) -> Any:
-    """By what a primitive was stretched along its axes, shape (3,); None where there is no such prim."""
+def _resized(part: StageMember, relative: str) -> Any:
+    """The factors of a resized primitive along its axes, shape (3,); None where there is no such prim."""
     if relative not in part.built or relative not in part.now:
         return None
     built, now = part.built[relative], part.now[relative]
@@ -208,7 +208,7 @@ def _resized(part: Part, relative: str) -> Any:
     return np.asarray(factors, dtype=np.float64)
 
 
-def _mass(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def _mass(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     for link in links_of(part.built)[:1]:
         handled |= {(link, "physics:mass"), (link, "physics:density")}
         old, now = part.built[link]["physics:mass"], part.now.get(link, {})
@@ -220,10 +220,10 @@ def _mass(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> It
             data.pop("mass", None)
             data["density"] = short(density)
         elif mass <= 0:
-            yield Note(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
+            yield StageNote(f"{part.path}/{link}", "it has no mass any more", "give it one, or a density")
 
 
-def _surface(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Colour, friction and restitution; of several pieces that of the first that changed."""
     for relative, values in part.built.items():
         now = part.now.get(relative)
@@ -232,14 +232,14 @@ def _surface(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) ->
         if values.get("look") is not None:
             handled.add((relative, "look"))
             if now.get("look") is None:
-                yield Note(f"{part.path}/{relative}", "its new material is none that has a plain colour")
+                yield StageNote(f"{part.path}/{relative}", "its new material is none that has a plain colour")
             elif differs(values["look"], now["look"]):
                 rgb, opacity = srgb(now["look"][:3]), short(now["look"][3])
                 data["color"] = (*rgb, opacity) if opacity != 1.0 or len(data.get("color", ())) == 4 else rgb
         if values.get("contact") is not None:
             handled.add((relative, "contact"))
             if now.get("contact") is None:
-                yield Note(f"{part.path}/{relative}", "it has no contact material any more")
+                yield StageNote(f"{part.path}/{relative}", "it has no contact material any more")
                 continue
             for k, name in ((0, "friction"), (2, "restitution")):
                 own = _own(values["contact"][k : k + 2], now["contact"][k : k + 2])
@@ -254,7 +254,7 @@ def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
     return short(now[0] ** 2) if differs(built[0], now[0]) else None
 
 
-def _fixed(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
+def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
     from pxr import UsdPhysics
 
     for link in links_of(part.built)[:1]:

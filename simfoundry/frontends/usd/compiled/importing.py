@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from simfoundry.errors import OutputError
-from simfoundry.frontends.fault_guard import refusing_faults
+from simfoundry.frontends.errors import refusing_faults
 from simfoundry.frontends.usd.compiled.loading import home, stage_document
 from simfoundry.frontends.usd.compiled.reading import read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError
-from simfoundry.frontends.usd.compiled.values import Note
+from simfoundry.frontends.usd.compiled.values import StageNote
 from simfoundry.frontends.usd.compiled.write_back import written_into
 from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.change.flatten import relocated
@@ -29,7 +29,7 @@ class Imported:
     """
 
     text: str
-    notes: tuple[Note, ...] = ()
+    notes: tuple[StageNote, ...] = ()
     disputed: tuple[str, ...] = ()
 
 

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd.compiled.stage import Part, Values, placed
-from simfoundry.frontends.usd.compiled.values import Note
+from simfoundry.frontends.usd.compiled.stage import StageMember, Values, placed
+from simfoundry.frontends.usd.compiled.values import StageNote
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import STILL
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
-"""How far off its joint a link may be moved by hand and still count as moved along it."""
+"""Distance [m] and angle [rad] off its joint up to which a link counts as moved along it: hands in a viewer err so."""
 
 
-def edited_joints(part: Part, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[Note]:
+def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
     """Write the joint positions of ``part`` that changed into ``data``; a joint's own word counts before its link's."""
     joints = dict(data.get("joints", {}))
     for relative, values in part.built.items():
@@ -34,7 +34,9 @@ def edited_joints(part: Part, data: dict[str, Any], handled: set[tuple[str, str]
         handled.add((child, "at"))
         new = spoken[0] if spoken else old + moved
         if not spoken and off:
-            yield Note(f"{part.path}/{child}", "it was moved off its joint; what of it goes along the joint is kept")
+            yield StageNote(
+                f"{part.path}/{child}", "it was moved off its joint; what of it goes along the joint is kept"
+            )
         name = relative.rpartition("/")[2]
         if abs(new - old) > STILL:
             joints[name] = _written(new, isinstance(joints.get(name), dict))
@@ -46,7 +48,7 @@ def _written(position: float, degrees: bool) -> Any:
     return {"deg": round(math.degrees(position), 2) + 0.0} if degrees else round(position, 4) + 0.0
 
 
-def _moved(part: Part, relative: str, kind: str) -> tuple[str, float, bool]:
+def _moved(part: StageMember, relative: str, kind: str) -> tuple[str, float, bool]:
     """The link on a joint, how far it was moved along it [m or rad], and whether it left it."""
     prim = part.prim.GetPrimAtPath(relative)
     bodies = [_target(part, prim, name) for name in ("physics:body0", "physics:body1")]
@@ -66,7 +68,7 @@ def _moved(part: Part, relative: str, kind: str) -> tuple[str, float, bool]:
     return child, angle, bool(np.linalg.norm(step.p) > _OFF_M or turn.angle_to(step) > _OFF_RAD)
 
 
-def _target(part: Part, joint: Any, name: str) -> str:
+def _target(part: StageMember, joint: Any, name: str) -> str:
     targets = joint.GetRelationship(name).GetTargets()
     return str(targets[0].MakeRelativePath(part.prim.GetPath())) if targets else ""
 

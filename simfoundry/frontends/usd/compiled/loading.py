@@ -1,4 +1,4 @@
-"""A stage wherever a scene document is expected: checked alike, findings placed at prims."""
+"""Load a stage wherever a scene document is expected: checked alike, findings placed at prims."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simfoundry.frontends.usd.compiled.reading import Reading, read_stage
+from simfoundry.frontends.usd.compiled.reading import StageReading, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError
 from simfoundry.spec.diagnostics import Diagnostic, Severity
 from simfoundry.spec.load import Known, checked
@@ -35,8 +35,8 @@ def load_usd(path: Path, known: Known | None = None) -> Loaded:
     return replace(loaded, findings=(*loaded.findings, *_findings(path, reading)))
 
 
-def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
-    """What the document cannot say of the stage."""
+def _findings(path: Path, reading: StageReading) -> Iterator[Diagnostic]:
+    """A finding for each note on the stage."""
     for note in reading.notes:
         about = next((key for key, prim in reading.prims.items() if f"{note.prim}/".startswith(f"{prim}/")), ())
         file = f"{path}<{note.prim}>"
@@ -44,9 +44,9 @@ def _findings(path: Path, reading: Reading) -> Iterator[Diagnostic]:
 
 
 def home(stage: Path, file: str) -> Path:
-    """Where the document of a stage lies: ``file`` below a folder above the stage, or below the current one.
+    """Return the place of a stage's document: ``file`` below a folder above the stage, or below the current one.
 
-    Beside the stage where it is nowhere: what it refers to is missing then, too.
+    Beside the stage where it is nowhere: its assets are missing then, too.
     """
     folders = [*stage.absolute().parents, Path.cwd()]
     places = [folder / name for folder in folders for name in dict.fromkeys((file, Path(file).name))]
@@ -54,8 +54,8 @@ def home(stage: Path, file: str) -> Path:
     return found or stage.absolute().parent / (Path(file).name or stage.name)
 
 
-def stage_document(path: Path, reading: Reading) -> Document:
-    """The document of a stage; its parts stand at their prims, all else in the file as a whole."""
+def stage_document(path: Path, reading: StageReading) -> Document:
+    """Return the document of a stage; its members stand at their prims, all else in the file as a whole."""
     files: dict[tuple[Any, ...], str] = {key: f"{path}<{prim}>" for key, prim in reading.prims.items()}
     root = _node(reading.data, (), str(path), files)
     return Document(str(path), "", reading.data, root, ())

@@ -1,7 +1,7 @@
 """Read a stage that was compiled from a document, and perhaps edited since, as that document.
 
 What nobody touched comes back as it was written; where the stage differs from what was written, the stage counts.
-:class:`~simfoundry.frontends.usd.compiled.stage_frame.World` finds the units of a stage that includes ours.
+:class:`~simfoundry.frontends.usd.compiled.stage_frame.StageFrame` finds the units of a stage that includes ours.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from simfoundry.backends.usd.source import SCOPES
-from simfoundry.frontends.usd.compiled.added_prims import Added, added
+from simfoundry.frontends.usd.compiled.added_prims import AddedPrims, added_prims
 from simfoundry.frontends.usd.compiled.edits import MOVED_M, Edited, edited_object, edited_robot, has_moved, pose_data
 from simfoundry.frontends.usd.compiled.references import anchors, renamed, without
-from simfoundry.frontends.usd.compiled.stage import Part, StageError, carrier, document, open_stage, parts
-from simfoundry.frontends.usd.compiled.stage_frame import World
-from simfoundry.frontends.usd.compiled.values import Note, as_name, short
+from simfoundry.frontends.usd.compiled.stage import StageError, StageMember, carrier, document, open_stage, parts
+from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
+from simfoundry.frontends.usd.compiled.values import StageNote, as_name, short
 from simfoundry.frontends.usd.compiled.variants import variant_data
 from simfoundry.frontends.usd.compiled.views import edited_camera, edited_light
 
@@ -30,13 +30,13 @@ Data = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Reading:
+class StageReading:
     """A stage as a document.
 
-    ``data`` is what it says now and ``before`` what was compiled, both whole and without defaults; of what was deleted
+    ``data`` is its present content and ``before`` the compiled one, both whole and without defaults; of deleted members
     ``before`` has only the name. ``file`` is the path of the document in its project. ``renamed`` has the new names by
-    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` say what of the
-    stage is not in ``data``.
+    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` are on
+    content of the stage that is not in ``data``.
     """
 
     data: Data
@@ -44,10 +44,10 @@ class Reading:
     file: str
     renamed: Mapping[tuple[str, str], str]
     prims: Mapping[tuple[str, str], str]
-    notes: tuple[Note, ...]
+    notes: tuple[StageNote, ...]
 
 
-def read_stage(path: Path) -> Reading:
+def read_stage(path: Path) -> StageReading:
     """Read a stage; raises :class:`StageError` where there is none, or none that was compiled from a document."""
     stage = open_stage(path)
     try:
@@ -59,15 +59,15 @@ def read_stage(path: Path) -> Reading:
     return reading
 
 
-def read_spec(stage: Usd.Stage) -> Reading | None:
-    """The document of a stage as it is now; None where the stage was not compiled from one."""
+def read_spec(stage: Usd.Stage) -> StageReading | None:
+    """Return the present document of a stage; None where the stage was not compiled from one."""
     prim = carrier(stage)
     if prim is None:
         return None
     file, written = document(prim)
     if written.get("simfoundry") != "scene/1":
         raise StageError(f"the stage holds a `{written.get('simfoundry')}` document; this version reads scene/1")
-    world = World(stage, prim)
+    world = StageFrame(stage, prim)
     found = parts(stage, world)
     members, names, copies = _identified(found, written)
     edited = {key: _edited(part) for key, part in members.items()}
@@ -78,30 +78,32 @@ def read_spec(stage: Usd.Stage) -> Reading | None:
     data = _placed(without(data, gone - set(names.values())), members, names, copies, gone)
     notes = [note for each in edited.values() for note in each.notes]
     _gravity(prim, data, world)
-    new = added(stage, prim, {part.path for part in found}, data, world)
+    new = added_prims(stage, prim, {part.path for part in found}, data, world)
     _add(data, new)
     prims = {(s, names.get((s, n), n)): part.path for (s, n), part in members.items()}
     prims |= {(part.section, name): part.path for name, part in copies.items()}
-    return Reading(data, before, file, names, {**prims, **new.prims}, (*notes, *new.notes))
+    return StageReading(data, before, file, names, {**prims, **new.prims}, (*notes, *new.notes))
 
 
 def _had(written: Data, section: str, name: str) -> bool:
-    """Whether a member had a prim of its own, and may so have been deleted."""
+    """Return whether a member had a prim of its own, and may have been deleted."""
     return bool(written.get(section, {}).get(name, {}) is None)
 
 
-Members = dict[tuple[str, str], Part]
+Members = dict[tuple[str, str], StageMember]
 
 
-def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[str, str], str], dict[str, Part]]:
+def _identified(
+    found: list[StageMember], written: Data
+) -> tuple[Members, dict[tuple[str, str], str], dict[str, StageMember]]:
     """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
     members: Members = {}
-    for part in sorted(found, key=_strangeness):
+    for part in sorted(found, key=_identity_rank):
         if written.get(part.section, {}).get(part.name, part) is None:
             members.setdefault((part.section, part.name), part)
     taken = {name for section in written.values() if isinstance(section, dict) for name in section}
     names: dict[tuple[str, str], str] = {}
-    copies: dict[str, Part] = {}
+    copies: dict[str, StageMember] = {}
     for part in found:
         key = (part.section, part.name)
         original, name = members.get(key) is part, part.prim.GetName()  # a part of another stage is like a copy
@@ -116,12 +118,12 @@ def _identified(found: list[Part], written: Data) -> tuple[Members, dict[tuple[s
     return members, names, copies
 
 
-def _strangeness(part: Part) -> tuple[bool, bool]:
-    """What kept its name, and its place in the stage, is what was compiled; what did not may be a copy of it."""
+def _identity_rank(part: StageMember) -> tuple[bool, bool]:
+    """Sort key: members that kept name and scope come before their copies."""
     return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
-def _edited(part: Part) -> Edited:
+def _edited(part: StageMember) -> Edited:
     if part.section == "robots":
         return edited_robot(part)
     if part.section == "cameras":
@@ -130,7 +132,7 @@ def _edited(part: Part) -> Edited:
 
 
 def _compiled(written: Data, members: Members) -> Data:
-    """The document as it was compiled; what was deleted is there by name."""
+    """The document as it was compiled; deleted members are there by name."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict) and None in names.values():
@@ -144,9 +146,9 @@ def _compiled(written: Data, members: Members) -> Data:
 def _joined(
     written: Data,
     edited: Mapping[tuple[str, str], Edited],
-    copies: dict[str, Part],
+    copies: dict[str, StageMember],
 ) -> Data:
-    """The document with what its parts say, in its order, copies behind; what was deleted is not there."""
+    """The document with the data of its members, in its order, copies behind, deleted ones left out."""
     out = dict(written)
     for section, members in written.items():
         if isinstance(members, dict) and None in members.values():
@@ -160,11 +162,15 @@ def _joined(
 
 
 def _placed(
-    data: Data, members: Members, names: Mapping[tuple[str, str], str], copies: Mapping[str, Part], gone: set[str]
+    data: Data,
+    members: Members,
+    names: Mapping[tuple[str, str], str],
+    copies: Mapping[str, StageMember],
+    gone: set[str],
 ) -> Data:
-    """The document in which everything stands where the stage has it.
+    """The document with the poses of the stage.
 
-    A place stays while what it is about stands still; else it would be solved into another pose than the stage's.
+    A placement stays while its anchors stand still; else it would be solved into another pose than the stage's.
     """
     out = dict(data)
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
@@ -192,25 +198,25 @@ def _placed(
     return out
 
 
-def _changed(part: Part, data: Data) -> bool:
-    """Whether what a thing carries would be placed otherwise than before."""
+def _changed(part: StageMember, data: Data) -> bool:
+    """Return whether objects placed on this one would get other poses than before."""
     return has_moved(part) or _resized(part, data)
 
 
-def _resized(part: Part, data: Data) -> bool:
-    """Whether a thing has another shape, or other joints, than before; choosing another variant is no such edit."""
+def _resized(part: StageMember, data: Data) -> bool:
+    """Return whether an object has another shape, or other joints; choosing another variant is no such edit."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 
 
-def _only_along(part: Part, data: Data) -> bool:
-    """Whether a thing was only shifted, level, so that positions in the world on top of it stay what they are."""
+def _only_along(part: StageMember, data: Data) -> bool:
+    """Return whether an object was only shifted horizontally, so that positions in the world on top of it stay."""
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)
 
 
-def _gravity(prim: Usd.Prim, data: Data, world: World) -> None:
+def _gravity(prim: Usd.Prim, data: Data, world: StageFrame) -> None:
     """Gravity into ``data`` where somebody changed it."""
     physics = prim.GetChild("Physics")
     direction, magnitude = (
@@ -226,6 +232,6 @@ def _gravity(prim: Usd.Prim, data: Data, world: World) -> None:
         data["gravity"] = tuple(short(v) + 0.0 for v in gravity)
 
 
-def _add(data: Data, new: Added) -> None:
+def _add(data: Data, new: AddedPrims) -> None:
     for section, members in new.members.items():
         data[section] = {**data.get(section, {}), **members}

@@ -1,4 +1,4 @@
-"""Shapes of a document, stretched."""
+"""Stretch shapes of a document."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from simfoundry.frontends.usd.compiled.values import short
 from simfoundry.geometry.frames import Array
 
 _EVEN = 1e-6
+"""Share by which factors may differ and still be one: single precision, in which stages hold them."""
 
 
 def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
-    """What changes in the data of an object that is stretched by ``factors`` along its axes, shape (3,).
+    """Return the changed data of an object that is stretched by ``factors`` along its axes, shape (3,).
 
-    With the reason where the language has no word for the result.
+    Or else the reason why the language has no shape for the result.
     """
     x, y, z = (float(f) for f in factors)
     if min(x, y, z) <= 0:

@@ -1,4 +1,4 @@
-"""A stage that one of our own became: its document, its parts, and what each of their prims says now."""
+"""A compiled stage: its document, its members, and the present values of their prims."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from simfoundry.spec.models.types import with_present_keys
 if TYPE_CHECKING:
     from pxr import Usd, UsdGeom
 
-    from simfoundry.frontends.usd.compiled.stage_frame import World
+    from simfoundry.frontends.usd.compiled.stage_frame import StageFrame
 
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
@@ -45,7 +45,7 @@ class StageError(SimfoundryError):
 
 
 @dataclass(frozen=True)
-class Part:
+class StageMember:
     """A member of a section of the document, with the prim that stands for it.
 
     ``spec`` is its data and ``built`` what its prims said when they were written; ``now`` is what they say. ``X_WP`` is
@@ -63,7 +63,7 @@ class Part:
     X_WP: Pose
     scale: Array
     variant: str = ""
-    others: tuple[Part, ...] = ()
+    others: tuple[StageMember, ...] = ()
     stage: Usd.Stage | None = None
     """The stage of ``prim``, which holds it only weakly."""
 
@@ -96,7 +96,7 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def error_text(error: Exception) -> str:
-    """The text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
+    """Return the text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
     try:
         return str(error)
     except UnicodeDecodeError as undecoded:
@@ -104,33 +104,35 @@ def error_text(error: Exception) -> str:
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:
-    """The prim that holds the document: the default prim, or else the first that does."""
+    """Return the prim that holds the document: the default prim, or else the first that does."""
     prims = [stage.GetDefaultPrim(), *stage.Traverse()]
     return next((p for p in prims if p and "document" in _entries(p)), None)
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """The file that a document came from, in its project, and its data without what its parts hold."""
+    """Return the file of a document, in its project, and its data without those of its members."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
-def parts(stage: Usd.Stage, world: World) -> list[Part]:
-    """Every part that is there and active, wherever it is by now, in the order of the stage."""
+def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
+    """Return every active member, wherever it is by now, in the order of the stage."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
 
 
-def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[str, tuple[Part, ...]]:
-    """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
+def _other_variants(
+    stage: Usd.Stage, varied: list[StageMember], world: StageFrame
+) -> dict[str, tuple[StageMember, ...]]:
+    """The members as each variant that is not selected, by path; each stage selects one variant of all of them."""
     from pxr import Sdf, Usd
 
     rest: dict[str, list[str]] = {}
     for part in varied:
         choices = part.prim.GetVariantSet(VARIANTS)
         rest[part.path] = [name for name in choices.GetVariantNames() if name != choices.GetVariantSelection()]
-    found: dict[str, list[Part]] = {path: [] for path in rest}
+    found: dict[str, list[StageMember]] = {path: [] for path in rest}
     for k in range(max(map(len, rest.values()), default=0)):
         other = Usd.Stage.Open(stage.GetRootLayer(), Sdf.Layer.CreateAnonymous())
         chosen = {path: names[k] for path, names in rest.items() if k < len(names)}
@@ -146,8 +148,8 @@ def _other_variants(stage: Usd.Stage, varied: list[Part], world: World) -> dict[
     return {path: tuple(parts) for path, parts in found.items()}
 
 
-def _own_opinions(part: Part) -> Values:
-    """What the prims of a variant say, but what they were built with where the word comes from outside of it."""
+def _own_opinions(part: StageMember) -> Values:
+    """The values of a variant's prims; those that come from outside the variant count as built."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
@@ -163,7 +165,7 @@ def _own_opinions(part: Part) -> Values:
 
 
 def _is_own(prim: Usd.Prim, name: str) -> bool:
-    """Whether the strongest opinion on what :func:`_now` calls ``name`` is that of a variant; a lacking one is."""
+    """Return whether the strongest opinion on a value of :func:`_now` is that of a variant; a lacking one is."""
     from pxr import Usd, UsdGeom
 
     if name == "at":
@@ -208,19 +210,19 @@ def links_of(built: Values) -> list[str]:
     return [path for path, values in built.items() if path and "/" not in path and "physics:mass" in values]
 
 
-def _part(prim: Usd.Prim, world: World) -> Part:
+def _part(prim: Usd.Prim, world: StageFrame) -> StageMember:
     section, _, name = str(_entries(prim)["part"]).partition(".")
     if section not in SCOPES or not name:
         raise StageError(f"{prim.GetPath()}: its metadata name no part of a scene")
     spec = with_present_keys(SceneSpec.model_fields[section].annotation, {name: _json(prim, "spec")})[name]
     if spec.get("variants") and "variant" not in _entries(prim):  # somebody added it
-        return Part(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
+        return StageMember(section, name, prim, spec, {}, {}, Pose.of(), np.ones(3), UNKNOWN)
     built = _json(prim, "built", _checked_values)
     links = links_of(built) if section == "objects" else []
     root = prim.GetChild(links[0]) if links else prim  # simulators move the body, people the object
     X_WP, scale = factored(world.matrix(root or prim))
     variant = str(_entries(prim)["variant"]) if spec.get("variants") else ""
-    return Part(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
+    return StageMember(section, name, prim, spec, built, _now(prim, built, world.cache), X_WP, scale, variant)
 
 
 def _entries(prim: Usd.Prim) -> Mapping[str, Any]:
@@ -265,7 +267,7 @@ def _tuples(data: Any) -> Any:
 
 
 def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
-    """What the prims of a part say, in the terms of :mod:`simfoundry.backends.usd.source`."""
+    """The present values of a member's prims, in the terms of :mod:`simfoundry.backends.usd.source`."""
     from pxr import Usd, UsdGeom
 
     values: Values = {}
@@ -290,12 +292,12 @@ def _attributes(prim: Usd.Prim) -> dict[str, Any]:
 
 
 def fallback(prim: Usd.Prim, name: str) -> Any:
-    """What an attribute says where nothing is written, as plain data; None where its schemas are not known."""
+    """Return the fallback of an attribute as plain data; None where its schemas are not known."""
     return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """How a shape looks and touches, as far as it was ``built`` to."""
+    """The look and contact material of a shape, where it was ``built`` with some."""
     from pxr import UsdShade
 
     said: dict[str, Any] = {}

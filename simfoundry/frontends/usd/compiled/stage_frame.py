@@ -23,7 +23,7 @@ Y_TO_Z = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 """The rotation from a frame with y up to one with z up."""
 
 
-class World:
+class StageFrame:
     """Transforms of prims into the world in metres and z up; the earliest time counts.
 
     A layer on top of a compiled stage keeps its numbers, which are metres, whatever the layer declares. A stage of
@@ -44,7 +44,7 @@ class World:
         """From the frame of a prim into the world, for row vectors as USD has them, shape (4, 4)."""
         return np.asarray(np.array(self.cache.GetLocalToWorldTransform(prim), dtype=np.float64) @ self.X_WS.T)
 
-    def anew(self) -> World:
+    def anew(self) -> StageFrame:
         """The same for a stage that differs in its session layer only: nothing of the transforms is remembered."""
         from pxr import Usd, UsdGeom
 
@@ -87,6 +87,6 @@ def _scale(X_WC: Array) -> float | None:
 
 
 def _is_upright(X_WC: Array) -> bool:
-    """Whether z of the document is up in the world."""
+    """Return whether z of the document is up in the world."""
     z = X_WC[:3, 2]
     return bool(z[2] >= UPRIGHT_COS * float(np.linalg.norm(z)))

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from simfoundry.frontends.usd.compiled.stage import UNKNOWN, Part, links_of
-from simfoundry.frontends.usd.compiled.values import Note
+from simfoundry.frontends.usd.compiled.stage import UNKNOWN, StageMember, links_of
+from simfoundry.frontends.usd.compiled.values import StageNote
 from simfoundry.spec.models.scene import DEFAULT_VARIANT, ObjectSpec
 from simfoundry.spec.models.variants import GEOMETRY, OF_GEOMETRY, variant_of
 from simfoundry.spec.yaml.write import to_data
 
 Data = dict[str, Any]
-Edit = Callable[[Part], tuple[Data, tuple[Note, ...]]]
+Edit = Callable[[StageMember], tuple[Data, tuple[StageNote, ...]]]
 
 OF_OBJECT = ("pose", "place", "fixed", "joints")
 """Keys that an object has and its variants have not."""
@@ -31,7 +31,7 @@ def variant_data(data: Data, variant: str) -> Data:
     return to_data(variant_of(ObjectSpec.model_validate(data), variant))
 
 
-def edited_variants(part: Part, edit: Edit) -> tuple[Data, tuple[Note, ...]]:
+def edited_variants(part: StageMember, edit: Edit) -> tuple[Data, tuple[StageNote, ...]]:
     """The data of an object with variants, and what of the stage they cannot say; ``edit`` reads one of them.
 
     What was written on the object itself, over all its variants, counts for the one that is selected.
@@ -41,11 +41,11 @@ def edited_variants(part: Part, edit: Edit) -> tuple[Data, tuple[Note, ...]]:
     if part.variant not in names:
         known = ", ".join(f"`{name}`" for name in names)
         message = f"the variant that is selected is none of the document's, which are {known}"
-        return spec, (Note(part.path, message, "write it into `variants` of the document, and compile again"),)
+        return spec, (StageNote(part.path, message, "write it into `variants` of the document, and compile again"),)
     data = {key: value for key, value in spec.items() if key != "variant"}
     if part.variant != DEFAULT_VARIANT or spec.get("variant") == DEFAULT_VARIANT:
         data["variant"] = part.variant
-    notes: list[Note] = []
+    notes: list[StageNote] = []
     by_name = {one.variant: one for one in (part, *part.others)}
     for name in names:
         if name in by_name:
@@ -61,14 +61,14 @@ def edited_variants(part: Part, edit: Edit) -> tuple[Data, tuple[Note, ...]]:
     return data, tuple(notes)
 
 
-def _without_pose(one: Part, before: Data, after: Data) -> tuple[Data, list[Note]]:
+def _without_pose(one: StageMember, before: Data, after: Data) -> tuple[Data, list[StageNote]]:
     """An edited variant as it was written where only its object has a word: all of them stand in one place."""
     data = {key: value for key, value in after.items() if key not in OF_OBJECT}
     data |= {key: value for key, value in before.items() if key in OF_OBJECT}
     paths = ["", *links_of(one.built)[:1]]
     if any(_apart(one.built.get(path, {}), one.now.get(path, {})) for path in paths):
         message = f"the variant `{one.variant}` was moved, and all variants of an object stand in one place"
-        return data, [Note(one.path, message, "move the object itself")]
+        return data, [StageNote(one.path, message, "move the object itself")]
     return data, []
 
 

@@ -1,4 +1,4 @@
-"""Cameras and lights of a stage, in the words of the document."""
+"""Cameras and lights of a stage, as data of the document."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from simfoundry.backends.usd.cameras import HALF_PIXEL, X_CU
 from simfoundry.backends.usd.lights import FULL
 from simfoundry.frontends.usd.compiled.edits import Edited, differs, has_moved, rest
-from simfoundry.frontends.usd.compiled.stage import Part
-from simfoundry.frontends.usd.compiled.values import Note, short, srgb
+from simfoundry.frontends.usd.compiled.stage import StageMember
+from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.geometry.frames import Array, Pose, look_at
 from simfoundry.scene.model import LightType
 
@@ -27,8 +27,8 @@ UPRIGHT_RAD = 1e-3
 """A picture that leans less than this is written with `look_at`, which keeps it upright."""
 
 
-def edited_camera(part: Part) -> Edited:
-    """A camera: its pose and its lens."""
+def edited_camera(part: StageMember) -> Edited:
+    """Return a camera: its pose and its lens."""
     data = dict(part.spec)
     handled = {("", name) for name in LENS}
     built, now = part.built.get("", {}), part.now[""]
@@ -68,8 +68,8 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
     return {"xyz": xyz, "quat_wxyz": _point(X_WC.q, 6)}
 
 
-def edited_light(part: Part) -> Edited:
-    """A light: how bright, which colour, where it is or shines to."""
+def edited_light(part: StageMember) -> Edited:
+    """Return a light: its intensity, colour, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
@@ -77,7 +77,7 @@ def edited_light(part: Part) -> Edited:
     notes = tuple(rest(part, handled))
     kind = light_type(str(part.prim.GetTypeName()))
     if kind is None:
-        return Edited(data, (*notes, Note(part.path, f"a {part.prim.GetTypeName()} is no light of a scene")))
+        return Edited(data, (*notes, StageNote(part.path, f"a {part.prim.GetTypeName()} is no light of a scene")))
     data["type"] = kind.value
     old, new = (v.get(names[0], 1.0) * 2.0 ** v.get(names[1], 0.0) for v in (built, now))
     if differs(old, new):
@@ -96,7 +96,7 @@ def light_type(type_name: str) -> LightType | None:
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
-    """Where a light is, or where it shines to; nothing for a dome."""
+    """Return the position of a point light or the direction of a distant one; nothing for a dome."""
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}

@@ -8,12 +8,11 @@ are sets: an expression or a pair is a member that is called like its text. ``1`
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from simfoundry.errors import SimfoundryError
-from simfoundry.spec.change.diff.renames import Path_, Rename, copied, find_renames, renamed, same
+from simfoundry.spec.change.diff.renames import Path_, Rename, find_renames, renamed, same
 
 EXPRESSION_LISTS = ("relations", "all", "any")
 """Keys of lists of expressions; their order means nothing."""
@@ -58,16 +57,9 @@ class Reorder:
 
 Change = Set | Add | Remove | Rename | Reorder
 
-_KINDS: dict[str, type[Change]] = {"set": Set, "add": Add, "remove": Remove, "rename": Rename, "reorder": Reorder}
-_NAMES = {kind: name for name, kind in _KINDS.items()}
-
-
-class ChangeError(SimfoundryError):
-    """A change that does not fit the document that it is applied to."""
-
 
 def diff(a: Any, b: Any) -> tuple[Change, ...]:
-    """What turns ``a`` into ``b``: ``apply(diff(a, b), a) == b``, the order of keys included.
+    """Return the changes that turn ``a`` into ``b``, the order of keys included.
 
     Renames come first; the paths and old values of all other changes are those after the renames.
     """
@@ -75,37 +67,9 @@ def diff(a: Any, b: Any) -> tuple[Change, ...]:
     return (*renames, *_value(renamed(a, renames), b, ()))
 
 
-def apply(changes: Iterable[Change], data: Any) -> Any:
-    """``data`` with ``changes`` made; raises :class:`ChangeError` where one does not fit. ``data`` itself stays."""
-    changes = tuple(changes)
-    tree = renamed(data, [c for c in changes if isinstance(c, Rename)])
-    for change in changes:
-        match change:
-            case Set(()):
-                _expect(change.path, tree, change.old)
-                tree = change.new
-            case Set(path) | Remove(path) | Add(path):
-                tree = _edited(tree, path[:-1], change)
-            case Reorder(section):
-                tree = _edited(tree, section, change)
-    return tree
-
-
 def to_json(change: Change) -> dict[str, Any]:
     """A plain mapping with the ``kind`` of the change."""
-    return {"kind": _NAMES[type(change)], **asdict(change)}
-
-
-def from_json(data: Mapping[str, Any]) -> Change:
-    """The change that :func:`to_json` wrote, also after a way through JSON text."""
-    fields = {key: _tuples(value) for key, value in data.items() if key != "kind"}
-    kind = str(data.get("kind"))
-    if kind not in _KINDS:
-        raise ChangeError(f"`{kind}` is not a kind of change; valid: {', '.join(_KINDS)}")
-    try:
-        return _KINDS[kind](**fields)
-    except TypeError:
-        raise ChangeError(f"a change of kind `{kind}` does not have the keys {', '.join(fields)}") from None
+    return {"kind": type(change).__name__.lower(), **asdict(change)}
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
@@ -158,64 +122,3 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 def _other_kind(a: Any, b: Any) -> bool:
     """Whether two shapes are of different kinds, so that nothing of the one is left in the other."""
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()
-
-
-def _edited(tree: Any, section: Path_, change: Set | Add | Remove | Reorder) -> Any:
-    """``tree`` after a change among the members at ``section``; mappings are changed in place."""
-    place, inner = tree, [tree]
-    for k, key in enumerate(section):
-        there = members(place, section[:k])
-        if there is None or key not in there:
-            raise ChangeError(f"there is no `{'.'.join(section[: k + 1])}`")
-        place = there[key]
-        inner.append(place)
-    there = members(place, section)
-    if there is None:
-        raise ChangeError(f"`{'.'.join(section)}` has no named members")
-    _change(there, change)
-    for k in range(len(section), 0, -1):  # a list of expressions is made anew, and so is what holds it
-        if isinstance(inner[k], dict):
-            break
-        holder = members(inner[k - 1], section[: k - 1]) or {}
-        holder[section[k - 1]] = tuple(there.values())
-        there = holder
-    return tree
-
-
-def _change(there: dict[str, Any], change: Set | Add | Remove | Reorder) -> None:
-    match change:
-        case Set(path):
-            _expect(path, there.get(path[-1]), change.old, path[-1] in there)
-            there[path[-1]] = copied(change.new)
-        case Remove(path):
-            _expect(path, there.get(path[-1]), change.old, path[-1] in there)
-            del there[path[-1]]
-        case Add(path):
-            if path[-1] in there:
-                raise ChangeError(f"`{'.'.join(path)}` is there already")
-            behind = list(there.items())[change.position :]
-            there[path[-1]] = copied(change.value)
-            for key, value in behind:
-                del there[key]
-                there[key] = value
-        case Reorder():
-            items = [(key, there[key]) for key in change.order if key in there]
-            items += [(key, value) for key, value in there.items() if key not in set(change.order)]
-            there.clear()
-            there.update(items)
-
-
-def _expect(path: Path_, found: Any, old: Any, there: bool = True) -> None:
-    if not there:
-        raise ChangeError(f"there is no `{'.'.join(path)}`")
-    if not same(found, old):
-        raise ChangeError(f"`{'.'.join(path)}` is not what it was when the change was made")
-
-
-def _tuples(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _tuples(item) for key, item in value.items()}
-        case list() | tuple():
-            return tuple(_tuples(item) for item in value)
-    return value

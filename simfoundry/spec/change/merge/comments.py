@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from simfoundry.spec.yaml.tree import CommentedTree
+from simfoundry.spec.yaml.tree import YamlTree
 
-_NONE = CommentedTree(None)
+_NONE = YamlTree(None)
 
 
-def commented(
-    tree: CommentedTree, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree
-) -> CommentedTree:
+def commented(tree: YamlTree, base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
     """``tree`` with the comments directly at ``ours`` and ``theirs``: what a side changed counts."""
     base = base or _NONE
     above = _lines(base.above, ours.above, theirs.above)
@@ -25,7 +23,7 @@ def commented(
     return replace(tree, above=above, beside=beside, end=end)
 
 
-def united(base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree) -> CommentedTree:
+def united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree) -> YamlTree:
     """``ours``, which says the same as ``theirs``, with the comments of both all through it."""
     value = ours.value
     if isinstance(value, dict):
@@ -35,12 +33,12 @@ def united(base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTre
     return commented(replace(ours, value=value), base, ours, theirs)
 
 
-def _united(base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, part: str | int) -> CommentedTree:
+def _united(base: YamlTree | None, ours: YamlTree, theirs: YamlTree, part: str | int) -> YamlTree:
     other = _inside(theirs, part)
     return united(_inside(base, part), ours, other) if other is not None else ours
 
 
-def rescued(tree: CommentedTree, base: CommentedTree | None, other: CommentedTree) -> CommentedTree:
+def rescued(tree: YamlTree, base: YamlTree | None, other: YamlTree) -> YamlTree:
     """``tree``, which takes the place of ``other``, with the comments inside ``other`` that would be lost with it."""
     known = {text for t in (tree, base) if t is not None for _, text in t.comments()}
     new = tuple(text for child in _children(other) for _, text in child.comments() if text not in known)
@@ -62,17 +60,17 @@ def _lines(base: tuple[str, ...], ours: tuple[str, ...], theirs: tuple[str, ...]
     return (*ours, *(text for text in theirs if text not in ours and text not in base))
 
 
-def _inside(tree: CommentedTree | None, part: str | int) -> CommentedTree | None:
+def _inside(tree: YamlTree | None, part: str | int) -> YamlTree | None:
     value = tree.value if tree is not None else None
     if isinstance(value, dict):
         return value.get(part)
     if isinstance(value, tuple) and isinstance(part, int) and part < len(value):
-        found: CommentedTree = value[part]
+        found: YamlTree = value[part]
         return found
     return None
 
 
-def _children(tree: CommentedTree) -> Iterator[CommentedTree]:
+def _children(tree: YamlTree) -> Iterator[YamlTree]:
     if isinstance(tree.value, dict):
         yield from tree.value.values()
     elif isinstance(tree.value, tuple):

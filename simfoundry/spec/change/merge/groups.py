@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping
 from itertools import chain
 
 from simfoundry.spec.change.merge.conflict import Path_
-from simfoundry.spec.change.merge.same import same
+from simfoundry.spec.change.merge.equality import same
 from simfoundry.spec.compose import EXCLUSIVE
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.tree import CommentedTree
+from simfoundry.spec.yaml.tree import YamlTree
 
-Members = Mapping[str, CommentedTree]
+Members = Mapping[str, YamlTree]
+Sides = tuple[Members, Members]
 
 LED = (("type", ("limits", "limits_deg")),)
 """A key, and others that mean something with its value alone."""
@@ -30,7 +31,7 @@ def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Member
     return found if found and model is not None and _holds_fields(model, path) else set()
 
 
-def torn(model: type[Model] | None, path: Path_, base: Members, sides: tuple[Members, Members]) -> set[str]:
+def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
     """The keys of the mapping at ``path`` of which one side changed what leads and the other what follows from it."""
     found = set[str]()
     for lead, led in LED:
@@ -59,7 +60,7 @@ def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iter
         yield from (name for name in place if name in pose)
 
 
-def _several(group: tuple[str, ...], keys: Mapping[str, CommentedTree] | frozenset[str]) -> bool:
+def _several(group: tuple[str, ...], keys: Mapping[str, YamlTree] | frozenset[str]) -> bool:
     return sum(key in keys for key in group) > 1
 
 

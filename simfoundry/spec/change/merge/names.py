@@ -7,7 +7,7 @@ from typing import Any
 
 from simfoundry.spec.change.diff.renames import Rename, find_renames, renamed
 from simfoundry.spec.change.merge.conflict import MergeConflict, Path_
-from simfoundry.spec.yaml.tree import CommentedTree
+from simfoundry.spec.yaml.tree import YamlTree
 
 
 @dataclass(frozen=True)
@@ -17,14 +17,14 @@ class SameNames:
     ``edited`` are the paths of members that a side renamed and the other removed: to rename is to edit.
     """
 
-    base: CommentedTree
-    ours: CommentedTree
-    theirs: CommentedTree
+    base: YamlTree
+    ours: YamlTree
+    theirs: YamlTree
     edited: frozenset[Path_] = frozenset()
     conflicts: tuple[MergeConflict, ...] = ()
 
 
-def same_names(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree) -> SameNames:
+def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
     """Take over to each side what the other renamed; where both renamed one member, ours counts."""
     if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
         return SameNames(base, ours, theirs)
@@ -58,7 +58,7 @@ def same_names(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree) 
     return SameNames(*trees, frozenset(edited), tuple(conflicts))
 
 
-def _comes_and_goes(a: CommentedTree, b: CommentedTree) -> bool:
+def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
     """Whether a key of some mapping is gone and another has come: it takes both for a rename."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
@@ -67,11 +67,11 @@ def _comes_and_goes(a: CommentedTree, b: CommentedTree) -> bool:
     return any(_comes_and_goes(child, b.value[key]) for key, child in a.value.items() if key in b.value)
 
 
-def _renamed(tree: CommentedTree, renames: list[Rename]) -> CommentedTree:
+def _renamed(tree: YamlTree, renames: list[Rename]) -> YamlTree:
     return _with_names(tree, renamed(tree.data, renames)) if renames else tree
 
 
-def _with_names(tree: CommentedTree, data: Any) -> CommentedTree:
+def _with_names(tree: YamlTree, data: Any) -> YamlTree:
     """The tree with the keys and values of its own renamed data, which stand in the same order."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)

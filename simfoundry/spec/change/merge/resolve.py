@@ -13,7 +13,7 @@ from simfoundry.spec.change.merge.groups import rivals_at
 from simfoundry.spec.change.merge.order import reordered
 from simfoundry.spec.change.merge.trees import CONFLICTS
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.yaml.tree import CommentedTree, with_data
+from simfoundry.spec.yaml.tree import YamlTree, with_data
 
 Side = Literal["ours", "theirs"]
 
@@ -23,8 +23,8 @@ class ResolveError(SimfoundryError):
 
 
 def resolve(
-    tree: CommentedTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
-) -> tuple[CommentedTree, list[str]]:
+    tree: YamlTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
+) -> tuple[YamlTree, list[str]]:
     """The document with a side's values where there were conflicts, and the keys of the entries that went.
 
     ``chosen`` are keys of ``conflicts``, or paths above some (`objects.cup`); every conflict where there is none. Keys
@@ -114,23 +114,23 @@ def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
     return [Rename(section, old, new) for (section, old), new in names.items()]
 
 
-def _without_gone(tree: CommentedTree, names: Mapping[tuple[Path_, str], str]) -> CommentedTree:
+def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> YamlTree:
     """The tree with members under their new names, so that these keep their comments."""
     for (section, old), new in names.items():
 
-        def with_new(members: CommentedTree, old: str = old, new: str = new) -> CommentedTree:
+        def with_new(members: YamlTree, old: str = old, new: str = new) -> YamlTree:
             return replace(members, value={new if key == old else key: child for key, child in members.value.items()})
 
         tree = _edited(tree, section, with_new)
     return tree
 
 
-def _with_comment(tree: CommentedTree, path: Path_, comment: str) -> CommentedTree:
+def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
     """The tree with the comment that waited beside a conflict."""
     return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
 
 
-def _edited(tree: CommentedTree, path: Path_, edit: Callable[[CommentedTree], CommentedTree]) -> CommentedTree:
+def _edited(tree: YamlTree, path: Path_, edit: Callable[[YamlTree], YamlTree]) -> YamlTree:
     """The tree with what is at ``path``, if there is something, after an edit."""
     if not path:
         return edit(tree)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.spec.change.merge.conflict import MergeConflict
-from simfoundry.spec.change.merge.same import identical
+from simfoundry.spec.change.merge.equality import identical
 from simfoundry.spec.change.merge.trees import merge_trees
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.yaml.text import YamlError, parse
-from simfoundry.spec.yaml.tree import KIND, CommentedTree, read_tree
+from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 
 _UNREADABLE = ("SF002", "SF004", "SF005")
@@ -72,11 +72,11 @@ def _errors(path: Path, text: str) -> list[Diagnostic]:
     return [d for d in findings if d.severity is Severity.ERROR and d.code != "SF209"]
 
 
-def _tree(text: str, name: str) -> CommentedTree:
+def _tree(text: str, name: str) -> YamlTree:
     try:
         document = parse(text, name)
         if document.data is None and name == "base":
-            return CommentedTree({})
+            return YamlTree({})
         tree = read_tree(document)
     except YamlError as error:
         raise UnmergeableError(f"{name} cannot be read: line {error.line}: {error.message}") from None

@@ -8,21 +8,19 @@ three had.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from simfoundry.spec.change.merge.comments import commented, rescued, united
-from simfoundry.spec.change.merge.conditions import is_list_of_conditions, matched, spelled
 from simfoundry.spec.change.merge.conflict import ABSENT, MergeConflict, Path_, dotted, numbered
-from simfoundry.spec.change.merge.groups import at_odds, named_twice, torn
+from simfoundry.spec.change.merge.equality import identical, is_list_of_conditions, matched, same, spelled
+from simfoundry.spec.change.merge.groups import Members, Sides, at_odds, named_twice, torn
 from simfoundry.spec.change.merge.names import same_names
 from simfoundry.spec.change.merge.order import merged_order
-from simfoundry.spec.change.merge.same import identical, same
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import models_at
-from simfoundry.spec.yaml.tree import CommentedTree, plain_tree
+from simfoundry.spec.yaml.tree import YamlTree, plain_tree
 
 ORDERED = (("subtasks",), ("links",), ("frames",))
 """Named mappings whose order means something."""
@@ -34,7 +32,7 @@ CONFLICTS = "conflicts"
 class Merged:
     """A merged document, its open conflicts recorded in it; ``conflicts`` are those that this merge added."""
 
-    tree: CommentedTree
+    tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
 
     @property
@@ -48,7 +46,7 @@ def merge(base: Any, ours: Any, theirs: Any) -> Merged:
     return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
 
 
-def merge_trees(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree) -> Merged:
+def merge_trees(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> Merged:
     """Merge three documents with their comments."""
     named = same_names(base, ours, theirs)
     overlay = any("extends" in _mapping(tree) for tree in (base, ours, theirs))
@@ -58,17 +56,17 @@ def merge_trees(base: CommentedTree, ours: CommentedTree, theirs: CommentedTree)
     return Merged(_recorded(tree, merging.conflicts), tuple(merging.conflicts))
 
 
-def _model(document: CommentedTree) -> type[Model] | None:
+def _model(document: YamlTree) -> type[Model] | None:
     kind = document.value.get("simfoundry") if isinstance(document.value, dict) else None
     return model_of(kind.value) if kind is not None and kind.value in KINDS else None
 
 
-def _recorded(tree: CommentedTree, conflicts: list[MergeConflict]) -> CommentedTree:
+def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
     """The document with an entry for each conflict."""
     if not conflicts or not isinstance(tree.value, dict):
         return tree
-    section = tree.value.get(CONFLICTS) or CommentedTree({})
-    entries: dict[str, CommentedTree] = dict(section.value) if isinstance(section.value, dict) else {}
+    section = tree.value.get(CONFLICTS) or YamlTree({})
+    entries: dict[str, YamlTree] = dict(section.value) if isinstance(section.value, dict) else {}
     for conflict in conflicts:
         record, path = conflict.record(), dotted(conflict.path)
         if path in entries and entries[path].data == record:
@@ -90,8 +88,8 @@ class _Merging:
     conflicts: list[MergeConflict] = field(default_factory=list)
 
     def value(
-        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
-    ) -> CommentedTree | None:
+        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
+    ) -> YamlTree | None:
         """What the three make of one value; None where it is gone."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
@@ -109,14 +107,14 @@ class _Merging:
         return commented(tree, base, ours, theirs)
 
     def one_sided(
-        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
-    ) -> CommentedTree | None:
+        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
+    ) -> YamlTree | None:
         """A value that one side does not have: new on the other, or removed here."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
         if self.is_empty_where_absent(base, there, path):
-            nothing = CommentedTree(type(there.value)())
+            nothing = YamlTree(type(there.value)())
             tree = self.value(base, ours or nothing, theirs or nothing, path)
             return tree if tree is not None and tree.value else None
         if path not in self.edited and same(base, there, path):
@@ -125,16 +123,14 @@ class _Merging:
             self.clash(path, base, ours, theirs)
         return there
 
-    def is_empty_where_absent(self, base: CommentedTree, there: CommentedTree, path: Path_) -> bool:
+    def is_empty_where_absent(self, base: YamlTree, there: YamlTree, path: Path_) -> bool:
         """Whether a mapping by name, or a list of relations or pairs, is not written where it is empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
-    def whole(
-        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
-    ) -> CommentedTree:
+    def whole(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """A value that is taken as it is, from one side."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
@@ -149,13 +145,11 @@ class _Merging:
             theirs = replace(theirs, beside=ours.beside)
         return rescued(commented(taken, base, ours, theirs), base, other)
 
-    def mapping(
-        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
-    ) -> CommentedTree:
+    def mapping(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """A mapping, key by key."""
-        before: Mapping[str, CommentedTree] = base.value if base is not None and isinstance(base.value, dict) else {}
+        before: Members = base.value if base is not None and isinstance(base.value, dict) else {}
         sides = (ours.value, theirs.value)
-        merged = dict[str, CommentedTree]()
+        merged = dict[str, YamlTree]()
         for key in dict.fromkeys([*ours.value, *theirs.value]):
             tree = self.value(before.get(key), ours.value.get(key), theirs.value.get(key), (*path, key))
             if tree is not None:
@@ -173,13 +167,11 @@ class _Merging:
         rest = [key for key in merged if key not in set(order.keys)] if len(order.keys) < len(merged) else []
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
-    def conditions(
-        self, base: CommentedTree | None, ours: CommentedTree, theirs: CommentedTree, path: Path_
-    ) -> CommentedTree:
+    def conditions(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
         """A list of conditions as a set; where two edits of one condition clash, the list does."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
-        found, merged = len(self.conflicts), dict[str, CommentedTree]()
+        found, merged = len(self.conflicts), dict[str, YamlTree]()
         for name in dict.fromkeys([*sides[0], *sides[1]]):
             tree = self.condition(before.get(name), sides[0].get(name), sides[1].get(name), (*path, name))
             if tree is not None:
@@ -192,8 +184,8 @@ class _Merging:
         return replace(ours, value=tuple([merged[name] for name in order.keys]))
 
     def condition(
-        self, base: CommentedTree | None, ours: CommentedTree | None, theirs: CommentedTree | None, path: Path_
-    ) -> CommentedTree | None:
+        self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
+    ) -> YamlTree | None:
         """One condition of a list; however it is spaced, it is the same."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
@@ -206,25 +198,13 @@ class _Merging:
     # -- conflicts --------------------------------------------------------------------------------------------------
 
     def clash(
-        self,
-        path: Path_,
-        base: CommentedTree | None,
-        ours: CommentedTree | None,
-        theirs: CommentedTree | None,
-        comment: str = "",
+        self, path: Path_, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, comment: str = ""
     ) -> None:
         """Note a conflict."""
         was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
         self.conflicts.append(MergeConflict(path, was, here, there, comment))
 
-    def keep_ours(
-        self,
-        keys: set[str],
-        base: Mapping[str, CommentedTree],
-        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
-        merged: dict[str, CommentedTree],
-        path: Path_,
-    ) -> None:
+    def keep_ours(self, keys: set[str], base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
         """Take the ``keys`` as ours has them, each that differs a conflict."""
         ours, theirs = sides
         inside = {(*path, key) for key in keys}
@@ -237,13 +217,7 @@ class _Merging:
             if not same(ours.get(key), theirs.get(key), (*path, key)):
                 self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
 
-    def keep_ours_of_start(
-        self,
-        base: Mapping[str, CommentedTree],
-        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
-        merged: dict[str, CommentedTree],
-        path: Path_,
-    ) -> None:
+    def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
         """The same for a name that has a pose by one side and a place by the other at the start of a task."""
         for name in list(named_twice(self.model, path, merged)):
             for key in ("place", "pose"):
@@ -252,12 +226,7 @@ class _Merging:
                 self.keep_ours({name}, of[0], (of[1], of[2]), inner, (*path, key))
                 merged[key] = replace(merged[key], value=inner)
 
-    def keep_both(
-        self,
-        base: Mapping[str, CommentedTree],
-        sides: tuple[Mapping[str, CommentedTree], Mapping[str, CommentedTree]],
-        merged: dict[str, CommentedTree],
-    ) -> None:
+    def keep_both(self, base: Members, sides: Sides, merged: dict[str, YamlTree]) -> None:
         """Entries of ``conflicts`` that the sides have differently: both stay."""
         theirs = sides[1]
         for conflict in [c for c in self.conflicts if c.path[:1] == (CONFLICTS,)]:
@@ -266,11 +235,11 @@ class _Merging:
             merged[numbered(path, {**merged, **theirs})] = theirs[path]
 
 
-def _is_whole(path: Path_, ours: CommentedTree, theirs: CommentedTree) -> bool:
+def _is_whole(path: Path_, ours: YamlTree, theirs: YamlTree) -> bool:
     """Whether mappings are one value: an estimate, whose parts mean nothing alone, or an entry of ``conflicts``."""
     estimate = path[-1:] in (("mass",), ("density",)) and ("value" in ours.value or "value" in theirs.value)
     return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
 
 
-def _mapping(tree: CommentedTree | None) -> Mapping[str, CommentedTree]:
+def _mapping(tree: YamlTree | None) -> Members:
     return tree.value if tree is not None and isinstance(tree.value, dict) else {}

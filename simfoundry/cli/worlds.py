@@ -1,0 +1,19 @@
+"""The option value that names a simulator to run a scene in."""
+
+from __future__ import annotations
+
+import click
+
+
+class WorldName(click.ParamType):
+    """A simulator that scenes can be run in; it is looked up when it is given, so that ``--help`` loads none."""
+
+    name = "simulator"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name, if a target of that name has a world."""
+        from simfoundry.worlds import is_world, world_names
+
+        if not is_world(value):
+            self.fail(f"no world runs in `{value}`; there are: {', '.join(world_names())}", param, ctx)
+        return value

@@ -1,0 +1,1 @@
+"""Layouts of a twin: placement constraints, sampling of poses, settling and acceptance."""

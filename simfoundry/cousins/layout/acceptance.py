@@ -1,0 +1,284 @@
+"""A layout examined: settled, and accepted only if it is what was asked for and can be worked with."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.cousins.layout.propose import Layout
+from simfoundry.cousins.layout.twin import ELSEWHERE, Twin
+from simfoundry.cousins.layout.views import SEEN, best_view
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.evaluate.resets.placement import rounded
+from simfoundry.geometry.frames import Pose
+from simfoundry.predicates import StateBatch, Verdict
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.expressions import Condition, parse_call, parts
+from simfoundry.worlds.footing import is_ball
+from simfoundry.worlds.mujoco_world import MujocoWorld
+from simfoundry.worlds.rest import is_confined, is_still
+
+PENETRATION = 0.001
+"""Nothing overlaps deeper than this at rest [m]."""
+
+DRIFT, TILT_DEG = 0.01, 5.0
+"""Nothing moves or tilts farther than this as it settles, but for what is dropped onto or into the anchor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Whether a layout is accepted, and why not; ``poses`` X_WO at rest of what it moved; ``state`` of everything.
+
+    ``unchecked`` says what could not be looked at. ``seconds`` of each part are not part of the result.
+    """
+
+    accepted: bool
+    reasons: tuple[Reason, ...]
+    poses: Mapping[str, Pose]
+    state: SceneState
+    unchecked: tuple[str, ...]
+    seconds: Mapping[str, float]
+
+
+def examine(twin: Twin, layout: Layout) -> Examined:
+    """Settle a layout and check everything; the cheap checks first, and none after physics has failed."""
+    clock = _Clock()
+    absent = twin.absent - set(layout.poses)
+    settled = settle_layout(twin.world, twin.posed(layout.poses), absent)
+    clock.lap("settling")
+    reasons = list(_at_rest(layout, settled))
+    unchecked: list[str] = []
+    if not reasons:
+        reasons += _as_asked(twin, layout, settled.state)
+        clock.lap("predicates")
+        reasons += _seen(twin, layout, settled.state, unchecked)
+        clock.lap("view")
+    if not reasons:
+        reasons += _reached(twin, settled.state, unchecked)
+        clock.lap("reach")
+    poses = MappingProxyType({name: settled.state.poses[name] for name in layout.poses})
+    return Examined(
+        not reasons, tuple(reasons), poses, settled.state, tuple(dict.fromkeys(unchecked)), MappingProxyType(clock.laps)
+    )
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now
+
+
+def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
+    for name in settled.restless:
+        yield Reason("restless", f"`{name}` does not come to rest in {MOST_S:g} s")
+    if settled.deepest > PENETRATION:
+        a, b = settled.between
+        text = f"`{a}` and `{b}` overlap by {1000 * settled.deepest:.1f} mm at rest"
+        yield Reason("penetrates", text, _numbers(depth_m=settled.deepest))
+    for name, far in settled.moved.items():
+        if name not in layout.dropped and far > DRIFT:
+            yield Reason("moved", f"`{name}` moves {100 * far:.1f} cm as it settles", _numbers(moved_m=far))
+    for name, tilt in settled.tilted.items():
+        if name not in layout.dropped and tilt > TILT_DEG:
+            yield Reason("tilted", f"`{name}` tilts by {tilt:.1f} deg as it settles", _numbers(tilted_deg=tilt))
+
+
+def _as_asked(twin: Twin, layout: Layout, state: SceneState) -> Iterator[Reason]:
+    """What is asked holds, the other relations still do, and the goal is still to be reached."""
+    batch = StateBatch.of(twin.scene, [state])
+    for text in _false(twin, layout.asked, batch):
+        verdict = twin.judge(text, state)
+        if not verdict.value:
+            yield Reason(
+                "not_as_asked", f"{text} does not hold at rest: {verdict.why}", _numbers(margin=verdict.margin)
+            )
+    for text in _false(twin, kept_relations(twin, layout.poses), batch):
+        verdict = twin.judge(text, state)
+        if not verdict.value:
+            yield Reason("relation_lost", f"{text} no longer holds: {verdict.why}", _margin(verdict))
+    if twin.goal is not None and (goal := _true(twin, twin.goal, state, batch)) is not None:
+        yield Reason("goal_true", f"the goal is true already: {goal.why}", _margin(goal))
+
+
+def _false(twin: Twin, conditions: tuple[str, ...], batch: StateBatch) -> tuple[str, ...]:
+    """All of some conditions where one of them is false; none where they all hold, as they mostly do."""
+    return () if not conditions or twin.judge.batch({"all": conditions}, batch)[0][0] else conditions
+
+
+def _true(twin: Twin, condition: Condition, state: SceneState, batch: StateBatch) -> Verdict | None:
+    """The verdict on a condition that is true; None where it is not, found at the first part of it that is not."""
+    tag, below = parts(condition)
+    for one in below if tag == "all" else (condition,):
+        if not twin.judge.batch(one, batch)[0][0]:
+            return None
+    return twin.judge(condition, state)
+
+
+def kept_relations(twin: Twin, moved: Iterable[str]) -> tuple[str, ...]:
+    """The relations of the twin that must still hold: about nothing that moved, or about what rides and its carrier."""
+    gone = set(moved)
+    found = []
+    for text in twin.relations:
+        call = parse_call(text)
+        names = [a.partition(".")[0] for a in call.args]
+        about = gone & set(names)
+        rides = len(names) == 2 and set(names) <= gone and names[0] in twin.riders(names[1])
+        if not about or rides or call.predicate in ("Open", "Closed", "Upright"):
+            found.append(text)
+    return tuple(found)
+
+
+def _seen(twin: Twin, layout: Layout, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+    """What the task is about, or what was moved but no distractor, is seen by a camera and not hidden."""
+    cameras = twin.scene.cameras
+    if not cameras:
+        unchecked.append("view: the scene has no camera that stands still")
+        return
+    surfaces = twin.surfaces(state, twin.absent - set(layout.poses))
+    for name in twin.task_objects or tuple(n for n in layout.poses if n not in twin.absent):
+        least = min(SEEN, twin.shares_seen.get(name, SEEN))
+        camera, share = best_view(cameras, name, surfaces, least)
+        if share < least:
+            text = f"only {share:.0%} of `{name}` is seen by `{camera}`, which sees most of it; {least:.0%} must be"
+            yield Reason("out_of_view", text, _numbers(share=share))
+
+
+def _reached(twin: Twin, state: SceneState, unchecked: list[str]) -> Iterator[Reason]:
+    """What the task is about is within reach of an arm, by inverse kinematics."""
+    if twin.robots.reach.missing:
+        unchecked.append(f"reach: {twin.robots.reach.missing}")
+        return
+    if twin.goal is None:
+        unchecked.append("reach: no task says which objects must be reached")
+        return
+    for name in twin.task_objects:
+        if twin.scene.object(name).fixed:
+            continue
+        result = twin.robots.reach(*twin.box(name, state.poses[name]))
+        if not result.reached:
+            text = (
+                f"no arm gets down to `{name}` from above: it is {result.away:.2f} m from the base of `{result.robot}`"
+            )
+            yield Reason("out_of_reach", text, _numbers(away_m=result.away))
+
+
+def _margin(verdict: Verdict) -> Mapping[str, float]:
+    return _numbers(margin=verdict.margin)
+
+
+def _numbers(**values: float) -> Mapping[str, float]:
+    return MappingProxyType({name: float(value) for name, value in values.items()})
+
+
+LEAST_S, STEP_S, MOST_S = 1.0, 0.125, 4.0
+"""Physics runs at least so long [s], then on in steps of so much until nothing moved over one, and at most so long.
+
+It may end earlier only where the engine has put all things to sleep: nothing would ever move again.
+"""
+
+SLEEP = 5e-4
+"""The engine puts to sleep what moves slower than this [m/s] for ten steps; awake, it creeps hundredths of a mm."""
+
+STILL_M, STILL_DEG = 1e-4, 0.1
+"""What moves or turns no farther in a step is at rest. A ball may turn."""
+
+CALM_S = 2.0
+"""Where then only balls roll on, their motion is taken out [s]: what is left of the time shows whether a hollow holds
+them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """The ``state`` at rest, rounded; how far each free object got, in ``moved`` [m] and ``tilted`` [deg].
+
+    ``restless`` never came to rest; ``deepest`` [m] is the worst overlap at the end, between the two named;
+    ``seconds`` of physics were needed.
+    """
+
+    state: SceneState
+    moved: dict[str, float]
+    tilted: dict[str, float]
+    restless: tuple[str, ...]
+    deepest: float
+    between: tuple[str, str]
+    seconds: float
+
+
+def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> Settled:
+    """Let a state come to rest. The world's model is reused as it is; what is ``absent`` is not looked at."""
+    gone = set(absent)
+    items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
+    _let_sleep(world)
+    world.reset(_without(world, state, gone))
+    elapsed, last, restless = 0.0, state, tuple[str, ...]()
+    calmed: SceneState | None = None
+    while elapsed < MOST_S:
+        world.step(round(STEP_S / world.timestep))
+        elapsed += STEP_S
+        now = world.state()
+        restless = tuple(
+            o.name
+            for o in items
+            if not is_still(o, last.poses[o.name], now.poses[o.name], STILL_M, math.radians(STILL_DEG))
+        )
+        last = now
+        if restless and elapsed == CALM_S and all(is_ball(world.scene.object(name)) for name in restless):
+            world.halt()  # what then stays where it is lies in a hollow
+            calmed = now
+        if _asleep(world) or (elapsed >= LEAST_S and not restless):
+            restless = ()
+            break
+        if world.trouble():
+            restless = restless or tuple(o.name for o in items)
+            break
+    if calmed is not None:
+        restless = tuple(n for n in restless if not is_confined(world.scene.object(n), calmed.poses[n], now.poses[n]))
+    deepest, between = 0.0, ("", "")
+    for contact in world.contacts():
+        if contact.depth > deepest and not gone & {contact.a, contact.b}:
+            deepest, between = contact.depth, (contact.a, contact.b)
+    end = rounded(now)
+    if gone:
+        end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
+    moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
+    tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
+    return Settled(end, moved, tilted, restless, deepest, between, elapsed)
+
+
+def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:
+    """The state with what is absent far away from all else and from each other."""
+    if not absent:
+        return state
+    away = {o.name: Pose.of((ELSEWHERE * (k + 1), 0.0, 0.0)) for k, o in enumerate(world.scene.objects)}
+    return SceneState.of({**state.poses, **{n: away[n] for n in absent}}, state.joints, state.motions)
+
+
+def _let_sleep(world: MujocoWorld) -> None:
+    """What is at rest costs nothing: MuJoCo wakes it when something comes near. Versions before 3.4 cannot."""
+    import mujoco
+
+    sleep = getattr(mujoco.mjtEnableBit, "mjENBL_SLEEP", None)
+    if sleep is not None:
+        world.model.opt.enableflags |= int(sleep)
+        world.model.opt.sleep_tolerance = SLEEP
+
+
+def _asleep(world: MujocoWorld) -> bool:
+    """Whether nothing is left that could move by itself."""
+    return int(getattr(world.data, "ntree_awake", 1)) == 0
+
+
+def tilt_deg(before: Pose, after: Pose) -> float:
+    """How far the axis that pointed up has turned from the vertical [deg]."""
+    up = before.rotation[2]
+    return math.degrees(math.acos(float(np.clip((after.rotation @ up)[2], -1.0, 1.0))))

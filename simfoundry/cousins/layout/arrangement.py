@@ -1,0 +1,320 @@
+"""Everything that stands while objects are placed among it, and the placing of many of them together.
+
+Placed together, each object takes the first of its own candidate poses that is clear of all before it, as one after
+another by :func:`simfoundry.cousins.layout.rejection_sampling.find`. But a few candidates of all objects are drawn at
+once, and tested against each other at once; only what finds none among them is looked for alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from simfoundry.cousins.layout.rejection_sampling import (
+    Allowed,
+    Demands,
+    Found,
+    Mask,
+    Occupancy,
+    Region,
+    find,
+    rectangles_meet,
+)
+from simfoundry.cousins.layout.supports import Complex, Outline, Support
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.place import CLEARANCE
+
+EACH = 4
+"""Candidates of each thing that are drawn at once."""
+
+TOGETHER = 24
+"""Things that are looked at at once: few enough for the tables of their pairs to stay in a processor's cache."""
+
+Spot = tuple[float, float, float]
+
+ClearAt = Callable[[int, Spot, tuple[int, ...]], bool]
+"""Whether a thing, by number, is clear at a spot of the entries whose rectangles it meets."""
+
+Put = Callable[[int, Spot], None]
+"""Lets a thing stand at a spot: enters it among what stands there."""
+
+Alone = Callable[[int], Found]
+"""Looks for a place for a thing alone."""
+
+
+def place_together(
+    things: Sequence[tuple[Outline, Region]],
+    there: Occupancy,
+    rng: np.random.Generator,
+    gap: float,
+    clear: ClearAt,
+    put: Put,
+    alone: Alone,
+) -> tuple[int, Found] | None:
+    """Place things in their order; the number of the first that finds no place, and what became of it, or None."""
+    for first in range(0, len(things), TOGETHER):
+        block = _Block(things[first : first + TOGETHER], there, rng, gap)
+        for t in range(len(block.things)):
+            spot, entered = block.first_clear(t, lambda s, met, k=first + t: clear(k, s, met)), there.count  # type: ignore[misc]
+            chosen = spot is not None
+            if spot is None:
+                found = alone(first + t)
+                if found.spot is None:
+                    return first + t, found
+                spot = found.spot
+            put(first + t, spot)
+            block.entered(t, range(entered, there.count), chosen)
+    return None
+
+
+class _Block:
+    """Candidates of some things, :data:`EACH` of each in a row, and which of them meet each other and what stands."""
+
+    def __init__(
+        self, things: Sequence[tuple[Outline, Region]], there: Occupancy, rng: np.random.Generator, gap: float
+    ) -> None:
+        self.things, self._there, self._gap = things, there, gap
+        outlines, regions = [o for o, _ in things], [r for _, r in things]
+        low, span = (np.repeat(np.array([r.span[k] for r in regions]), EACH, axis=0) for k in (0, 1))
+        drawn = rng.random((len(things) * EACH, 3)) * span + low
+        turn = np.exp(1j * drawn[:, 2])
+        self._centre = drawn[:, 0] + 1j * drawn[:, 1]
+        frame = self._centre - turn * _each([o.middle for o in outlines])
+        self._spots: list[Spot] = list(zip(frame.real.tolist(), frame.imag.tolist(), drawn[:, 2].tolist(), strict=True))
+        self._side = turn * _each([o.turn for o in outlines])
+        self._half = _each([complex(*o.half.tolist()) for o in outlines])
+        self._low = _each([r.z + o.low for o, r in things]).real
+        self._high = _each([r.z + o.high for o, r in things]).real
+        self._boxy = [o.boxy for o in outlines]
+        stands = regions[0].support.holds(drawn[:, :2], turn, np.repeat(_spreads(outlines), EACH, axis=0))
+        self._dead: list[bool] = (~stands).tolist()
+        self._doubts: dict[int, list[int]] = {}
+        self._meets: dict[int, list[int]] = {}
+        self._chosen: dict[int, int] = {}
+        self._meet_each_other(stands)
+        self._meet_entries(range(there.count))
+
+    def _meet_each_other(self, standing: Mask) -> None:
+        live = np.flatnonzero(standing)
+        p, size = self._centre[live], np.abs(self._half[live])
+        dx, dy = p.real - p.real[:, None], p.imag - p.imag[:, None]
+        reach = size + (size[:, None] + self._gap)
+        close = dx * dx + dy * dy < reach * reach
+        i, j = close.nonzero()
+        i, j = live[i], live[j]
+        other = (i // EACH < j // EACH) & (self._low[i] < self._high[j] + self._gap)
+        other &= self._low[j] < self._high[i] + self._gap
+        i, j = i[other], j[other]
+        met = rectangles_meet(
+            self._centre[j] - self._centre[i], self._side[i], self._half[i], self._side[j], self._half[j], self._gap
+        )
+        for a, b in zip(i[met].tolist(), j[met].tolist(), strict=True):
+            self._meets.setdefault(a, []).append(b)
+
+    def _meet_entries(self, entries: range) -> None:
+        """Note which candidates meet some of the entries of what stands there."""
+        for c, entry in self._there.all_met(
+            entries, self._centre, self._side, self._half, self._low, self._high, self._gap
+        ):
+            self._doubt(c, entry)
+
+    def _doubt(self, c: int, entry: int) -> None:
+        if self._boxy[c // EACH] and self._there.any_boxy((entry,)):
+            self._dead[c] = True
+        else:
+            self._doubts.setdefault(c, []).append(entry)
+
+    def first_clear(self, t: int, clear: Callable[[Spot, tuple[int, ...]], bool]) -> Spot | None:
+        """The first candidate of a thing that is clear of all that stands; None where none is."""
+        for c in range(EACH * t, EACH * (t + 1)):
+            doubts = tuple(self._doubts.get(c, ()))
+            if not self._dead[c] and (not doubts or clear(self._spots[c], doubts)):
+                self._chosen[t] = c
+                return self._spots[c]
+        return None
+
+    def entered(self, t: int, entries: range, chosen: bool) -> None:
+        """Note that a thing stands now, as some entries: at its chosen candidate, or elsewhere."""
+        if not chosen:
+            self._meet_entries(entries)
+            return
+        for c in self._meets.get(self._chosen[t], ()):
+            for entry in entries:
+                self._doubt(c, entry)
+
+
+def _spreads(outlines: Sequence[Outline]) -> Array:
+    """The corners of shadows, as many of each, shape (n, 2, m): the last ones are repeated."""
+    out = np.empty((len(outlines), 2, max(o.spread.shape[1] for o in outlines)))
+    for row, outline in zip(out, outlines, strict=True):
+        count = outline.spread.shape[1]
+        row[:, :count] = outline.spread
+        row[:, count:] = outline.spread[:, -1:]
+    return out
+
+
+def _each(values: Sequence[complex]) -> Complex:
+    """A value for each candidate of each thing."""
+    return np.repeat(np.array(values, dtype=np.complex128), EACH)
+
+
+GAP = 0.002
+"""Free space between things that are not asked to touch [m]: what engines keep as a margin around shapes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placeable:
+    """What is placed: an object, what rides on it, how it stands before it is turned about z, and its shadow."""
+
+    name: str
+    riders: tuple[str, ...]
+    upright: Pose
+    outline: Outline
+    _regions: dict[tuple[str, float], Region] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, twin: Twin, name: str, on: str, staying: Iterable[str] = ()) -> Placeable:
+        """A thing that is to stand on ``on``, with all that rides on it but what is ``staying``."""
+        riders = twin.riders(name)
+        if riders:
+            riders = tuple(n for n in riders if n not in set(staying))
+        key = (name, on, riders)
+        if key not in twin.placeables:
+            upright = twin.upright(name, on)
+            twin.placeables[key] = cls(name, riders, upright, twin.outline(name, upright, riders))
+        return twin.placeables[key]
+
+    def height(self, support: Support) -> float:
+        """Of the frame [m], so that the thing stands on a support."""
+        return support.height - self.outline.low + CLEARANCE
+
+    def anywhere(self, support: Support) -> Region:
+        """All of a support, turned anyhow."""
+        key = (support.name, support.height)
+        if key not in self._regions:
+            self._regions[key] = Region(*support.bounds, (-math.pi, math.pi), support, self.height(support))
+        return self._regions[key]
+
+    def pose(self, x: float, y: float, z: float, yaw: float) -> Pose:
+        """Where its frame is when it is turned by ``yaw`` [rad]."""
+        w, qx, qy, qz = self.upright.q.tolist()
+        c, s = math.cos(yaw / 2), math.sin(yaw / 2)
+        return Pose.of((x, y, z), (c * w - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * w))
+
+
+class Arrangement:
+    """Everything that stands, while things are placed among it. A twin has one at a time: it poses its solids."""
+
+    def __init__(self, twin: Twin, poses: Mapping[str, Pose], moving: Iterable[str]) -> None:
+        """``poses`` differ from the twin's; what is ``moving``, and what rides on it, is not there yet."""
+        self.twin, self.tries = twin, 0
+        self.poses = dict(twin.state.poses) | dict(poses)
+        self.moved: dict[str, Pose] = {}
+        self.dropped: set[str] = set()
+        self.there = Occupancy(2 * len(twin.scene.objects) + 64)
+        waiting = set(moving) | (twin.absent - set(poses))
+        for name in tuple(waiting):
+            waiting |= {n for n in twin.riders(name) if n not in poses}
+        self.solid: list[str] = []
+        for item in twin.scene.objects:
+            if item.name not in waiting:
+                twin.solids.put(item.name, self.poses[item.name])
+                self.solid.append(item.name)
+                self._enter(item.name, twin.shadows(item.name, self.poses[item.name]))
+        for name, shadows in twin.robots.shadows.items():
+            self.solid.append(name)
+            self._enter(name, shadows)
+
+    def _enter(self, name: str, shadows: Iterable[Outline]) -> None:
+        for outline in shadows:
+            self.there.add(name, outline, 0.0, 0.0, 0.0, 0.0)
+
+    def _stand_on(self, support: Support) -> None:
+        """Leave the support out where nothing of it stands out: what is placed stands on it."""
+        self.there.set_aside(support.name if support.plain else None)
+
+    def find(
+        self,
+        thing: Placeable,
+        region: Region,
+        rng: np.random.Generator,
+        allowed: Allowed | None = None,
+        also: Callable[[], bool] | None = None,
+    ) -> Found:
+        """A free place for a thing; ``also`` is asked with the thing posed among the solids."""
+        owners, on = self.there.owners, region.support.name
+        self._stand_on(region.support)
+
+        def clear(x: float, y: float, yaw: float, met: tuple[int, ...]) -> bool:
+            self.pose(thing, thing.pose(x, y, region.z, yaw))
+            return not self.clashes(thing, sorted({owners[k] for k in met}), on)
+
+        def last(x: float, y: float, yaw: float) -> bool:
+            self.pose(thing, thing.pose(x, y, region.z, yaw))
+            return also is None or also()
+
+        demands = Demands(allowed, clear, None if also is None else last)
+        found = find(thing.outline, region, self.there, rng, GAP, demands)
+        self.tries += found.tried
+        return found
+
+    def put_all(
+        self, things: Sequence[Placeable], support: Support, rng: np.random.Generator
+    ) -> tuple[Placeable, Found] | None:
+        """Let things stand anywhere on a support, one after another; the first that finds no place, and why."""
+        owners = self.there.owners
+        self._stand_on(support)
+        placed = [(thing.outline, thing.anywhere(support)) for thing in things]
+        self.tries += EACH * len(things)
+
+        def clear(k: int, spot: tuple[float, float, float], met: tuple[int, ...]) -> bool:
+            x, y, yaw = spot
+            self.pose(things[k], things[k].pose(x, y, placed[k][1].z, yaw))
+            return not self.clashes(things[k], sorted({owners[entry] for entry in met}), support.name)
+
+        failed = place_together(
+            placed,
+            self.there,
+            rng,
+            GAP,
+            clear,
+            lambda k, spot: self.put(things[k], placed[k][1].z, spot),
+            lambda k: self.find(things[k], placed[k][1], rng),
+        )
+        return None if failed is None else (things[failed[0]], failed[1])
+
+    def clashes(self, thing: Placeable, others: Iterable[str], on: str) -> bool:
+        """Whether a thing or what rides on it is nearer to one of the others than it may; what carries it may touch."""
+        solids = self.twin.solids
+        return any(
+            solids.meet(name, other, 0.0 if other == on else GAP)
+            for other in others
+            for name in (thing.name, *thing.riders)
+        )
+
+    def pose(self, thing: Placeable, X_WO: Pose) -> dict[str, Pose]:
+        """Pose a thing and its riders among the solids."""
+        poses = {thing.name: X_WO}
+        if thing.riders:
+            before = self.twin.state.poses
+            move = X_WO @ before[thing.name].inverse()
+            poses |= {n: move @ before[n] for n in thing.riders}
+        for name, pose in poses.items():
+            self.twin.solids.put(name, pose)
+        return poses
+
+    def put(self, thing: Placeable, z: float, spot: tuple[float, float, float], dropped: bool = False) -> None:
+        """Let a thing stand at x, y [m] of its frame and a turn about z [rad]."""
+        x, y, yaw = spot
+        poses = self.pose(thing, thing.pose(x, y, z, yaw))
+        for name in poses:  # the shadow of all of them, for each: where it is met, each is looked at
+            self.there.add(name, thing.outline, x, y, z, yaw)
+        self.solid += poses
+        self.moved |= poses
+        self.poses |= poses
+        if dropped:
+            self.dropped |= set(poses)

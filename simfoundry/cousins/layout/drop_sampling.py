@@ -1,0 +1,184 @@
+"""Things that the anchor carries: dropped onto its real shapes, from places over all of it."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.cousins.layout.arrangement import Arrangement, Placeable
+from simfoundry.cousins.layout.supports import Support
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.geometry.cavity import Cavity
+from simfoundry.geometry.form import Form
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy, rpy_from_quat
+from simfoundry.geometry.volume_samples import volume_samples
+from simfoundry.predicates.judging.thresholds import ENCLOSED
+from simfoundry.scene.place import PlaceError, solve
+from simfoundry.spec.models.cousins import SceneAxis
+from simfoundry.spec.models.place import Place
+
+EDGE = 0.003
+"""A foot that is no farther from an edge than this [m] is on it: that of what is dropped keeps a gap of 1 mm."""
+
+DROPS = 64
+"""How often a thing is dropped until it counts as not fitting there."""
+
+
+def drop(
+    table: Arrangement, anchor: str, thing: Placeable, words: tuple[str, ...], axis: SceneAxis, rng: np.random.Generator
+) -> Reason | None:
+    """Put a thing on or inside the anchor, uniformly over all places where it comes to lie as asked and is free.
+
+    What is to be on it stands on any of its levels, or lies where it touches first from above, and may slide from there
+    as it settles; on an edge too narrow to stand on nothing is left to balance. Upright first; what is to be inside and
+    does not fit so, also on its sides. Why not, where there is none.
+    """
+    twin, X_WA = table.twin, table.poses[anchor]
+    asked = {"all": [f"{word}({thing.name}, {anchor})" for word in words]}
+    shape = twin.shape(anchor, X_WA)
+    spans = np.array([shape.extent(e) for e in np.eye(3)[:2]])
+    low, high = (math.radians(v) for v in axis.yaw_deg)
+    others = [name for name in table.solid if name != anchor]
+    counts, why = (
+        {"did not fit": 0, "would balance on an edge": 0, "did not lie as asked": 0, "met another thing": 0},
+        "",
+    )
+    levels = () if "Inside" in words else twin[anchor].levels if X_WA is twin.state.poses[anchor] else ()
+    areas = np.array([level.area for level in levels])
+    ways = [thing, *_lying(table.twin, thing)] if "Inside" in words else [thing]
+    for k in range(DROPS):
+        thing = ways[0] if k < DROPS // 2 else ways[k % len(ways)]
+        table.tries += 1
+        x, y, turn = rng.random(3)
+        x, y = spans[:, 0] + np.array([x, y]) * (spans[:, 1] - spans[:, 0])
+        yaw = low + turn * (high - low)
+        level = levels[int(rng.choice(len(levels), p=areas / areas.sum()))] if len(levels) > 1 else None
+        try:
+            if level is not None and level is not levels[-1]:
+                X_WO = _standing(thing, level, (float(x), float(y)), float(yaw))
+            else:
+                X_WO = dropped(twin, thing, anchor, X_WA, "Inside" in words, (float(x), float(y)), float(yaw))
+        except PlaceError as error:
+            counts["did not fit"] += 1
+            why = why or error.message
+            continue
+        if levels and _balances(twin, thing, X_WO, float(yaw), anchor):
+            counts["would balance on an edge"] += 1
+            continue
+        verdict = twin.judge(asked, twin.posed({anchor: X_WA, thing.name: X_WO}))
+        if not verdict.value:
+            counts["did not lie as asked"] += 1
+            why = why or verdict.why
+            continue
+        table.pose(thing, X_WO)
+        if table.clashes(thing, [*others, anchor] if level is not None else others, anchor):
+            counts["met another thing"] += 1
+            continue
+        table.put(thing, float(X_WO.p[2]), (float(X_WO.p[0]), float(X_WO.p[1]), float(yaw)), dropped=True)
+        return None
+    said = ", ".join(f"{count} times it {what}" for what, count in counts.items() if count)
+    word = "inside" if "Inside" in words else "on"
+    text = f"no place {word} `{anchor}` for `{thing.name}` in {DROPS} drops: {said}" + (f"; {why}" if why else "")
+    numbers = {"tries": float(DROPS)} | {what.replace(" ", "_"): float(count) for what, count in counts.items()}
+    return Reason("no_place", text, MappingProxyType(numbers))
+
+
+def _standing(thing: Placeable, level: Support, xy: tuple[float, float], yaw: float) -> Pose:
+    """A thing on a level, its frame over a point; raises :class:`PlaceError` where it stands out of the level."""
+    X_WO = thing.pose(*xy, thing.height(level), yaw)
+    turn = cmath.rect(1.0, yaw)
+    middle = complex(*xy) + turn * thing.outline.middle
+    if not level.holds(np.array([[middle.real, middle.imag]]), np.array([turn]), thing.outline.spread)[0]:
+        raise PlaceError(f"`{thing.name}` would stand out of the level of `{level.name}` at {level.height:.3f} m")
+    return X_WO
+
+
+def _balances(twin: Twin, thing: Placeable, X_WO: Pose, yaw: float, anchor: str) -> bool:
+    """Return whether an object would balance: its middle is above a narrow edge that its foot rests on."""
+    import shapely
+
+    edges = twin[anchor].edges
+    foot = float(X_WO.p[2]) + thing.outline.low
+    middle = complex(float(X_WO.p[0]), float(X_WO.p[1])) + cmath.rect(1.0, yaw) * thing.outline.middle
+    point = shapely.Point(middle.real, middle.imag)
+    return any(abs(foot - height) < EDGE and edge.distance(point) < EDGE for height, edge in edges)
+
+
+def _lying(twin: Twin, thing: Placeable) -> list[Placeable]:
+    """The same on two of its sides: what does not fit upright may lie. What carries others stays upright."""
+    if thing.riders:
+        return []
+    sides = [(thing.upright @ Pose.of(q=quat_from_rpy(*rpy))) for rpy in ((math.pi / 2, 0, 0), (0, math.pi / 2, 0))]
+    return [Placeable(thing.name, (), side, twin.outline(thing.name, side)) for side in sides]
+
+
+def dropped(
+    twin: Twin, thing: Placeable, anchor: str, X_WA: Pose, inside: bool, xy: tuple[float, float], yaw: float
+) -> Pose:
+    """Where a thing first touches an anchor that it comes down on; raises :class:`PlaceError` where it misses it."""
+    turned = thing.pose(0.0, 0.0, 0.0, yaw)
+    rpy = tuple(np.degrees(rpy_from_quat(turned.q)).tolist())
+    place = Place(on=None if inside else anchor, inside=anchor if inside else None, xy=xy, rpy_deg=rpy)
+    placed = {anchor: twin.item_at(anchor, X_WA)}
+    found = solve(twin[thing.name].item, place, placed, twin.scene.viewer)
+    return Pose.of(found.p, turned.q)
+
+
+TURNS = 240
+"""Number of sampled orientations, about 25 degrees apart."""
+
+SAMPLES = 64
+"""Points of the thing, as many as the predicate ``Inside`` asks about."""
+
+SURE = 0.4
+"""An object whose best share is no larger cannot reach :data:`ENCLOSED` in an orientation between two samples."""
+assert SURE < ENCLOSED
+
+
+def cavity_extents(hole: Cavity) -> Array:
+    """The sides [m] of the box around a cavity, walls included, shape (3,)."""
+    cells = np.argwhere(hole.depth > 0)
+    return np.asarray((np.ptp(cells, axis=0) + 1) * hole.cell)
+
+
+def largest_share(forms: Iterable[Form], extents: Array) -> float:
+    """Largest share of an object's volume that fits into a box of the given extents [m], in any sampled orientation."""
+    found = [volume_samples(form, SAMPLES) for form in forms]
+    points = np.concatenate(found)
+    points = points[:: max(1, len(points) // SAMPLES)]
+    if (np.sort(np.ptp(points, axis=0)) <= np.sort(extents)).all():
+        return 1.0
+    best = 0
+    for quaternion in _orientations():
+        turned = Pose.of(q=quaternion).apply(points)
+        within = [_covered(turned[:, k], float(extents[k])) for k in range(3)]
+        for row in within[0]:  # windows that begin at each point along x; those along y and z together
+            if row.sum() > best:
+                some = row.nonzero()[0]
+                best = max(best, int((within[1][:, some].astype(float) @ within[2][:, some].T.astype(float)).max()))
+        if best == len(points):
+            break
+    return best / len(points)
+
+
+def _covered(values: Array, length: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Mask of the values covered by a window that starts at each value, shape (n, n)."""
+    away = values[None, :] - values[:, None]
+    return np.asarray((away >= 0) & (away <= length))
+
+
+def _orientations() -> Array:
+    """Unit quaternions (w, x, y, z) spread evenly over all rotations, shape (TURNS, 4): a super-Fibonacci spiral.
+
+    After Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
+    """
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(TURNS) + 0.5
+    r, big = np.sqrt(s / TURNS), np.sqrt(1 - s / TURNS)
+    alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    return np.column_stack([r * np.sin(alpha), r * np.cos(alpha), big * np.sin(beta), big * np.cos(beta)])

@@ -1,0 +1,345 @@
+"""The shadow of a thing on the ground: its convex outline, and the smallest rectangle around that."""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.ray_casts import first_hits, scattered_rays
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+Complex = NDArray[np.complex128]
+
+ROUND = 48
+"""Corners of the polygon around the shadow of a ball."""
+
+LEVEL = 2e-4
+"""A box whose corners are level within this [m] stands flat: settling leaves that much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """A thing seen from above, in the frame that it has at its place before it is turned about z.
+
+    ``corners`` [m] of its convex shadow, counter-clockwise, shape (m, 2). The rectangle has its ``centre`` [m], shape
+    (2,), ``half`` extents [m], shape (2,), and is turned by ``angle`` [rad]. ``low`` and ``high`` [m] over the frame's
+    origin. ``boxy`` where the thing fills the rectangle from low to high.
+    """
+
+    corners: Array
+    centre: Array
+    half: Array
+    angle: float
+    low: float
+    high: float
+    boxy: bool
+
+    @classmethod
+    def of(cls, shape: Hulls) -> Outline:
+        """Of convex parts; raises ValueError where there are none."""
+        if not len(shape.corners):
+            raise ValueError("nothing to see")
+        corners = _shadow(shape)
+        centre, half, angle = _rectangle(corners)
+        low, high = shape.extent(np.array([0.0, 0.0, 1.0]))
+        return cls(corners, centre, half, angle, low, high, _fills(shape, corners, half, low, high))
+
+    @cached_property
+    def spread(self) -> Array:
+        """The corners seen from the centre of the rectangle [m], shape (2, m)."""
+        return np.ascontiguousarray((self.corners - self.centre).T)
+
+    @cached_property
+    def radius(self) -> float:
+        """Of the circle about the centre of the rectangle that holds the shadow [m]."""
+        return float(np.hypot(*self.spread).max())
+
+    @cached_property
+    def size(self) -> float:
+        """Of the circle around the rectangle [m]."""
+        return float(np.hypot(*self.half))
+
+    @cached_property
+    def middle(self) -> complex:
+        """The centre as x + iy [m]."""
+        return complex(*self.centre.tolist())
+
+    @cached_property
+    def turn(self) -> complex:
+        """The turn of the rectangle as a unit complex number."""
+        return cmath.rect(1.0, self.angle)
+
+    @cached_property
+    def area(self) -> float:
+        """Of the shadow [m^2]."""
+        return _area(self.corners)
+
+    @cached_property
+    def width(self) -> float:
+        """Between the nearest two parallel lines that hold the shadow [m]."""
+        return float(_spans(self.corners).min())
+
+
+def _shadow(shape: Hulls) -> Array:
+    """Convex outline of all parts seen from above; balls count as polygons around them."""
+    points, radius = shape.corners[:, :2], shape.radius[shape.part]
+    angle = (np.arange(ROUND) + 0.5) * (2 * np.pi / ROUND)
+    ring = np.column_stack([np.cos(angle), np.sin(angle)]) / np.cos(np.pi / ROUND)
+    rounded = radius > 0
+    balls = points[rounded][:, None] + radius[rounded][:, None, None] * ring
+    return hull(np.concatenate([points[~rounded], balls.reshape(-1, 2)]))
+
+
+def hull(points: Array) -> Array:
+    """Corners of the convex hull, counter-clockwise, shape (m, 2); of what has no area, its box made a hair wide."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except (QhullError, ValueError):
+        low, high = points.min(axis=0) - 1e-6, points.max(axis=0) + 1e-6
+        return np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]])
+
+
+def _area(corners: Array) -> float:
+    x, y = corners.T
+    return float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) / 2)
+
+
+def _along_edges(corners: Array) -> tuple[Array, Array, Array]:
+    """Unit directions of the edges, (m, 2), and the corners along and across each, (m, m)."""
+    edges = np.roll(corners, -1, axis=0) - corners
+    edges /= np.maximum(np.linalg.norm(edges, axis=1, keepdims=True), 1e-12)
+    return edges, edges @ corners.T, np.column_stack([-edges[:, 1], edges[:, 0]]) @ corners.T
+
+
+def _spans(corners: Array) -> Array:
+    across = _along_edges(corners)[2]
+    return np.asarray(across.max(axis=1) - across.min(axis=1))
+
+
+def _rectangle(corners: Array) -> tuple[Array, Array, float]:
+    """The rectangle of least area around a convex polygon: one of its sides is along an edge."""
+    edges, along, across = _along_edges(corners)
+    spans = [(v.min(axis=1), v.max(axis=1)) for v in (along, across)]
+    area = (spans[0][1] - spans[0][0]) * (spans[1][1] - spans[1][0])
+    k = int(np.argmin(np.round(area, 12)))
+    u = edges[k]
+    v = np.array([-u[1], u[0]])
+    (a0, a1), (b0, b1) = ((low[k], high[k]) for low, high in spans)
+    centre = u * (a0 + a1) / 2 + v * (b0 + b1) / 2
+    return centre, np.array([a1 - a0, b1 - b0]) / 2, float(np.arctan2(u[1], u[0]))
+
+
+def _fills(shape: Hulls, corners: Array, half: Array, low: float, high: float) -> bool:
+    """Whether one box that stands flat is all there is."""
+    z = shape.corners[:, 2]
+    if len(shape.radius) != 1 or shape.radius[0] > 0 or len(z) != 8:
+        return False
+    flat = np.minimum(np.abs(z - low), np.abs(z - high)).max() < LEVEL
+    return bool(flat and abs(_area(corners) - 4 * half[0] * half[1]) < 1e-3 * _area(corners))
+
+
+UPWARD = 0.999
+"""A face whose unit normal has at least this along z is level."""
+
+STEP = 1e-3
+"""Faces whose heights differ by less than this [m] are one level."""
+
+NARROW = 0.04
+"""What is narrower than this [m] is an edge and no place: the side panel of a shelf, the rim of a box. What a hand
+takes is about as wide or wider, and would balance there."""
+
+ABOVE = 0.02
+"""So high over a level [m] it is looked from where a hand could come in: below the lips that keep things on trays."""
+
+OPEN_SHARE = 0.05
+"""A level is open where at least this share of the looks from its middle leave the object: about a sixth do from a
+shelf with an open front, none from a closed drawer."""
+
+_FAN = tuple(g.ravel() for g in np.meshgrid(np.linspace(-0.95, 0.95, 12), np.linspace(-0.95, 0.95, 12)))
+"""Rays (x, y, 1) that fill a right angle."""
+
+SIDEWAYS = tuple(
+    np.array(axes, dtype=np.float64).T
+    for axes in (
+        ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+        ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+        ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+        ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+        ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    )
+)
+"""Rotations whose last column is where to look: +x, -x, +y, -y and up."""
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """A level at ``height`` [m] of the object called ``name``.
+
+    ``corners`` [m] of the convex hull of its ``area`` [m^2], counter-clockwise, shape (m, 2); ``plane`` is the area
+    itself where it is not convex. ``plain`` where the object is one convex part: nothing of it stands out of the level.
+    """
+
+    name: str
+    height: float
+    corners: Array
+    area: float
+    plane: BaseGeometry | None
+    plain: bool
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner [m], shape (2,) each."""
+        return self.corners.min(axis=0), self.corners.max(axis=0)
+
+    @cached_property
+    def middle(self) -> tuple[float, float]:
+        """A point inside the level [m], away from its edges where possible."""
+        if self.plane is None:
+            x, y = self.corners.mean(axis=0).tolist()
+            return x, y
+        point = self.plane.representative_point()
+        return float(point.x), float(point.y)
+
+    @cached_property
+    def normals(self) -> Array:
+        """Outward unit normals of the sides of the hull, shape (m, 2)."""
+        edges = np.roll(self.corners, -1, axis=0) - self.corners
+        outward = np.column_stack([edges[:, 1], -edges[:, 0]])
+        return np.asarray(outward / np.linalg.norm(outward, axis=1, keepdims=True))
+
+    @cached_property
+    def offsets(self) -> Array:
+        """Of the sides along their normals [m], shape (m,)."""
+        return np.asarray(np.einsum("ij,ij->i", self.normals, self.corners))
+
+    def holds(self, centre: Array, turn: Complex, spread: Array) -> NDArray[np.bool_]:
+        """Whether whole shadows are over the level, (n,).
+
+        The centres of their rectangles [m], (n, 2); their turns about z as unit complex numbers, (n,); and the
+        :attr:`Outline.spread` of one for all, (2, m), or of each, (n, 2, m).
+        """
+        # Sides turned back into the thing's frame, where the shadow's farthest corner along each is found.
+        sides = (self._sides * turn.conj()[:, None]).view(np.float64).reshape(len(turn), -1, 2)
+        reach = (sides @ spread).max(axis=-1)
+        within: NDArray[np.bool_] = (centre @ self.normals.T + reach <= self.offsets).all(axis=1)
+        if self.plane is not None and within.any():
+            import shapely
+
+            each = np.broadcast_to(spread, (len(turn), *spread.shape[-2:]))[within]
+            corners = (each[:, 0] + 1j * each[:, 1]) * turn[within, None]
+            points = corners.view(np.float64).reshape(*corners.shape, 2) + centre[within, None]
+            within[within] = shapely.covers(self.plane, shapely.polygons(points))
+        return within
+
+    @cached_property
+    def _sides(self) -> Complex:
+        return np.ascontiguousarray(self.normals).view(np.complex128)[:, 0]
+
+
+def supports_of(name: str, shape: Hulls, links: Collection[int] | None = None) -> tuple[Support, ...]:
+    """Find every level of an object on which something can stand, lowest first, optionally of some ``links`` only.
+
+    Strips narrower than :data:`NARROW` and levels enclosed by the object itself are left out.
+    """
+    found = []
+    for _, triangles in _levels(shape, links):
+        support = _support(name, triangles, shape, NARROW)
+        if support is not None and not _is_enclosed(support, shape):
+            found.append(support)
+    return tuple(found)
+
+
+def support_of(name: str, shape: Hulls, near: float | None = None) -> Support | None:
+    """The level of an object nearest to the height ``near`` [m], or its largest; None where no face is level."""
+    levels = _levels(shape)
+    if not levels:
+        return None
+    if near is not None:
+        _, triangles = min(levels, key=lambda level: abs(level[0] - near))
+    else:
+        _, triangles = max(levels, key=lambda level: float(np.abs(_areas(level[1][:, :, :2])).sum()))
+    return _support(name, triangles, shape, NARROW) or _support(name, triangles, shape, 0.0)
+
+
+def edges_of(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, BaseGeometry]]:
+    """Heights [m] and areas of what is level but narrower than :data:`NARROW`: sides of shelves, rims of boxes."""
+    found = []
+    for height, triangles in _levels(shape, links):
+        plane = _plane(triangles)
+        narrow = plane.difference(_without_strips(plane, NARROW))
+        if narrow.area > 0:
+            found.append((height, narrow))
+    return found
+
+
+def _levels(shape: Hulls, links: Collection[int] | None = None) -> list[tuple[float, Array]]:
+    """Heights [m] and the triangles [m] there, shape (m, 3, 3), of all that is level, from below."""
+    level = shape.normals[:, 2] > UPWARD
+    if links is not None:
+        level &= np.isin(shape.link[shape.part[shape.triangles[:, 0]]], list(links))
+    triangles = shape.corners[shape.triangles[level]]
+    height = triangles[:, :, 2].mean(axis=1)
+    order = np.argsort(height, kind="stable")
+    cuts = np.flatnonzero(np.diff(height[order]) >= STEP) + 1
+    return [(float(height[some].mean()), triangles[some]) for some in np.split(order, cuts) if len(some)]
+
+
+def _support(name: str, triangles: Array, shape: Hulls, narrow: float) -> Support | None:
+    """The level that some triangles make, without strips that are narrower than ``narrow`` [m]; None if that is all."""
+    import shapely
+
+    plane = _without_strips(_plane(triangles), narrow)
+    if plane.is_empty:
+        return None
+    corners = hull(shapely.get_coordinates(plane))
+    whole = float(shapely.area(shapely.polygons(corners)))
+    convex = float(plane.area) >= 0.999 * whole
+    shapely.prepare(plane)
+    top = float(triangles[:, :, 2].max())
+    return Support(name, top, corners, float(plane.area), None if convex else plane, len(shape.radius) == 1)
+
+
+def _plane(triangles: Array) -> BaseGeometry:
+    """The area that triangles cover, seen from above."""
+    import shapely
+
+    area = np.abs(_areas(triangles[:, :, :2]))
+    return shapely.union_all(shapely.polygons(triangles[area > 1e-12][:, :, :2]), grid_size=1e-9)
+
+
+def _without_strips(plane: BaseGeometry, narrow: float) -> BaseGeometry:
+    """An area without what is narrower than ``narrow`` [m]; its corners stay."""
+    half = narrow / 2
+    return plane.buffer(-half, join_style="mitre").buffer(half, join_style="mitre") if narrow else plane
+
+
+def _is_enclosed(support: Support, shape: Hulls) -> bool:
+    """Return whether the object encloses a level so far that a hand cannot reach its middle."""
+    triangles = shape.corners[shape.triangles]
+    if float(triangles[:, :, 2].max()) - support.height < STEP:
+        return False
+    x, y = support.middle
+    seen_from = np.array([x, y, support.height + ABOVE])
+    out = 0
+    for side in SIDEWAYS:  # a look to each side, and one up; what is behind a ray's origin it does not see
+        local = (triangles - seen_from) @ side
+        rays = scattered_rays(*_FAN)
+        out += int((first_hits(local, rays).triangle < 0).sum())
+    return out < OPEN_SHARE * len(SIDEWAYS) * len(_FAN[0])
+
+
+def _areas(triangles: Array) -> Array:
+    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    return np.asarray((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2)

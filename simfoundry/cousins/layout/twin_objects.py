@@ -1,0 +1,167 @@
+"""The objects and robots of a twin where they rest, and measures of their shapes, each taken once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simfoundry.cousins.layout.supports import Outline, Support, edges_of, support_of, supports_of
+from simfoundry.cousins.layout.views import VisibleSurface
+from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.shapes import Cylinder
+from simfoundry.predicates.judging.bodies import Bodies
+from simfoundry.scene.model import Collider, Link, Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls
+from simfoundry.scene.touching import weld_groups
+
+if TYPE_CHECKING:
+    from shapely.geometry.base import BaseGeometry
+
+    from simfoundry.cousins.reach import Reach
+
+
+BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
+"""The column that keeps the base of a robot free whose model is not there [m]: the foot of a Panda reaches 0.155 m from
+its axis, those of smaller arms less; nothing that is placed hangs higher over a table."""
+
+
+class TwinRobots:
+    """The robots of a twin, at their start: obstacles to what is placed, and arms that reach for it."""
+
+    def __init__(self, scene: Scene, names: tuple[str, ...]) -> None:
+        self._scene, self.names = scene, names
+
+    @cached_property
+    def reach(self) -> Reach:
+        """The arms that act."""
+        from simfoundry.cousins.reach import Reach
+
+        return Reach(self._scene, self.names)
+
+    @cached_property
+    def items(self) -> tuple[SceneObject, ...]:
+        """The robots with a model, as objects."""
+        bodies = Bodies(self._scene)
+        return tuple(bodies[name].item for name in bodies.robots)
+
+    @cached_property
+    def obstacles(self) -> tuple[SceneObject, ...]:
+        """Robots, or a column at the base of a robot whose model is missing."""
+        absent = [(left.path.partition(".")[2], left.X_WB) for left in self._scene.left_out if left.X_WB is not None]
+        there = {item.name for item in self.items}
+        return (*self.items, *(_column(name, X_WB) for name, X_WB in absent if name not in there))
+
+    @cached_property
+    def shadows(self) -> Mapping[str, tuple[Outline, ...]]:
+        """Shadow of each link of each obstacle, in the world."""
+        return {item.name: link_shadows(hulls(item)) for item in self.obstacles}
+
+    @cached_property
+    def surfaces(self) -> Mapping[str, VisibleSurface]:
+        """Surface of each robot: its colliders, as visuals have hundreds of thousands of triangles."""
+        bare = {i.name: replace(i, links=tuple(replace(link, visuals=()) for link in i.links)) for i in self.items}
+        return {item.name: VisibleSurface.of(bare[item.name]).at(item.X_WO) for item in self.items}
+
+
+@dataclass(frozen=True, eq=False)
+class TwinObject:
+    """An object of a twin where it rests, and measures of it, each taken once.
+
+    ``item`` has its joints as at rest, and its frame at the origin.
+    """
+
+    item: SceneObject
+    X_WO: Pose
+    outlines: dict[tuple[float, ...], Outline] = field(default_factory=dict, repr=False)
+    supports: dict[float | None, Support | None] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def standing(self) -> SceneObject:
+        """The object at its pose."""
+        return replace(self.item, X_WO=self.X_WO)
+
+    @cached_property
+    def shape(self) -> Hulls:
+        """Its convex parts, with its frame at the origin."""
+        return hulls(self.item)
+
+    @cached_property
+    def placed(self) -> Hulls:
+        """Its convex parts at its pose."""
+        return hulls(self.standing)
+
+    @cached_property
+    def shadows(self) -> tuple[Outline, ...]:
+        """Shadow of each of its links."""
+        return link_shadows(self.placed)
+
+    @cached_property
+    def surface(self) -> VisibleSurface:
+        """Its visible surface, with its frame at the origin."""
+        return VisibleSurface.of(self.item)
+
+    @cached_property
+    def levels(self) -> tuple[Support, ...]:
+        """Every level on which objects can stand, but for those that its joints move."""
+        return supports_of(self.item.name, self.placed, self._still_links())
+
+    @cached_property
+    def edges(self) -> list[tuple[float, BaseGeometry]]:
+        """Heights [m] and areas that are level but too narrow to stand on."""
+        return edges_of(self.placed, self._still_links())
+
+    def outline(self, upright: Pose) -> Outline:
+        """Its shadow, ``upright`` at the origin."""
+        key = tuple(upright.q.tolist())
+        if key not in self.outlines:
+            self.outlines[key] = Outline.of(hulls(replace(self.item, X_WO=upright)))
+        return self.outlines[key]
+
+    def support(self, near: float | None) -> Support | None:
+        """Its level at the height ``near`` [m], by default its largest; None if nothing of it is level."""
+        if near not in self.supports:
+            self.supports[near] = support_of(self.item.name, self.placed, near)
+        return self.supports[near]
+
+    def _still_links(self) -> list[int]:
+        """The links, by index, that none of its joints moves."""
+        welded = weld_groups(self.item)
+        return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
+
+
+def link_shadows(shape: Hulls) -> tuple[Outline, ...]:
+    """The shadow of each link of a shape."""
+    links = [shape.of_link(k) for k in dict.fromkeys(shape.link.tolist())]
+    return tuple(Outline.of(link) for link in links if len(link.corners))
+
+
+def _column(name: str, X_WB: Pose) -> SceneObject:
+    """Column that keeps the base of a robot free when its model is missing."""
+    none = frozen_array(np.zeros(3), (3,))
+    middle = Pose.of((0.0, 0.0, BASE_HEIGHT / 2))
+    collider = Collider("base", Cylinder(BASE_RADIUS, BASE_HEIGHT), friction=0.0, restitution=0.0, X_LG=middle)
+    link = Link("base", 0.0, none, frozen_array(np.zeros((3, 3)), (3, 3)), (), (collider,))
+    return SceneObject(name, category="", fixed=True, X_WO=X_WB, links=(link,))
+
+
+def joined(shapes: Sequence[Hulls]) -> Hulls:
+    """Several shapes as one, for its extents and its shadow; edges and faces are left out where there are several."""
+    if len(shapes) == 1:
+        return shapes[0]
+    none = shapes[0].triangles[:0]
+    counts = np.cumsum([0, *(len(s.radius) for s in shapes[:-1])])
+    return Hulls(
+        np.concatenate([s.corners for s in shapes]),
+        shapes[0].edges[:0],
+        none,
+        shapes[0].normals[:0],
+        shapes[0].beside[:0],
+        np.concatenate([s.part + k for s, k in zip(shapes, counts, strict=True)]),
+        np.concatenate([s.radius for s in shapes]),
+        np.concatenate([s.link for s in shapes]),
+    )

@@ -1,0 +1,1 @@
+"""Recipes: their documents, libraries, variant pools, and the documents that candidates become."""

@@ -1,0 +1,95 @@
+"""Why a cousin is not accepted: a code to count by, a sentence, and its numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from simfoundry.errors import SimfoundryError
+
+
+@dataclass(frozen=True)
+class Reason:
+    """``code`` is short and the same for all of a kind; ``text`` a sentence; ``numbers`` what it says, SI units."""
+
+    code: str
+    text: str
+    numbers: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain mapping, for manifests."""
+        return {"code": self.code, "text": self.text, "numbers": {k: float(v) for k, v in self.numbers.items()}}
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """No cousin, and why."""
+
+    reasons: tuple[Reason, ...]
+
+
+class ImpossibleError(SimfoundryError):
+    """What is asked for can never be: each reason is certain before anything is tried."""
+
+    def __init__(self, reasons: tuple[Reason, ...]) -> None:
+        super().__init__("; ".join(reason.text for reason in reasons))
+        self.reasons = reasons
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """What came of candidate ``index``, counted from 1.
+
+    ``documents`` are the texts of an accepted one by kind (``scene``, ``task``), ``asked`` the predicates that its
+    layout was asked for, ``goal`` is that of its own task, and ``unchecked`` says what could not be looked at.
+    ``reasons`` are those of a rejected one.
+    """
+
+    index: int
+    documents: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    asked: tuple[str, ...] = ()
+    goal: str = ""
+    unchecked: tuple[str, ...] = ()
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is a cousin."""
+        return not self.reasons
+
+    def files(self) -> dict[str, str]:
+        """The names of its documents by kind: ``000017.scene.yaml``."""
+        return {kind: file_of(self.index, kind) for kind in self.documents}
+
+    def line(self) -> str:
+        """One line of JSON; the same candidate gives the same bytes."""
+        data: dict[str, Any] = {"index": self.index}
+        if self.accepted:
+            data |= {"documents": dict(self.documents), "asked": list(self.asked)}
+            data |= {"goal": self.goal} if self.goal else {}
+            data |= {"unchecked": list(self.unchecked)} if self.unchecked else {}
+        else:
+            data["reasons"] = [reason.to_json() for reason in self.reasons]
+        return json.dumps(data, ensure_ascii=False, separators=(",", ":"))
+
+    @classmethod
+    def of(cls, line: str | bytes) -> Candidate:
+        """The candidate of a line; raises ValueError for anything else."""
+        data = json.loads(line)
+        try:
+            reasons = tuple(Reason(r["code"], r["text"], r["numbers"]) for r in data.get("reasons", ()))
+            documents = {str(kind): str(text) for kind, text in data.get("documents", {}).items()}
+            if not reasons and not documents:
+                raise ValueError("neither a cousin nor a reason")
+            asked, unchecked = tuple(data.get("asked", ())), tuple(data.get("unchecked", ()))
+            return cls(int(data["index"]), documents, asked, data.get("goal", ""), unchecked, reasons)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"no candidate: {error}") from None
+
+
+def file_of(index: int, kind: str) -> str:
+    """The file of a document of a cousin."""
+    return f"{index:06d}.{kind}.yaml"

@@ -1,0 +1,400 @@
+"""Things to put beside a task: a folder of assets and meshes, each with the mass, volume and density that it has.
+
+What a thing weighs is what its lowered asset weighs; its volume is that of its convex parts, so of a cup it is that of
+the wall. Both are measured once and kept in the cache.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from simfoundry.assets.cache import Cache, key_of
+from simfoundry.cousins.objects.appearance import same_kind, sort_of
+from simfoundry.cousins.objects.retrieval import Likeness, likeness
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.shipped import shipped
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.diagnostics import SpecError, nearest
+from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
+from simfoundry.spec.load import load
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.cousins import Bounds, DistractorAxis
+
+VERSION = "library facts 2"
+"""Changes with what is measured."""
+
+MESH_DENSITY = {"value": 500, "range": (100, 1500), "source": "library"}
+"""Of a mesh that nobody has weighed [kg/m^3]: household things float or sink, the hollow ones float."""
+
+_NAMELESS = {"textured", "nontextured", "model", "mesh", "visual", "collision", "object", "base", "tsdf", "poisson"}
+"""Stems of files that say nothing: the folder has the name."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A thing of a library: ``mass`` [kg], ``volume`` [m^3] of its convex parts, ``size`` [m] of its bounds.
+
+    ``stated`` says whether its document gives the category; otherwise that is what its file is called.
+    """
+
+    name: str
+    category: str
+    file: Path
+    mass: float
+    volume: float
+    size: tuple[float, float, float]
+    digest: str
+    stated: bool = True
+
+    @property
+    def density(self) -> float:
+        """Mass over volume [kg/m^3]."""
+        return self.mass / self.volume if self.volume > 0 else 0.0
+
+    def data(self, reference: str) -> dict[str, Any]:
+        """How a scene describes it, with its file under ``reference``."""
+        data: dict[str, Any] = {"asset": reference}
+        if not reference.endswith(ASSET_SUFFIX):
+            data |= {"density": dict(MESH_DENSITY), "category": self.category}
+        return data
+
+
+@dataclass(frozen=True)
+class Library:
+    """The things of a folder by name, and what of it cannot be used, with the reason."""
+
+    title: str
+    items: tuple[Item, ...]
+    faults: tuple[tuple[str, str], ...] = ()
+
+
+def default_folder() -> Path:
+    """Return the folder of the assets that come with the project."""
+    return shipped("specs/assets")
+
+
+def read_library(folder: Path, cache: Cache | None = None) -> Library:
+    """The things in a folder and below it: every asset document, and every mesh that none of them names.
+
+    Raises :class:`SimfoundryError` where there is no such folder.
+    """
+    if not folder.is_dir():
+        raise SimfoundryError(f"there is no library {folder}: give a folder of .asset.yaml documents or meshes")
+    items: dict[str, Item] = {}
+    faults = []
+    for file in _files(folder):
+        try:
+            item = measured(file, cache or Cache.default())
+        except (SpecError, SimfoundryError) as error:
+            faults.append((file.relative_to(folder).as_posix(), _said(error)))
+            continue
+        name = next(n for n in names(item.name) if n not in items)
+        items[name] = replace(item, name=name)
+    return Library(folder.name, tuple(items.values()), tuple(faults))
+
+
+def united(libraries: Sequence[Library]) -> Library:
+    """Several libraries as one, in this order; what is in two of them is there once."""
+    items: dict[str, Item] = {}
+    digests = set[str]()
+    for item in (item for of in libraries for item in of.items):
+        if item.digest not in digests:
+            name = next(n for n in names(item.name) if n not in items)
+            items[name] = replace(item, name=name)
+            digests.add(item.digest)
+    title = " and ".join(of.title for of in libraries)
+    return Library(title, tuple(items.values()), tuple(fault for of in libraries for fault in of.faults))
+
+
+def _said(error: Exception) -> str:
+    if isinstance(error, SpecError):
+        return error.diagnostics[0].message
+    return str(error)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    every = [p for p in sorted(folder.rglob("*")) if p.is_file() and not p.name.startswith(".")]
+    documents = [p for p in every if p.name.endswith(ASSET_SUFFIX)]
+    named = {p for document in documents for p in _meshes_of(document)}
+    yield from documents
+    yield from (p for p in every if p.suffix.lower() in MESH_SUFFIXES and p.resolve() not in named)
+
+
+def _meshes_of(document: Path) -> list[Path]:
+    from simfoundry.spec.models.asset import AssetSpec
+
+    loaded = load(document)
+    if not isinstance(loaded.spec, AssetSpec):
+        return []
+    parts = (part for link in loaded.spec.links.values() for part in link.parts.values())
+    return [loaded.file(part.mesh).resolve() for part in parts if part.mesh is not None]
+
+
+def name_of(file: Path) -> str:
+    """What a file calls its thing, as a name: ``025_mug/textured.obj`` is a ``mug``."""
+    stem = file.name.split(".")[0]
+    if stem.lower() in _NAMELESS or stem.lower().startswith("google"):
+        stem = next((p.name for p in file.parents if p.name.lower() not in _NAMELESS and p.name != "google_16k"), stem)
+    word = re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_0123456789")
+    return word[:48].rstrip("_") or "thing"
+
+
+def names(name: str) -> Iterator[str]:
+    """A name, and others like it: ``mug``, ``mug_2``, ``mug_3``."""
+    yield name
+    k = 2
+    while True:
+        yield f"{name}_{k}"
+        k += 1
+
+
+def described(file: Path) -> Loaded:
+    """A scene document that holds nothing but the thing of a file, as if it lay beside it."""
+    name = name_of(file)
+    text = f"simfoundry: scene/1\nname: library\nobjects:\n  {name}: {{asset: {json.dumps(file.name)}}}\n"
+    if not file.name.endswith(ASSET_SUFFIX):
+        density = f"{{value: {MESH_DENSITY['value']}, range: [100, 1500], source: library}}"
+        text = text.replace("}\n", f", density: {density}, category: {name}}}\n")
+    return load(file.parent / "library.scene.yaml", text=text)
+
+
+@lru_cache(maxsize=1024)
+def lowered(file: Path) -> SceneObject:
+    """The thing of a file, at the origin; kept, as many scenes share it. Raises :class:`SpecError`."""
+    from simfoundry.scene.lower import lower
+
+    return lower(described(file), Cache.default()).objects[0]
+
+
+def measured(file: Path, cache: Cache) -> Item:
+    """A file with its facts, from the cache where they are; raises :class:`SpecError` for what is no thing."""
+    from simfoundry.targets.inputs import record
+
+    loaded = described(file)
+    if loaded.errors:
+        raise SpecError(loaded.errors)
+    inputs = record(loaded, ())
+    digest = key_of(VERSION, *(inputs[key][name] for key in ("documents", "files") for name in inputs[key]))
+    key = key_of(digest, json.dumps(inputs["software"], sort_keys=True))
+    stored = cache.get(key)
+    facts = _read(stored) if stored is not None else None
+    if facts is None:
+        facts = {**measure(lowered(file)), "stated": _states_category(loaded, file)}
+        cache.put(key, json.dumps(facts).encode())
+    size, stated = tuple(facts["size"]), facts["stated"]
+    return Item(name_of(file), facts["category"], file, facts["mass"], facts["volume"], size, digest, stated)
+
+
+def _states_category(scene: Loaded, file: Path) -> bool:
+    """Whether the document of a thing gives its category; a mesh never does."""
+    from simfoundry.spec.models.asset import AssetSpec
+
+    asset = scene.used(file.name)
+    return asset is not None and isinstance(asset.spec, AssetSpec) and asset.spec.category is not None
+
+
+def _read(stored: bytes) -> dict[str, Any] | None:
+    try:
+        data = json.loads(stored)
+        return data if {"category", "mass", "volume", "size", "stated"} <= data.keys() else None
+    except (ValueError, AttributeError):
+        return None
+
+
+def measure(item: SceneObject) -> dict[str, Any]:
+    """Category, mass [kg], volume of the convex parts [m^3] and size [m] of a thing."""
+    from simfoundry.scene.object_shapes import bounds
+
+    low, high = bounds(item)
+    return {
+        "category": item.category,
+        "mass": float(sum(link.mass for link in item.links)),
+        "volume": float(sum(volume(c.geometry) for link in item.links for c in link.colliders)),
+        "size": [float(v) for v in high - low],
+    }
+
+
+def volume(geometry: Any) -> float:
+    """Volume of a primitive or closed mesh [m^3]."""
+    from simfoundry.assets import mass
+    from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Mesh, Sphere
+
+    match geometry:
+        case Box():
+            return float(geometry.size.prod())
+        case Sphere():
+            return 4 / 3 * math.pi * geometry.radius**3
+        case Cylinder():
+            return math.pi * geometry.radius**2 * geometry.height
+        case Capsule():
+            return math.pi * geometry.radius**2 * (geometry.height + 4 / 3 * geometry.radius)
+        case Mesh():
+            return abs(float(mass.mesh(geometry.vertices, geometry.faces).volume))
+    raise TypeError(f"no geometry: {geometry!r}")
+
+
+KIND_OF_TWIN = "a category that the twin has not"
+SHAPE_OF_TWIN = "a category, or a shape that the twin has not"
+"""Two of the filters, in the words of messages."""
+
+LIKE_SIZE, LIKE_SHAPE = 1.3, 0.1
+"""A thing that nothing names looks like another if its sides differ by at most 1.3 times and its shape by 0.1 (see
+:class:`Apart`): the shipped cup and mug are 0.05 apart in shape, a pot and a bowl 0.08."""
+
+
+# -- filters -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Step:
+    """One filter: what it asks for, and what it took away of those that had passed the filters before it."""
+
+    asks: str
+    taken: tuple[Item, ...]
+
+
+def filtered(
+    library: Library, axis: DistractorAxis, own: Iterable[str] = (), twin: Callable[[], Sequence[SceneObject]] = tuple
+) -> tuple[tuple[Item, ...], list[Step]]:
+    """The things that an axis allows, and what each of its filters took away.
+
+    Where the axis names no categories, what an instruction could mean instead of a thing of the twin is left out: of a
+    second bowl nobody knew which is meant. ``own`` are the words that the twin has for its things: categories, names
+    and labels. A thing of the library that states no category is judged by its name, and where that says nothing, by
+    its size and shape beside the things that ``twin`` returns. Raises :class:`ImpossibleError` where nothing is left.
+    """
+    left, steps = library.items, list[Step]()
+    for asks, passes in _filters(axis, tuple(own), twin):
+        taken = tuple(item for item in left if not passes(item))
+        left = tuple(item for item in left if passes(item))
+        steps.append(Step(asks, taken))
+    if not left and axis.count[1] > 0:
+        raise ImpossibleError((_nothing_left(library, axis, steps),))
+    return left, steps
+
+
+def _filters(
+    axis: DistractorAxis, own: tuple[str, ...], twin: Callable[[], Sequence[SceneObject]]
+) -> Iterator[tuple[str, Callable[[Item], bool]]]:
+    if axis.categories:
+        yield f"category {_listed(axis.categories)}", lambda item: item.category in axis.categories
+    elif own:
+        yield KIND_OF_TWIN, lambda item: not _is_called(item, own)
+        yield SHAPE_OF_TWIN, lambda item: not _is_nameless(item) or not _resembles(item, twin())
+    if axis.exclude_categories:
+        yield (
+            f"not category {_listed(axis.exclude_categories)}",
+            lambda item: not _is_called(item, axis.exclude_categories),
+        )
+    for what, unit in (("mass", "kg"), ("volume", "m^3"), ("density", "kg/m^3")):
+        bounds: Bounds = getattr(axis, what)
+        if bounds.min is not None or bounds.max is not None:
+            yield f"{what} {_range(bounds)} {unit}", _within(what, bounds)
+
+
+def _is_called(item: Item, words: Iterable[str]) -> bool:
+    """Whether a thing is of a kind that one of the words names: by its category, or its name where it states none."""
+    names = (item.category,) if item.stated else (item.category, item.name)
+    return any(same_kind(word, name) for word in words for name in names)
+
+
+def _is_nameless(item: Item) -> bool:
+    """Whether neither a category nor a word of its name says what a thing is."""
+    return not item.stated and sort_of(item.name) is None
+
+
+def _resembles(item: Item, things: Sequence[SceneObject]) -> bool:
+    """Whether a thing is about as large as one of the others and has about its shape."""
+    mine = _likeness(item.file)
+    return any(
+        apart.size < math.log(LIKE_SIZE) and apart.shape < LIKE_SHAPE
+        for thing in things
+        if not thing.fixed
+        for apart in [mine.apart(likeness(thing))]
+    )
+
+
+@lru_cache(maxsize=1024)
+def _likeness(file: Path) -> Likeness:
+    return likeness(lowered(file))
+
+
+def remarks(library: Library, chosen: Sequence[Item], steps: Sequence[Step]) -> tuple[str, ...]:
+    """What a user should know of the choice: what was left out beside the twin, and what states no category."""
+    found = []
+    for why, step in ((step.asks, step) for step in steps if step.asks in (KIND_OF_TWIN, SHAPE_OF_TWIN)):
+        if step.taken:
+            found.append(f"left out {_few(step.taken)} of {library.title}: distractors need {why}")
+    nameless = [item for item in chosen if not item.stated]
+    if nameless:
+        found.append(
+            f"{_few(nameless)} of {library.title} state no `category` and are judged by name and shape; write one in "
+            "their assets, so that no instruction can mean them by accident"
+        )
+    return tuple(found)
+
+
+def _few(items: Sequence[Item], most: int = 5) -> str:
+    names = ", ".join(f"`{item.name}`" for item in items[:most])
+    return names if len(items) <= most else f"{names} and {len(items) - most} more"
+
+
+def _within(what: str, bounds: Bounds) -> Callable[[Item], bool]:
+    def passes(item: Item) -> bool:
+        value = float(getattr(item, what))
+        over = bounds.max is not None and value > bounds.max
+        return not over and not (bounds.min is not None and value < bounds.min)
+
+    return passes
+
+
+def _nothing_left(library: Library, axis: DistractorAxis, steps: list[Step]) -> Reason:
+    """How many there were, and what each filter took."""
+    total = len(library.items)
+    text = f"no distractor is left of the {total} in {library.title}"
+    numbers = {"library": float(total)}
+    for step in steps:
+        if step.taken:
+            numbers[f"taken by {step.asks}"] = float(len(step.taken))
+            text += f"; {step.asks}: {len(step.taken)} taken{_spread(step)}"
+    known = sorted({item.category for item in library.items})
+    unknown = [name for name in axis.categories if name not in known]
+    if unknown and known:
+        text += f"; it has no `{unknown[0]}`, {nearest(unknown[0], known)}"
+    if library.faults:
+        numbers["unusable"] = float(len(library.faults))
+        file, why = library.faults[0]
+        text += f"; {len(library.faults)} cannot be used, the first is {file}: {why}"
+    return Reason("no_distractor", text, numbers)
+
+
+def _spread(step: Step) -> str:
+    """From what to what the things have of what a filter asks: `` (theirs 0.012 to 4.1)``."""
+    what = step.asks.split()[0]
+    if what not in ("mass", "volume", "density"):
+        return ""
+    values = [getattr(item, what) for item in step.taken]
+    return f" (theirs {min(values):.3g} to {max(values):.3g})"
+
+
+def _range(bounds: Bounds) -> str:
+    if bounds.min is None:
+        return f"at most {bounds.max:g}"
+    return f"at least {bounds.min:g}" if bounds.max is None else f"{bounds.min:g} to {bounds.max:g}"
+
+
+def _listed(names: Iterable[str]) -> str:
+    return " or ".join(f"`{name}`" for name in names)
+
+
+def facts(item: Item) -> dict[str, Any]:
+    """A plain mapping, for lists."""
+    return {**asdict(item), "file": item.file.name, "density": item.density}

@@ -1,0 +1,184 @@
+"""What the axes of a recipe choose from, found once for all its candidates: other objects, distractors, tasks.
+
+Files that the cousins need and that lie outside the twin's project are copied below ``OUT/assets``, by content.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.cousins.recipe.document import Recipe
+from simfoundry.cousins.recipe.library import Item
+from simfoundry.cousins.recipe.overlay import relative
+from simfoundry.cousins.run.log import WORK
+from simfoundry.errors import OutputError
+from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.check.validate import validate
+from simfoundry.spec.files import ASSET_SUFFIX, located
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.write import to_yaml
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.layout.twin import Twin
+    from simfoundry.cousins.tasks.proposals import TaskCousin
+
+ASSETS = "assets"
+"""The folder below the output for what the cousins bring along."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Another thing for an object: its document, and how cousins name it."""
+
+    file: Path
+    reference: str
+
+
+@dataclass(frozen=True)
+class VariantPool:
+    """``choices`` by object, ``references`` of distractors by name, and ``tasks``; empty for axes that do not vary.
+
+    ``most`` is how many candidates differ, None where there is no end of them.
+    """
+
+    choices: Mapping[str, tuple[Choice, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    references: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    tasks: tuple[TaskCousin, ...] = ()
+    most: int | None = None
+
+    def combination(self, k: int) -> dict[str, Choice]:
+        """Combination ``k`` of choices, from 0 on; each comes once before one comes again."""
+        found = {}
+        for name, of in self.choices.items():
+            k, digit = divmod(k, len(of))
+            found[name] = of[digit]
+        return found
+
+
+def variant_pool(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> VariantPool:
+    """What a recipe chooses from; raises :class:`ImpossibleError` where an axis has nothing."""
+    from simfoundry.cousins.recipe.variant_pool import tasks_of
+
+    others, tasks = choices(recipe, out, vlm), tasks_of(recipe, out, twin, vlm)
+    most = None
+    if recipe.spec.scene is None and recipe.spec.distractors is None:  # no layout differs
+        most = math.prod(map(len, others.values())) * max(1, len(tasks))
+    return VariantPool(others, references(recipe.distractors, recipe.scene.root, out), tasks, most)
+
+
+def choices(recipe: Recipe, out: Path, vlm: str = "") -> dict[str, tuple[Choice, ...]]:
+    """The variants of each object that varies, made once and written below ``OUT/assets/objects``.
+
+    ``vlm`` names a model that may be asked for them, where the recipe names none.
+    """
+    from simfoundry.cousins.objects.generation import Given
+    from simfoundry.cousins.objects.swap import made_for
+
+    axis, folder = recipe.spec.object, out / ASSETS / "objects"
+    if axis is None:
+        return {}
+    library = None if axis.library is None else located(axis.library, recipe.loaded.path)
+    tasks = [] if recipe.task_spec is None else [recipe.task_spec]
+    files = made_for(axis, recipe.scene, tasks, recipe.seed, folder, Given(recipe.scene.path, library, vlm))
+    return {name: tuple(Choice(file, relative(file, out)) for file in of) for name, of in files.items()}
+
+
+def references(items: Iterable[Item], root: Path, out: Path) -> dict[str, str]:
+    """How cousins in ``out`` name things of a library; those outside the project ``root`` are copied first."""
+    return {item.name: _reference(item, root, out) for item in items}
+
+
+def _reference(item: Item, root: Path, out: Path) -> str:
+    if item.file.resolve().is_relative_to(root):
+        return relative(item.file, out)
+    return relative(copied(item.file, out / ASSETS / item.digest[:8] / item.name), out)
+
+
+def copied(file: Path, folder: Path) -> Path:
+    """A copy in ``folder`` of a mesh, or of an asset document whole, with the files that they name."""
+    from simfoundry.spec.load import load_kind
+    from simfoundry.spec.models.asset import AssetSpec
+    from simfoundry.spec.yaml.tree import plain_tree
+    from simfoundry.spec.yaml.write import to_data, write_tree
+
+    if not file.name.endswith(ASSET_SUFFIX):
+        _copy_mesh(file, folder)
+        return folder / file.name
+    loaded = load_kind(file, "asset/1")
+    assert isinstance(loaded.spec, AssetSpec)
+    meshes = {p.mesh for link in loaded.spec.links.values() for p in link.parts.values() if p.mesh is not None}
+    names = {mesh: f"{k}/{Path(mesh).name}" for k, mesh in enumerate(sorted(meshes))}
+    for mesh, name in names.items():
+        _copy_mesh(loaded.file(mesh), (folder / name).parent)
+    data = to_data(loaded.spec)
+    data.pop("extends", None)
+    for link in data["links"].values():
+        for part in link.get("parts", {}).values():
+            if "mesh" in part:
+                part["mesh"] = names[part["mesh"]]
+    write_atomically(folder / file.name, write_tree(plain_tree(data), AssetSpec).encode())
+    return folder / file.name
+
+
+def _copy_mesh(mesh: Path, folder: Path) -> None:
+    """Copy a mesh with its materials and textures, as far as they lie beside it."""
+    from simfoundry.scene.robot_files import companions
+
+    beside = mesh.parent.resolve()
+    for path in (mesh.resolve(), *companions(mesh)):
+        if path.is_relative_to(beside):
+            _copy(path, folder / path.relative_to(beside))
+
+
+def _copy(source: Path, target: Path) -> None:
+    data = source.read_bytes()
+    if not (target.is_file() and target.read_bytes() == data):
+        write_atomically(target, data)
+
+
+FILE = "tasks.json"
+
+
+def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[TaskCousin, ...]:
+    """The tasks of a recipe, by rank; none where its tasks do not vary. ``vlm`` names a model that may be asked.
+
+    Raises :class:`ImpossibleError` where nothing can be done in the twin.
+    """
+    from simfoundry.cousins.tasks.context import hands_of
+    from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
+
+    axis, path = recipe.spec.task, out / WORK / FILE
+    if axis is None:
+        return ()
+    if not path.is_file():
+        asked: dict[str, Any] = {}
+        if axis.proposals == "model" and vlm:
+            from simfoundry.cousins.run.report import draw
+            from simfoundry.models.vlm import Vlm
+
+            asked = {"vlm": Vlm(vlm), "picture": draw(recipe.scene.path) or b""}
+        reference = relative(recipe.scene.path, out)
+        found, _ = task_cousins(twin, recipe.scene_spec, axis, recipe.seed, reference, **asked)
+        rows = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
+        write_atomically(path, (json.dumps(rows, indent=1, ensure_ascii=False) + "\n").encode())
+    hands = hands_of(recipe.scene_spec)
+    kept = json.loads(path.read_text())
+    return tuple(TaskCousin(_task(one["task"], path), one["goal"], hands, axis.engines) for one in kept)
+
+
+def _task(text: str, path: Path) -> TaskSpec:
+    """A kept task; raises :class:`OutputError` where somebody has changed it into none."""
+    try:
+        spec, _ = validate(TaskSpec, parse(text))
+    except YamlError:
+        spec = None
+    if spec is None:
+        raise OutputError(f"{path} is damaged; remove it, and the tasks are found anew")
+    return spec

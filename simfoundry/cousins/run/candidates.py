@@ -1,0 +1,237 @@
+"""Candidate k of a recipe: a pure function of the recipe, its twin, the seed and k, in whatever process it is called.
+
+The axes in turn: other objects, another layout, distractors, another task. Then everything settles and is checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.cousins.layout.acceptance import Examined, examine
+from simfoundry.cousins.layout.constraints import placement_constraints, too_full
+from simfoundry.cousins.layout.propose import NOTHING, Layout, propose, scatter
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe import library, overlay
+from simfoundry.cousins.recipe.candidate import Candidate, ImpossibleError, Reason, Rejected
+from simfoundry.cousins.recipe.document import Recipe, read_recipe
+from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_pool
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.files import is_document
+
+FUNCTION = "simfoundry.cousins.run.candidates:candidate"
+"""What pools call."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Which recipe, with which seed, written where: all that a process needs to make candidates.
+
+    ``vlm`` names a model, which the process that begins a run may ask.
+    """
+
+    recipe: str
+    out: str
+    seed: int
+    vlm: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What the candidates of a recipe share in one process."""
+
+    recipe: Recipe
+    out: Path
+    twin: Twin
+    stock: VariantPool
+
+
+@lru_cache(maxsize=1)
+def prepared(setup: Setup) -> Prepared:
+    """Read the recipe, let the twin come to rest, and find what its axes choose from."""
+    recipe = read_recipe(Path(setup.recipe), setup.seed)
+    twin = Twin.load(recipe.twin_file, Cache.default())
+    return Prepared(recipe, Path(setup.out), twin, variant_pool(recipe, Path(setup.out), twin, setup.vlm))
+
+
+def see_possible(shared: Prepared) -> None:
+    """Raise :class:`ImpossibleError` where what the recipe asks for can never be."""
+    twin, axis, distractors = shared.twin, shared.recipe.spec.scene, shared.recipe.spec.distractors
+    asks = placement_constraints(twin, axis) if axis is not None else None
+    places = twin.places if distractors is not None else ()
+    if distractors is not None and places:
+        around = asks.support.name if asks is not None and asks.support is not None else ""
+        full = too_full(twin, places, axis, shared.recipe.distractors, distractors.count[0], around)
+        if full:
+            raise ImpossibleError(full)
+
+
+def candidate(setup: Setup, index: int) -> Candidate:
+    """Candidate ``index``, from 1 on."""
+    shared = prepared(setup)
+    draw = _draw(shared, index)
+    if isinstance(draw, Rejected):
+        return Candidate(index, reasons=draw.reasons)
+    found = examine(draw.twin, draw.layout) if draw.is_moved else None
+    if found is not None and not found.accepted:
+        return Candidate(index, reasons=found.reasons)
+    return _written(shared, draw, found, index)
+
+
+@dataclass(frozen=True, eq=False)
+class _Draw:
+    """What chance chose: the ``twin`` with ``others`` in place of its things and more ``added``, and its ``layout``."""
+
+    twin: Twin
+    layout: Layout
+    others: Mapping[str, Choice]
+    added: Mapping[str, library.Item]
+
+    @property
+    def is_moved(self) -> bool:
+        """Whether anything is not as in the twin, so that it has to settle."""
+        return bool(self.layout.poses or self.others or self.added)
+
+
+def _draw(shared: Prepared, index: int) -> _Draw | Rejected:
+    """The axes in turn; every one has chance of its own, so that one more changes nothing for the others."""
+    by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
+    spec, stock = shared.recipe.spec, shared.stock
+    if stock.most is not None:
+        others = stock.combination((index - 1) // max(1, len(stock.tasks)))
+    else:
+        others = {name: of[int(by_object.integers(len(of)))] for name, of in stock.choices.items()}
+    added = _distractors(shared, by_distractors)
+    twin = _extended(shared.twin, others, added)
+    layout: Layout | Rejected = NOTHING
+    if spec.scene is not None:
+        layout = propose(twin, spec.scene, by_layout)
+    if added and isinstance(layout, Layout):
+        layout = scatter(twin, tuple(added), by_distractors, layout=layout)
+    return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added)
+
+
+def _distractors(shared: Prepared, rng: np.random.Generator) -> dict[str, library.Item]:
+    """Things from the library, none twice before each was taken once, by names that the scene has not yet."""
+    axis = shared.recipe.spec.distractors
+    if axis is None:
+        return {}
+    items, taken = (
+        shared.recipe.distractors,
+        set(shared.recipe.scene_spec.objects) | set(shared.recipe.scene_spec.robots),
+    )
+    count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
+    order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
+    found: dict[str, library.Item] = {}
+    for k in order[:count]:
+        name = next(n for n in library.names(items[k].name) if n not in taken and n not in found)
+        found[name] = items[k]
+    return found
+
+
+def _extended(twin: Twin, others: Mapping[str, Choice], added: Mapping[str, library.Item]) -> Twin:
+    """The twin with other things in the place of some, and more that are not there yet."""
+    if not others and not added:
+        return twin
+    objects = [_in_place_of(twin.scene.object(name), choice) for name, choice in others.items()]
+    objects += [replace(library.lowered(item.file), name=name) for name, item in added.items()]
+    return twin.extended(objects)
+
+
+def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
+    new = library.lowered(choice.file)
+    return replace(new, name=old.name, category=old.category, fixed=old.fixed, X_WO=old.X_WO, labels=old.labels)
+
+
+def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) -> Candidate:
+    """The documents of an accepted draw."""
+    recipe, spec = shared.recipe, shared.recipe.scene_spec
+    documents: dict[str, str] = {}
+    if found is not None:
+        moved = {*draw.layout.poses, *draw.others, *draw.added}
+        moved |= overlay.dependents(spec, moved)
+        free = [n for n in moved if not draw.twin.scene.object(n).fixed]
+        poses = {name: found.state.poses[name] for name in sorted(free)}
+        state = replace(found.state, poses={**found.state.poses, **overlay.written(poses)})
+        for text in draw.layout.asked:
+            verdict = draw.twin.judge(text, state)
+            if not verdict.value:
+                why = f"{text} holds by so little that it does not as it would be written: {verdict.why}"
+                return Candidate(index, reasons=(Reason("too_close", why, {"margin": verdict.margin}),))
+        joints = overlay.moved_joints(draw.twin.scene, found.state, poses)
+        relations = _relations(draw, state, spec.relations)
+        changes = _changes(shared, draw)
+        documents["scene"] = overlay.scene_overlay(recipe, shared.out, index, changes, poses, joints, relations)
+    else:
+        moved = set()
+    goal = ""
+    if shared.stock.tasks:
+        task = shared.stock.tasks[(index - 1) % len(shared.stock.tasks)]
+        reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
+        if reasons:
+            return Candidate(index, reasons=reasons)
+        documents["task"] = overlay.own_task(recipe, shared.out, index, task.spec, moved, "scene" in documents)
+        goal = task.goal
+    elif recipe.task is not None:
+        reasons = _undoable(recipe, draw, found)
+        if reasons:
+            return Candidate(index, reasons=reasons)
+        documents["task"] = overlay.task_overlay(recipe, shared.out, index, moved, bool(draw.added))
+    return Candidate(index, documents, draw.layout.asked, goal, found.unchecked if found is not None else ())
+
+
+def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reason, ...]:
+    """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
+    from simfoundry.cousins.tasks.acceptance import impossible
+    from simfoundry.cousins.tasks.candidate_poses import objects_of
+    from simfoundry.cousins.tasks.context import hands_of
+    from simfoundry.cousins.tasks.proposals import context_at
+
+    goal = draw.twin.goal
+    if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
+        return ()
+    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
+
+
+def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:
+    """What the documents say of other and of new things, but for where they are."""
+    found: dict[str, overlay.Data] = {}
+    for name, choice in draw.others.items():
+        written = shared.recipe.scene_spec.objects[name]
+        gone = [key for key in _OF_LINKS if key in written.model_fields_set and is_document(choice.reference)]
+        gone += ["joints"] if written.joints else []
+        found[name] = {"asset": choice.reference, **dict.fromkeys(gone)}
+    for name, item in draw.added.items():
+        found[name] = item.data(shared.stock.references[item.name])
+    return found
+
+
+def _of_links() -> tuple[str, ...]:
+    from simfoundry.spec.check.scene import OF_LINKS
+
+    return OF_LINKS
+
+
+_OF_LINKS = _of_links()
+"""Fields of an object that an asset document decides for its links."""
+
+
+def _relations(draw: _Draw, state: Any, stated: tuple[str, ...]) -> tuple[str, ...]:
+    """What holds: of what the twin states, then what was asked for, then what new things stand on."""
+    more = [text for text in draw.layout.asked if text not in stated]
+    holds = [text for text in stated if draw.twin.judge(text, state).value]
+    for name in draw.added:
+        more += [f"OnTop({name}, {on})" for on in _below(draw, state, name)]
+    return (*holds, *more)
+
+
+def _below(draw: _Draw, state: Any, name: str) -> list[str]:
+    """The fixed things that one stands on."""
+    fixed = [item.name for item in draw.twin.scene.objects if item.fixed]
+    return [on for on in fixed if draw.twin.judge(f"OnTop({name}, {on})", state).value][:1]

@@ -1,0 +1,193 @@
+"""Who examines candidates: this process, processes of this machine, or a Ray cluster. All give the same candidates.
+
+A pool is handed indices and gives back candidates in whatever order they are done.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+from simfoundry.cousins.recipe.candidate import Candidate, Reason
+from simfoundry.errors import MissingEngineError
+from simfoundry.runtime.extras import install_line
+from simfoundry.runtime.workers import Limits, WorkerError, WorkerPool
+
+SILENCE_S = 600.0
+"""More than a candidate may take, with all that its process has to prepare before the first [s]."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is done for each candidate: ``function`` (``module:name``) is called with ``arguments`` and the index."""
+
+    function: str
+    arguments: tuple[Any, ...] = ()
+
+    def __call__(self, index: int) -> Candidate:
+        """The candidate of an index, made in this process."""
+        module, _, name = self.function.partition(":")
+        candidate: Candidate = getattr(import_module(module), name)(*self.arguments, index)
+        return candidate
+
+
+def line_of(work: Work, index: int) -> str:
+    """The line of a candidate: what travels between processes."""
+    return work(index).line()
+
+
+class Pool(Protocol):
+    """Examines candidates, ``size`` of them at a time."""
+
+    size: int
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        ...
+
+    def next(self) -> Candidate:
+        """The next that is done, of those that were asked for."""
+        ...
+
+    def close(self) -> None:
+        """Stop, whatever is going on."""
+        ...
+
+
+@dataclass
+class Here:
+    """This process, one candidate after the other."""
+
+    work: Work
+    size: int = 1
+    _asked: list[int] = field(default_factory=list)
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._asked.append(index)
+
+    def next(self) -> Candidate:
+        """Make the next."""
+        return self.work(self._asked.pop(0))
+
+    def close(self) -> None:
+        """Nothing is going on."""
+
+
+class Local:
+    """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
+
+    def __init__(self, work: Work, size: int) -> None:
+        self.work, self.size = work, size
+        self._pool = WorkerPool(size, Limits.shared(SILENCE_S, size))
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._pool.submit(index, f"{__name__}:line_of", self.work, index, attempts=2)
+
+    def next(self) -> Candidate:
+        """Wait for the next."""
+        index, result = self._pool.next()
+        return failed(index, result.how) if isinstance(result, WorkerError) else Candidate.of(result)
+
+    def close(self) -> None:
+        """End the processes."""
+        self._pool.close()
+
+
+def failed(index: int, how: str) -> Candidate:
+    """A candidate of which no more is known than how its process failed."""
+    return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
+
+
+class OnRay:
+    """Actors of a Ray cluster: the one that ``RAY_ADDRESS`` names, or one that is started on this machine.
+
+    Every node sees the recipe and the output under the same paths, as on a shared file system.
+    """
+
+    def __init__(self, work: Work, size: int | None) -> None:
+        try:
+            import ray as module
+        except ModuleNotFoundError:
+            raise MissingEngineError(f"`--on ray` needs ray; install with `{install_line('ray')}`") from None
+        ray: Any = module
+        self._ray, self._owns = ray, not ray.is_initialized()
+        if self._owns:
+            _connect(ray, size)
+        self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
+        remote = ray.remote(num_cpus=1, max_restarts=2, max_task_retries=1)(_Actor)
+        self._idle: list[Any] = [remote.remote(work) for _ in range(self.size)]
+        self._waiting: list[int] = []
+        self._running: dict[Any, tuple[int, Any]] = {}
+
+    def submit(self, index: int) -> None:
+        """Ask for a candidate."""
+        self._waiting.append(index)
+        self._hand_out()
+
+    def next(self) -> Candidate:
+        """Wait for the next."""
+        done, _ = self._ray.wait(list(self._running), num_returns=1)
+        index, actor = self._running.pop(done[0])
+        self._idle.append(actor)
+        self._hand_out()
+        try:
+            return Candidate.of(self._ray.get(done[0]))
+        except self._ray.exceptions.RayError as error:
+            return failed(index, f"broke ({type(error).__name__}: {str(error).splitlines()[-1].strip()})")
+
+    def close(self) -> None:
+        """End the actors, and the cluster if it was started here."""
+        for actor in [*self._idle, *(actor for _, actor in self._running.values())]:
+            self._ray.kill(actor)
+        if self._owns:
+            self._ray.shutdown()
+
+    def _hand_out(self) -> None:
+        while self._idle and self._waiting:
+            actor, index = self._idle.pop(), self._waiting.pop(0)
+            self._running[actor.line.remote(index)] = (index, actor)
+
+
+class _Actor:
+    """A process of a cluster."""
+
+    def __init__(self, work: Work) -> None:
+        self.work = work
+
+    def line(self, index: int) -> str:
+        return line_of(self.work, index)
+
+
+def _connect(ray: Any, size: int | None) -> None:
+    """The cluster of ``RAY_ADDRESS``, or one of this machine whose processes import what this one does.
+
+    Ray lets processes import from the folder that the driver is in before all else: inside a checkout that would be the
+    checkout, whatever is installed. So it is called from an empty folder.
+    """
+    import logging
+    import sys
+    from contextlib import chdir
+    from tempfile import TemporaryDirectory
+
+    quiet = {"log_to_driver": False, "logging_level": logging.ERROR, "include_dashboard": False}
+    paths = os.pathsep.join(str(Path(p).absolute()) for p in sys.path if p)
+    environment = {"env_vars": {"PYTHONPATH": paths}}
+    with TemporaryDirectory(prefix="simfoundry-ray-") as empty, chdir(empty):
+        if os.environ.get("RAY_ADDRESS"):
+            ray.init(log_to_driver=False, logging_level=logging.ERROR)
+        else:
+            ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
+
+
+def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> Pool:
+    """``local`` processes, actors on ``ray``, or ``here``; ``jobs`` of them, by default one for each core."""
+    if where == "ray":
+        return OnRay(work, jobs)
+    if where == "here":
+        return Here(work)
+    return Local(work, jobs or os.cpu_count() or 1)

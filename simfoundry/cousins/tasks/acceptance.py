@@ -1,0 +1,154 @@
+"""Whether a proposed task is one: its names exist, its goal is a change, it can be done, and it is new."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.cousins.tasks.candidate_poses import branches, levels, meaning, objects_of
+from simfoundry.cousins.tasks.context import TaskContext, numbers
+from simfoundry.cousins.tasks.witness import ALLOWED, HELD, Witness, witness
+from simfoundry.predicates import PredicateError
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.diagnostics import nearest
+from simfoundry.spec.models.expressions import Call, ExpressionError, parse_call, texts
+from simfoundry.spec.models.task import TaskSpec
+
+MOST_PREDICATES = 16
+"""A goal of more predicates is not tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class AcceptedTask:
+    """A task that can be done, by its name and goal.
+
+    ``state`` is one at rest in which it is done; None where a hand has to hold something for that.
+    """
+
+    name: str
+    goal: Any
+    state: SceneState | None = None
+
+    def covers(self, goal: Any, setting: TaskContext) -> bool:
+        """Whether another goal about the same objects is reached where this one is."""
+        if self.state is None or set(objects_of(self.goal)) != set(objects_of(goal)):
+            return False
+        return setting.twin.judge(goal, self.state).value
+
+
+def accept(
+    task: TaskSpec | Any, setting: TaskContext, known: Sequence[AcceptedTask] = ()
+) -> AcceptedTask | tuple[Reason, ...]:
+    """A task, or a goal alone, with a state in which it is done; or why it is refused, each reason with its numbers.
+
+    It is refused where one of the ``known`` tasks asks for the same, or ends in a state in which it is done, too.
+    """
+    name, goal = (task.name, task.goal) if isinstance(task, TaskSpec) else ("", task)
+    if found := misnamed(goal, setting):
+        return found
+    for other in known:
+        if meaning(other.goal) == meaning(goal):
+            return (Reason("duplicate", f"its goal is that of `{other.name}`"),)
+    if found := unchanged(goal, setting):
+        return found
+    for other in known:
+        if other.covers(goal, setting):
+            return (Reason("duplicate", f"it is done where `{other.name}` is"),)
+    shown = witness(setting, goal)
+    if not isinstance(shown, Witness):
+        return shown
+    held = any(call.predicate in HELD for way in branches(goal) for call in way)
+    return AcceptedTask(name, goal, None if held else shown.state)
+
+
+def superseded(new: AcceptedTask, known: Sequence[AcceptedTask], setting: TaskContext) -> list[tuple[str, Reason]]:
+    """Names of the known tasks that ask for less than a new one, which does them along the way, each with the reason.
+
+    The new one is none of theirs: :func:`accept` has refused what a known task does along the way.
+    """
+    return [
+        (other.name, Reason("duplicate", f"it is done where `{new.name}` is, which asks for more"))
+        for other in known
+        if new.covers(other.goal, setting)
+    ]
+
+
+def misnamed(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
+    """Names that the scene does not have, and predicates that are not known or not allowed in a goal."""
+    found: list[Reason] = []
+    every = [text for text, _ in texts(goal)]
+    if not every or len(every) > MOST_PREDICATES:
+        text = f"a goal has 1 to {MOST_PREDICATES} predicates, not {len(every)}"
+        return (Reason("bad_goal", text, numbers(predicates=len(every))),)
+    for text in every:
+        try:
+            call = parse_call(text)
+        except ExpressionError as error:
+            hint = f"; {nearest(error.word, error.choices)}" if error.choices else ""
+            found.append(Reason("bad_goal", f"{error}{hint}"))
+            continue
+        if call.predicate not in (*ALLOWED, "Released"):
+            found.append(
+                Reason("not_allowed", f"`{call.predicate}` may not be asked for; allowed: {', '.join(ALLOWED)}")
+            )
+        found += _unknown(call, setting)
+    return tuple({reason.text: reason for reason in found}.values())
+
+
+def _unknown(call: Call, setting: TaskContext) -> list[Reason]:
+    scene = setting.twin.scene
+    objects, robots = {o.name: o for o in scene.objects}, {hand.name for hand in setting.hands}
+    found = []
+    for name, kind in zip(call.args, call.kinds, strict=True):
+        owner, _, part = name.partition(".")
+        if kind == "number" or (kind in ("robot", "body") and owner in robots):
+            continue
+        there = robots if kind == "robot" else objects.keys()
+        if owner not in there:
+            what = "robot" if kind == "robot" else "object"
+            found.append(Reason("unknown_name", f"no {what} is called `{owner}`; {nearest(owner, there) or 'none'}"))
+        elif part:
+            item = objects[owner]
+            names = [*(link.name for link in item.links), *(joint.name for joint in item.joints)]
+            if part not in names:
+                found.append(Reason("unknown_name", f"`{owner}` has no part `{part}`; {nearest(part, names)}"))
+    if len(call.args) == 2 and call.args[0] == call.args[1]:
+        found.append(Reason("bad_goal", f"{call} is about one thing only"))
+    return found
+
+
+def unchanged(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
+    """Whether there is nothing to do: the goal holds at the start, or asks for nothing to come true."""
+    twin = setting.twin
+    try:
+        verdict = twin.judge(goal, twin.state)
+    except PredicateError as error:
+        return (Reason("impossible", str(error)),)
+    if verdict.value:
+        return (Reason("already_true", f"it is true at the start: {verdict.why}", numbers(margin=verdict.margin)),)
+    if not any(call.predicate != "Released" for way in branches(goal) for call in way):
+        return (Reason("no_change", "it asks for nothing to come true, only that something is not"),)
+    return ()
+
+
+def unreached(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
+    """Things of a goal that no hand gets to where they are."""
+    names = dict.fromkeys(a for text, _ in texts(goal) for a in parse_call(text).args)
+    there = {o.name: o for o in setting.twin.scene.objects}
+    found: list[Reason] = []
+    for name in names:
+        item = there.get(name.partition(".")[0])
+        if item is not None and item.name != setting.twin.ground and not found:
+            # Which level of a shelf is reached, and from where, was proved in the twin; its top may be too high.
+            several = levels(setting, name, setting.twin.state)
+            reach = setting.too_far if several else setting.cannot_reach
+            found += reach(name, *setting.bounds(name))
+    return tuple(found)
+
+
+def impossible(goal: Any, setting: TaskContext) -> tuple[Reason, ...]:
+    """Why no state is found in which a goal is true."""
+    found = witness(setting, goal)
+    return () if isinstance(found, Witness) else found

@@ -1,0 +1,247 @@
+"""Ways in which a thing may be put: how it is turned, and where it comes down."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from simfoundry.cousins.layout.supports import Support
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.geometry.cavity import Cavity, cavity, outside_part
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.predicates.judging.bodies import Bodies
+from simfoundry.scene.kinematics import link_poses
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.expressions import Call, parse_call, parts, texts
+
+QUARTER = math.pi / 2
+TILTS = ((0.0, 0.0), (0.0, QUARTER), (0.0, -QUARTER), (QUARTER, 0.0), (-QUARTER, 0.0), (math.pi, 0.0))
+"""Roll and pitch on top of how a thing stands: as it is, on each of four sides, on its head."""
+
+YAWS = (0.0, QUARTER, QUARTER / 2)
+SPREAD = 6
+"""Places over a target besides its middle and that of its cavity."""
+
+STILL = 1e-3
+"""What has moved by no more than this [m] stands where it was: levels are of one height to a millimetre."""
+
+GAPS = (0.02, 0.05, 0.1)
+"""How far beside a thing another is put [m]."""
+
+SIDES = {"Behind": (1, 0), "InFrontOf": (-1, 0), "LeftOf": (0, 1), "RightOf": (0, -1)}
+"""Where a thing is put for a predicate, in the viewer's frame: x away, y left."""
+
+
+def turns(setting: TaskContext, name: str) -> list[Array]:
+    """Quaternions (wxyz) of a thing to try: as it stands first."""
+    item = setting.twin.scene.object(name)
+    standing = Pose.of(q=setting.twin.state.poses[name].q)
+    round_ = all(c.geometry.__class__.__name__ == "Sphere" for link in item.links for c in link.colliders)
+    found = []
+    for (roll, pitch), yaw in product(TILTS[:1] if round_ else TILTS, YAWS[:1] if round_ else YAWS):
+        tilt = Pose.of(q=quat_from_rpy(roll, pitch, 0.0))
+        found.append((Pose.of(q=quat_from_rpy(0.0, 0.0, yaw)) @ tilt @ standing).q)
+    return found
+
+
+def places(setting: TaskContext, call: Call, state: SceneState) -> list[tuple[float, float]]:
+    """Where the middle of a thing is to come down for a predicate: x and y in the world [m], the likely ones first."""
+    if call.predicate in SIDES or call.predicate == "NextTo":
+        return list(_beside(setting, call, state))
+    if call.predicate == "At":
+        return [(float(call.args[1]), float(call.args[2]))]
+    if call.predicate == "Upright":
+        low, high = setting.bounds(call.args[0], state)
+        return [tuple(((low + high) / 2)[:2].tolist())]
+    return list(_over(setting, call.args[1], state))
+
+
+def _over(setting: TaskContext, target: str, state: SceneState) -> Iterator[tuple[float, float]]:
+    hole = hollow(setting, target, state)
+    if hole is not None:
+        yield float(hole[0]), float(hole[1])
+    low, high = setting.bounds(target, state)
+    yield tuple(((low + high) / 2)[:2].tolist())
+    for k in range(1, SPREAD + 1):
+        share = np.array([_halton(k, 2), _halton(k, 3)])
+        yield tuple((low[:2] + share * (high - low)[:2]).tolist())
+
+
+def levels(setting: TaskContext, target: str, state: SceneState) -> tuple[Support, ...]:
+    """The levels of an object that has several, the highest first; none where it is not where the twin has it.
+
+    What is named by a link comes down on that link alone.
+    """
+    X_WO = setting.twin.state.poses.get(target)  # a link has none
+    if X_WO is None or not np.allclose(X_WO.p, state.poses[target].p, atol=STILL):
+        return ()
+    found = setting.twin[target].levels[::-1]
+    return found if len(found) > 1 else ()
+
+
+def spots(level: Support) -> Iterator[tuple[float, float]]:
+    """Places on a level: x and y in the world [m], its middle first."""
+    yield level.middle
+    low, high = level.bounds
+    for k in range(1, SPREAD + 1):
+        x, y = (low + np.array([_halton(k, 2), _halton(k, 3)]) * (high - low)).tolist()
+        yield x, y
+
+
+def hollow(setting: TaskContext, target: str, state: SceneState) -> Array | None:
+    """The middle of the cavity of a thing or of a link of it in the world [m], shape (3,); None without one."""
+    owner = target.partition(".")[0]
+    for link, found in cavities(setting, target):
+        item = setting.twin.scene.object(owner)
+        X_OL = link_poses(item, state.of_object(item))[link]
+        return np.asarray((state.poses[owner] @ X_OL).apply(found.middle))
+    return None
+
+
+def cavities(setting: TaskContext, target: str) -> list[tuple[str, Cavity]]:
+    """The cavities of the links that a target names."""
+    bodies = Bodies(setting.twin.scene)
+    thing = bodies.thing(target)
+    body = bodies[thing.owner]
+    forms = [(body.item.links[k].name, form) for k in thing.links if (form := body.forms[k]) is not None]
+    return [(link, found) for link, form in forms if (found := cavity(form)) is not None]
+
+
+def is_free(setting: TaskContext, owner: str, link: str, point: Array) -> bool:
+    """Whether a point in a link's frame [m], shape (3,), is in none of its parts."""
+    body = Bodies(setting.twin.scene)[owner]
+    form = body.forms[body.index(link)]
+    parts = [] if form is None else range(len(form.parts.radius))
+    return all(float(outside_part(form.parts, k, point[None])[0]) > 0 for k in parts if form is not None)
+
+
+def cavity_words(setting: TaskContext, target: str) -> str:
+    """How large the cavity of a thing is, for a sentence."""
+    for _, found in cavities(setting, target):
+        return f"; the cavity is {100 * across(found):.1f} cm across and {100 * found.deep:.1f} cm deep"
+    return ""
+
+
+def across(hole: Cavity) -> float:
+    """How wide a cavity is at its widest [m], from the ball around it."""
+    return 2 * math.sqrt(max(hole.size**2 - (hole.deep / 2) ** 2, 0.0))
+
+
+def _beside(setting: TaskContext, call: Call, state: SceneState) -> Iterator[tuple[float, float]]:
+    low, high = setting.bounds(call.args[1], state)
+    own = setting.bounds(call.args[0], state)
+    half, mine = (high - low)[:2] / 2, (own[1] - own[0])[:2] / 2
+    middle = ((low + high) / 2)[:2]
+    viewer = setting.twin.scene.viewer
+    x_axis = np.array([1.0, 0.0]) if viewer is None else viewer.rotation[:2, 0]
+    x_axis = x_axis / max(float(np.linalg.norm(x_axis)), 1e-9)
+    y_axis = np.array([-x_axis[1], x_axis[0]])
+    ways = [SIDES[call.predicate]] if call.predicate in SIDES else list(SIDES.values())
+    for gap, (a, b) in product(GAPS, ways):
+        way = a * x_axis + b * y_axis
+        far = float(np.abs(way) @ (half + mine)) + gap
+        yield tuple((middle + far * way).tolist())
+
+
+def _halton(k: int, base: int) -> float:
+    found, share = 0.0, 1.0 / base
+    while k:
+        k, digit = divmod(k, base)
+        found += digit * share
+        share /= base
+    return found
+
+
+SYMMETRIC = ("NextTo", "Touching")
+"""Predicates that hold both ways."""
+
+MIRRORED = {"Under": "Above", "RightOf": "LeftOf", "InFrontOf": "Behind"}
+"""Predicates that say the same as another with its arguments changed round."""
+
+AT_REST = ("OnTop", "Inside")
+"""Predicates that ask of their first argument that nothing holds it: Released adds nothing to them."""
+
+Meaning = tuple[Any, ...]
+
+
+def meaning(goal: Any) -> Meaning:
+    """A goal in one form: order, repetition and choice of words do not count, nor does Released where it is implied.
+
+    Raises :class:`~simfoundry.spec.models.expressions.ExpressionError` for what is no goal.
+    """
+    found = _reduced(goal)
+    if found[0] != "all":
+        return found
+    resting = {term[2] for term in found[1:] if term[0] == "is" and term[1] in AT_REST}
+    kept = tuple(t for t in found[1:] if not (t[0] == "is" and t[1] == "Released" and t[2] in resting))
+    return kept[0] if len(kept) == 1 else ("all", *kept)
+
+
+def _reduced(condition: Any) -> Meaning:
+    tag, below = parts(condition)
+    if tag == "text":
+        return ("is", *_call(parse_call(condition)))
+    terms = [_reduced(item) for item in below]
+    if tag == "not":
+        return terms[0][1] if terms[0][0] == "not" else ("not", terms[0])
+    flat = [inner for term in terms for inner in (term[1:] if term[0] == tag else (term,))]
+    unique = sorted(set(flat), key=repr)
+    return unique[0] if len(unique) == 1 else (tag, *unique)
+
+
+def _call(call: Call) -> tuple[str, ...]:
+    name, args = call.predicate, call.args
+    if name in MIRRORED:
+        name, args = MIRRORED[name], args[::-1]
+    if name in SYMMETRIC:
+        args = tuple(sorted(args))
+    return name, *(f"{float(a):.4f}" if kind == "number" else a for a, kind in zip(args, call.kinds, strict=True))
+
+
+def conjuncts(condition: Any) -> list[Call]:
+    """The predicates that must all come true; those below ``any`` and ``not`` are left out."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return [parse_call(condition)]
+    return [call for item in below for call in conjuncts(item)] if tag == "all" else []
+
+
+def objects_of(condition: Any) -> tuple[str, ...]:
+    """The names of the objects and robots that a goal is about, in its order."""
+    calls = [parse_call(text) for text, _ in texts(condition)]
+    named = [arg for call in calls for arg, kind in zip(call.args, call.kinds, strict=True) if kind != "number"]
+    return tuple(dict.fromkeys(name.partition(".")[0] for name in named))
+
+
+def goal_words(condition: Any) -> str:
+    """A goal as one line: ``OnTop(cup, shelf) and not Inside(cup, shelf)``."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return str(condition)
+    if tag == "not":
+        return f"not {goal_words(below[0])}"
+    words = {"all": " and ", "any": " or "}[tag].join(goal_words(item) for item in below)
+    return f"({words})" if tag == "any" and len(below) > 1 else words
+
+
+def branches(condition: Any) -> list[list[Call]]:
+    """Ways to make a goal true: in each the predicates to bring about; what must not be is left out."""
+    tag, below = parts(condition)
+    if tag == "text":
+        return [[parse_call(condition)]]
+    if tag == "not":
+        return [[]]
+    if tag == "any":
+        return [way for item in below for way in branches(item)][:MOST]
+    ways: list[list[Call]] = [[]]
+    for item in below:
+        ways = [[*way, *more] for way in ways for more in branches(item)][:MOST]
+    return ways
+
+
+MOST = 8
+"""So many ways to make a goal true are tried."""

@@ -1,0 +1,308 @@
+"""From where a hand can come to a thing: from above, or, where something is over it, from an open side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from simfoundry.cousins.layout.twin import Twin
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
+from simfoundry.geometry.grasp_width import grasp_width
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.walls import free_distance
+from simfoundry.scene.lengths import length
+from simfoundry.scene.lower import lower
+from simfoundry.scene.model import Joint
+from simfoundry.scene.object_shapes import solid
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.load import load_scene
+from simfoundry.spec.models.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.state import SceneState
+
+UP = np.array([0.0, 0.0, 1.0])
+
+ROOM = 0.3
+"""So much must be free behind a thing [m]: a hand and the wrist that follows it, 0.25 m of a Panda."""
+
+LIFT = 0.01
+"""How high a thing is lifted on its way in or out [m]: above what a board sags, and the lip of a board."""
+
+FINGERS = 0.04
+"""How far fingers stand out of a hand [m]: the shortest of the known ones, those of a Panda, 0.045 m."""
+
+HALF_THICK, HALF_WIDE = 0.035, 0.1
+"""Half of a hand across its fingers' way and along it [m]: a Panda's hand is 63 mm thick and 204 mm wide."""
+
+TURNS, TILTS = 12, (0.0, math.radians(30.0))
+"""Directions around a thing, and how far a hand that comes from the side looks down [rad]: level, or a little, so that
+it clears the board on which something low lies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """How a hand comes to a thing: from ``side``, and leaves along ``way``; unit vectors away from it, shape (3,)."""
+
+    side: Array
+    way: Array
+
+    @property
+    def upright(self) -> Pose:
+        """The turn of the world that has the hand come from above."""
+        x, y, _ = self.side.tolist()
+        lean = math.atan2(math.hypot(x, y), float(self.side[2]))
+        turn = math.atan2(y, x)
+        return Pose.of(q=quat_from_rpy(0.0, -lean, 0.0)) @ Pose.of(q=quat_from_rpy(0.0, 0.0, -turn))
+
+
+ABOVE = Approach(UP, UP)
+
+
+def approaches(setting: TaskContext, name: str, state: SceneState) -> tuple[Approach, ...]:
+    """How a hand can come to a thing in a state: from above, or else from each open side; none where it is shut in."""
+    low, high = setting.bounds(name, state)
+    own = {name, *setting.twin.riders(name)}
+    near = _obstacles(setting, own, low, high, state)
+    middle, half = (low + high) / 2, (high - low) / 2
+    over = [np.array([middle[0] + a * half[0], middle[1] + b * half[1], high[2]]) for a, b in _CROSS]
+    if _are_free(near, over, UP):
+        return (ABOVE,)
+    found = []
+    for turn in np.arange(TURNS) * (2 * math.pi / TURNS):
+        way = np.array([math.cos(turn), math.sin(turn), 0.0])
+        if not _are_free(near, _outline(low, high, way), way):
+            continue
+        for tilt in TILTS:
+            side = math.cos(tilt) * way + math.sin(tilt) * UP
+            if _are_free(near, _back_of_hand(middle, half, side, way), side):
+                found.append(Approach(side, way))
+                break
+    return tuple(found)
+
+
+_CROSS = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.0, 0.5), (0.0, -0.5))
+"""The middle of a top and four points around it, as shares of its half sides."""
+
+
+def _outline(low: Array, high: Array, way: Array) -> list[Array]:
+    """Points of a box, lifted a little, that lead along a level way [m]: its middle and its ends across and upwards."""
+    middle, half = (low + high) / 2 + LIFT * UP, (high - low) / 2
+    across = np.array([-way[1], way[0], 0.0])
+    wide = float(np.abs(across) @ half)
+    tall = half[2] * UP
+    return [middle + a * wide * across + b * tall for a in (-1.0, 0.0, 1.0) for b in (-0.9, 0.0, 1.0)]
+
+
+def _back_of_hand(middle: Array, half: Array, side: Array, way: Array) -> list[Array]:
+    """Where the middle and the edges of the hand are that takes a box from a side [m]."""
+    palm = middle + side * max(float(np.abs(side) @ half), FINGERS)
+    across = np.array([-way[1], way[0], 0.0])
+    thick = np.cross(side, across)
+    return [palm + a * HALF_WIDE * across + b * HALF_THICK * thick for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]
+
+
+def _obstacles(setting: TaskContext, own: set[str], low: Array, high: Array, state: SceneState) -> list[Hulls]:
+    """All other objects that are near enough to be in the way."""
+    from simfoundry.scene.object_shapes import hulls
+    from simfoundry.scene.state import object_at
+
+    twin = setting.twin
+    found = []
+    for item in twin.scene.objects:
+        if item.name in own or item.name in twin.absent:
+            continue
+        moved = setting.joints(item.name) and state.joints != twin.state.joints
+        shape = hulls(object_at(item, state)) if moved else twin.shape(item.name, state.poses[item.name])
+        if not len(shape.corners):
+            continue
+        ends = np.array([shape.extent(axis) for axis in np.eye(3)])
+        if (ends[:, 0] < high + ROOM + HALF_WIDE).all() and (ends[:, 1] > low - ROOM - HALF_WIDE).all():
+            found.append(shape)
+    return found
+
+
+def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -> bool:
+    return all(free_distance(shape, point, way) > ROOM for shape in obstacles for point in points)
+
+
+PAYLOAD = 1.0
+"""That of a robot of which nothing is known [kg]."""
+
+SLACK = 0.001
+"""A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
+
+
+class Hand(NamedTuple):
+    """A robot that acts: its base along the ground [m], how far it reaches [m], opens [m] and lifts [kg].
+
+    ``reach`` and ``opening`` are None where nothing is known.
+    """
+
+    name: str
+    at: tuple[float, float]
+    reach: float | None
+    opening: float | None
+    payload: float
+    kind: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class TaskContext:
+    """A twin and the ``hands`` that act in it. ``path`` is the scene's document, None where it has none.
+
+    What is done must last in all ``engines``; MuJoCo, in which it is tried out, is always one.
+    """
+
+    twin: Twin
+    hands: tuple[Hand, ...]
+    path: Path | None = None
+    kept: dict[str, tuple[Reason, ...]] = field(default_factory=dict, repr=False)
+    engines: tuple[str, ...] = ("mujoco",)
+
+    @classmethod
+    def load(
+        cls,
+        path: Path,
+        cache: Cache | None = None,
+        payload: float | None = None,
+        engines: tuple[str, ...] = ("mujoco",),
+    ) -> TaskContext:
+        """The setting of a scene document. Raises :class:`SpecError`, or :class:`TwinError` where it does not rest.
+
+        ``payload`` [kg] is what each robot lifts, where it is not what is known of it.
+        """
+        loaded = load_scene(path)
+        assert isinstance(loaded.spec, SceneSpec)
+        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path, engines=engines)
+
+    # -- where things are ---------------------------------------------------------------------------------------------
+
+    def bounds(self, name: str, state: SceneState | None = None) -> tuple[Array, Array]:
+        """The corners [m] of the box around an object, or around a link of it, in the world; shape (3,) each."""
+        owner, _, part = name.partition(".")
+        state = state or self.twin.state
+        item = self.twin.scene.object(owner)
+        parts = self.twin.shape(owner, state.poses[owner])
+        if part:
+            moved = {joint.name: joint.child for joint in item.joints}
+            number = [link.name for link in item.links].index(moved.get(part, part))
+            parts = parts.of_link(number)
+        ends = np.array([parts.extent(axis) for axis in np.eye(3)])
+        return ends[:, 0], ends[:, 1]
+
+    def joints(self, argument: str) -> tuple[Joint, ...]:
+        """The joints that open and are named by ``object`` or ``object.joint``; none where there are none."""
+        owner, _, part = argument.partition(".")
+        return tuple(
+            joint
+            for joint in self.twin.scene.object(owner).joints
+            if joint.has_axis and joint.limits is not None and (not part or part in (joint.name, joint.child))
+        )
+
+    # -- what hands can do with it ------------------------------------------------------------------------------------
+
+    def cannot_take(self, name: str) -> tuple[Reason, ...]:
+        """Why no hand can pick a thing up where it is; empty where one can."""
+        if name not in self.kept:
+            self.kept[name] = tuple(self._taken(name))
+        return self.kept[name]
+
+    def _taken(self, name: str) -> list[Reason]:
+        item = self.twin.scene.object(name)
+        if item.fixed:
+            return [Reason("fixed", f"`{name}` is fixed in the scene, so it cannot be moved")]
+        found = []
+        mass = sum(link.mass for link in item.links)
+        if self.hands and mass > (most := max(hand.payload for hand in self.hands)):
+            text = f"`{name}` weighs {mass:.2f} kg, and the robot lifts {most:g} kg"
+            found.append(Reason("too_heavy", text, numbers(mass_kg=mass, payload_kg=most)))
+        drawers = any(self.joints(below) for below in self.twin.carried.get(name, ()))
+        # What lies in a drawer is taken out once that is open, so what is over it now does not count.
+        return found + list(self.cannot_hold(name, self.twin.state, (ABOVE,) if drawers else None))
+
+    def cannot_hold(self, name: str, state: SceneState, ways: tuple[Approach, ...] | None = None) -> tuple[Reason, ...]:
+        """Why no hand holds a thing where it is in a state: from above or, with something over it, from an open side.
+
+        ``ways`` are the approaches to look at; by default all that are free.
+        """
+        if not self.hands:
+            return ()
+        ways = approaches(self, name, state) if ways is None else ways
+        if not ways:
+            return (Reason("covered", f"no hand gets to `{name}`: something is over it, and no side of it is open"),)
+        found: tuple[Reason, ...] = ()
+        bounds = self.bounds(name, state)
+        for way in ways:
+            # From above it was measured where the thing is picked up.
+            known = way is ABOVE and state is not self.twin.state
+            lacks = (*(() if known else self._too_wide(name, state, way)), *self.cannot_reach(name, *bounds, way))
+            if not lacks:
+                return ()
+            found = found or lacks
+        return found
+
+    def _too_wide(self, name: str, state: SceneState, way: Approach) -> tuple[Reason, ...]:
+        openings = [hand.opening for hand in self.hands if hand.opening is not None]
+        if not openings or len(openings) < len(self.hands):
+            return ()
+        X_WO = state.poses[name] if way is ABOVE else Pose.of(q=(way.upright @ state.poses[name]).q)
+        width, widest = grasp_width(solid(self.twin.item_at(name, X_WO))), max(openings)
+        if width <= widest + SLACK:
+            return ()
+        narrow = f"is {length(width)} wide at its narrowest" if math.isfinite(width) else "can be taken nowhere"
+        text = f"`{name}` {narrow}, and the fingers open {length(widest)}"
+        return (Reason("too_wide", text, numbers(width_m=min(width, 1e3), opening_m=widest)),)
+
+    def cannot_reach(self, name: str, low: Array, high: Array, approach: Approach = ABOVE) -> tuple[Reason, ...]:
+        """Why no hand gets to a thing between two corners in the world [m]; by inverse kinematics where it can be."""
+        if lacks := self.too_far(name, low, high):
+            return lacks
+        solved = self.twin.robots.reach(low, high, approach.side.tolist(), approach.way.tolist())
+        if solved.checked and not solved.reached:
+            comes = "down to `{}` from above" if approach is ABOVE else "to `{}` from an open side"
+            text = f"no arm gets {comes.format(name)}: it is {solved.away:.2f} m from the base of `{solved.robot}`"
+            return (Reason("out_of_reach", text, numbers(away_m=solved.away)),)
+        return ()
+
+    def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
+        """Why what is between two corners in the world [m] is farther away than any hand reaches."""
+        x, y = ((low + high) / 2)[:2].tolist()
+        known = [(math.dist((x, y), h.at), h.reach, h) for h in self.hands if h.reach is not None]
+        if known and len(known) == len(self.hands):
+            away, reach, hand = min(known, key=lambda row: row[0] - row[1])
+            if away > reach:
+                text = f"`{name}` is {away:.2f} m from `{hand.name}`, which reaches {reach:g} m"
+                return (Reason("out_of_reach", text, numbers(away_m=away, reach_m=reach)),)
+        return ()
+
+
+def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
+    """The robots of a scene's document, whether or not their models are here."""
+    from simfoundry.lint.frames import frame_of
+
+    found = []
+    for name, robot in spec.robots.items():
+        known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
+        reach = robot.reach or (known.reach if known is not None else None)
+        opening = robot.opening or (known.opening if known is not None else None)
+        x, y, _ = frame_of(robot.pose).p
+        found.append(
+            Hand(
+                name, (x, y), reach, opening, payload or (known.payload if known is not None else None) or PAYLOAD, kind
+            )
+        )
+    return tuple(found)
+
+
+def numbers(**values: float) -> Mapping[str, float]:
+    """Numbers of a reason."""
+    return MappingProxyType({name: float(value) for name, value in values.items()})

@@ -1,0 +1,281 @@
+"""An accepted idea as a task document: instruction, goal, steps, and where its things may start."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simfoundry.cousins.recipe.candidate import Reason
+from simfoundry.cousins.tasks.acceptance import AcceptedTask, accept, superseded
+from simfoundry.cousins.tasks.candidate_poses import branches, goal_words
+from simfoundry.cousins.tasks.context import TaskContext
+from simfoundry.cousins.tasks.ideas import Affordances, Idea, ideas
+from simfoundry.lint.run import lint
+from simfoundry.runtime.files import write_atomically
+from simfoundry.spec.load import load
+from simfoundry.spec.models.base import Origin
+from simfoundry.spec.models.task import Reset, ResetRegion, Subtask, TaskSpec
+from simfoundry.spec.yaml.write import to_yaml
+
+MINUTE_PART = 450
+"""Control steps for one step of a task: 30 s at 15 Hz, as the paper's tasks have."""
+
+NAME = 64
+"""Letters of a name at most."""
+
+REGION, LEAST = 0.02, 0.005
+"""Half the side of the region in which a thing starts [m]; where its neighbours leave less than the least, none."""
+
+
+def task_of(idea: Idea, setting: TaskContext, scene: str, note: str) -> TaskSpec:
+    """The document of an idea; ``scene`` is the scene's file relative to it, ``note`` says where it comes from."""
+    released = [f"Released({thing})" for thing in idea.things]
+    goal: Any = {"all": (*idea.goal, *released)} if len(idea.goal) + len(released) > 1 else idea.goal[0]
+    return task(idea.name, setting, scene, instruction_of(idea), goal, subtasks(idea, setting), note)
+
+
+def task(
+    name: str, setting: TaskContext, scene: str, instruction: str, goal: Any, steps: dict[str, Subtask], note: str
+) -> TaskSpec:
+    """A task document from its parts, which are sound."""
+    about = dict.fromkeys(a.partition(".")[0] for way in branches(goal) for call in way for a in call.args)
+    count = max(1, sum(1 for step in steps if not step.startswith(("touch_", "pick_up_"))))
+    return TaskSpec.model_validate(
+        {
+            "simfoundry": "task/1",
+            "name": name,
+            "scene": scene,
+            "instruction": instruction,
+            "goal": goal,
+            "subtasks": steps,
+            "reset": Reset(objects=regions(setting, tuple(about))),
+            "horizon": MINUTE_PART * count,
+            "origin": Origin(note=note[:200]),
+        }
+    )
+
+
+def subtasks(idea: Idea, setting: TaskContext) -> dict[str, Subtask]:
+    """Touch, pick up and place each thing; open and close what is to be opened and closed."""
+    found: dict[str, Subtask] = {}
+    for step in idea.steps:
+        if step.thing:
+            found |= taking(step.thing, setting)
+        found[step.name[:NAME]] = Subtask(goal=step.goal, instruction=_sentence(step.words))
+    return found
+
+
+def taking(thing: str, setting: TaskContext) -> dict[str, Subtask]:
+    """The steps to take a thing: touch it, and hold it."""
+    hands = [hand.name for hand in setting.hands]
+    if not hands:
+        return {}
+    touch = [f"Touching({hand}, {thing})" for hand in hands]
+    any_of: Any = {"any": tuple(touch)} if len(touch) > 1 else touch[0]
+    return {
+        f"touch_{thing}"[:NAME]: Subtask.model_validate({"goal": any_of}),
+        f"pick_up_{thing}"[:NAME]: Subtask(goal=f"Grasped({thing})"),
+    }
+
+
+def regions(setting: TaskContext, names: tuple[str, ...]) -> dict[str, ResetRegion]:
+    """Where the free things of a task that stand on the ground may start: about where they are, clear of all others."""
+    twin = setting.twin
+    found: dict[str, ResetRegion] = {}
+    hulls_of = {o.name: setting.bounds(o.name) for o in twin.scene.objects if o.name != twin.ground}
+    for name in names:
+        if twin.carried.get(name) != (twin.ground,):
+            continue
+        low, high = hulls_of[name]
+        gaps = [
+            _gap(low, high, *box)
+            for other, box in hulls_of.items()
+            if other != name and name not in twin.carried.get(other, ())
+        ]
+        half = min([REGION, *(gap / 2 - 0.002 for gap in gaps)])
+        if half >= LEAST:
+            half = np.floor(half * 1000) / 1000
+            x, y = np.round(twin.state.poses[name].p[:2], 3).tolist()
+            ends = [(round(v - half, 3), round(v + half, 3)) for v in (x, y)]
+            found[name] = ResetRegion(x=ends[0], y=ends[1])
+    return found
+
+
+def _gap(low: Any, high: Any, other_low: Any, other_high: Any) -> float:
+    """How far two boxes are apart along the ground, in the direction in which they are farthest [m]."""
+    apart = np.maximum(low[:2] - other_high[:2], other_low[:2] - high[:2])
+    return float(apart.max())
+
+
+def instruction_of(idea: Idea) -> str:
+    """What a policy is told: the steps in plain words."""
+    words = [step.words for step in idea.steps]
+    if len(idea.steps) == 1 and idea.steps[0].thing:
+        thing = idea.things[0].replace("_", " ")
+        where = words[0].removeprefix(f"put the {thing} ")
+        return f"Pick up the {thing}, then put it {where}."
+    return _sentence(", then ".join(words))
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
+
+
+def free_name(wanted: str, taken: set[str]) -> str:
+    """A valid name that is not taken: the wanted one, or with a number behind it."""
+    plain = re.sub(r"[^a-z0-9_]+", "_", wanted.lower()).strip("_")[:NAME] or "task"
+    plain = plain if plain[0].isalpha() else f"task_{plain}"[:NAME]
+    name, k = plain, 2
+    while name in taken:
+        name, k = f"{plain[: NAME - 4]}_{k}", k + 1
+    return name
+
+
+Progress = Callable[[int, int], None]
+"""Told how many are accepted and how many were looked at."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed task; ``reasons`` why it is not accepted, none where it is. ``task`` is None where none can be made.
+
+    ``goal`` is what it asks for, as text.
+    """
+
+    name: str
+    goal: str
+    task: TaskSpec | None
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether nothing speaks against it."""
+        return not self.reasons
+
+
+class Proposals:
+    """What is proposed for a setting, ``found`` in order, of which no two accepted ones end in the same state."""
+
+    def __init__(self, setting: TaskContext) -> None:
+        self.setting = setting
+        self.found: list[Proposal] = []
+        self.accepted: list[AcceptedTask] = []
+
+    @property
+    def names(self) -> set[str]:
+        """Those of the accepted tasks."""
+        return {task.name for task in self.accepted}
+
+    def add(self, name: str, goal: str, made: TaskSpec) -> None:
+        """Propose a task; where it is accepted, those that are done along the way are not any more."""
+        new = accept(made, self.setting, self.accepted)
+        if isinstance(new, tuple):
+            self.found.append(Proposal(name, goal, made, new))
+            return
+        less = dict(superseded(new, self.accepted, self.setting))
+        self.found = [
+            replace(p, reasons=(less[p.name],)) if p.accepted and p.name in less else p for p in self.found
+        ] + [Proposal(name, goal, made)]
+        self.accepted = [task for task in self.accepted if task.name not in less] + [new]
+
+
+def enumerate_tasks(
+    setting: TaskContext,
+    count: int | None = None,
+    seed: int = 0,
+    scene: str = "",
+    objects: tuple[str, ...] = (),
+    progress: Progress = lambda accepted, seen: None,
+) -> list[Proposal]:
+    """Proposals until ``count`` are accepted, or all that there are; those that are not accepted say why.
+
+    ``scene`` is the scene's file relative to the documents, ``objects`` those that a task may be about. The same
+    setting and seed give the same proposals.
+    """
+    note = f"task cousin of `{setting.twin.scene.name}`, from what its things afford"
+    proposed = Proposals(setting)
+    for idea in ranked(setting, seed, objects):
+        if len(proposed.accepted) == count:
+            break
+        name = free_name(idea.name, proposed.names)
+        made = task_of(Idea(name, idea.goal, idea.steps, idea.odd), setting, scene or "scene.yaml", note)
+        proposed.add(name, goal_words({"all": idea.goal}), made)
+        progress(len(proposed.accepted), len(proposed.found))
+    return proposed.found
+
+
+def ranked(setting: TaskContext, seed: int, objects: tuple[str, ...] = ()) -> Iterator[Idea]:
+    """Ideas, the likely ones first, and of those that are alike the ones whose things were least used so far."""
+    every = [idea for idea in ideas(setting, Affordances.of(setting)) if not objects or set(idea.about) <= set(objects)]
+    rng = np.random.default_rng(seed)
+    groups = dict.fromkeys(idea.about for idea in every)
+    draw = dict(zip(groups, rng.random(len(groups)).tolist(), strict=True))  # of the same objects in the ideas' order
+    used: Counter[str] = Counter()
+    for odd in sorted({idea.odd for idea in every}):
+        left = [idea for idea in every if idea.odd == odd]
+        while left:
+            best = min(left, key=lambda idea: (_worn(idea, used), draw[idea.about]))
+            left.remove(best)
+            used.update([*(f"thing {t}" for t in best.things), " ".join(best.about), *best.about])
+            yield best
+
+
+def _worn(idea: Idea, used: Counter[str]) -> tuple[int, int]:
+    """How often the same things were used together, and each of them as it is used here."""
+    return used[" ".join(idea.about)], sum(used[f"thing {t}"] for t in idea.things) + max(used[n] for n in idea.about)
+
+
+SUFFIX = ".task.yaml"
+
+
+def scene_reference(scene: Path, out: Path) -> str:
+    """How a document in ``out`` names a scene."""
+    return Path(os.path.relpath(scene.resolve(), out.resolve())).as_posix()
+
+
+def checked(proposals: Sequence[Proposal], out: Path) -> list[Proposal]:
+    """The proposals; of those that would not pass ``simfoundry check`` in ``out`` with its findings as reasons."""
+    return [_checked(proposal, out) for proposal in proposals]
+
+
+def _checked(proposal: Proposal, out: Path) -> Proposal:
+    if not proposal.accepted or proposal.task is None:
+        return proposal
+    loaded = load(file_of(proposal, out), text=to_yaml(proposal.task))
+    found = loaded.findings or [d for d in lint(loaded) if d.file == str(file_of(proposal, out))]
+    return replace(proposal, reasons=tuple(Reason("check", f"{d.code}: {d.message}") for d in found[:3]))
+
+
+def file_of(proposal: Proposal, out: Path) -> Path:
+    """The file of a proposal."""
+    return out / f"{proposal.name}{SUFFIX}"
+
+
+def write(proposals: Sequence[Proposal], out: Path) -> list[Path]:
+    """Write the accepted ones; their files in order."""
+    files = []
+    for proposal in proposals:
+        if proposal.accepted and proposal.task is not None:
+            write_atomically(file_of(proposal, out), to_yaml(proposal.task).encode())
+            files.append(file_of(proposal, out))
+    return files
+
+
+def to_json(proposal: Proposal, out: Path) -> dict[str, Any]:
+    """A plain mapping, for scripts."""
+    task = proposal.task
+    return {
+        "name": proposal.name,
+        "goal": proposal.goal,
+        "accepted": proposal.accepted,
+        "instruction": task.instruction if task is not None else None,
+        "file": str(file_of(proposal, out)) if proposal.accepted else None,
+        "reasons": [reason.to_json() for reason in proposal.reasons],
+    }

@@ -1,0 +1,322 @@
+"""Task cousins from a vision-language model, asked with the paper's prompt; each is proved as any other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
+from simfoundry.cousins.tasks.acceptance import impossible, misnamed, unchanged, unreached
+from simfoundry.cousins.tasks.candidate_poses import conjuncts, goal_words, objects_of
+from simfoundry.cousins.tasks.context import Hand, TaskContext, hands_of
+from simfoundry.cousins.tasks.enumeration import (
+    Proposal,
+    Proposals,
+    enumerate_tasks,
+    free_name,
+    instruction_of,
+    subtasks,
+    task,
+)
+from simfoundry.cousins.tasks.ideas import Idea, step_of
+from simfoundry.cousins.tasks.witness import ALLOWED, ON
+from simfoundry.errors import SimfoundryError
+from simfoundry.runtime.extras import install_line
+from simfoundry.spec.models.cousins import TaskAxis
+from simfoundry.spec.models.expressions import texts
+from simfoundry.spec.models.task import TaskSpec
+from simfoundry.spec.yaml.text import YamlError, parse
+
+if TYPE_CHECKING:
+    from simfoundry.cousins.layout.twin import Twin
+    from simfoundry.models.vlm import Vlm
+    from simfoundry.scene.state import SceneState
+    from simfoundry.spec.models.scene import SceneSpec
+
+Form = Literal["typed", "paper"]
+"""How the model is to answer: in a type, or in the text that the paper's prompt asks for."""
+
+
+def propose_tasks(
+    vlm: Vlm,
+    setting: TaskContext,
+    picture: bytes,
+    count: int = 10,
+    form: Form = "typed",
+    scene: str = "",
+    include: Sequence[str] = (),
+    exclude: Sequence[str] = (),
+) -> list[Proposal]:
+    """What a model proposes for a scene that it sees in a ``picture`` (PNG or JPEG), each with why it is not accepted.
+
+    ``include`` are objects that each task should be about, ``exclude`` those that none may. Raises ``VlmError`` where
+    the model gives no answer.
+    """
+    asked = prompt(setting, count, form, include, exclude)
+    told: Sequence[Told | Unread]
+    told = vlm.ask(asked, [picture], Answer).tasks if form == "typed" else read(vlm.ask_text(asked, [picture]))
+    return judged(told, setting, f"proposed by {vlm.name}", scene, exclude)
+
+
+def prompt(
+    setting: TaskContext, count: int, form: Form = "paper", include: Sequence[str] = (), exclude: Sequence[str] = ()
+) -> str:
+    """The paper's prompt for a scene; in the typed form without the part that describes the text of the answer."""
+    try:
+        from jinja2 import Environment, StrictUndefined
+    except ImportError:
+        raise SimfoundryError(f"prompts need jinja2; install with `{install_line('vlm')}`") from None
+    text = files(__package__).joinpath("templates", f"{form}.txt.j2").read_text(encoding="utf-8")
+    template = Environment(undefined=StrictUndefined, autoescape=False).from_string(text)
+    objects = [o for o in setting.twin.scene.objects if o.name not in exclude and o.name not in setting.twin.absent]
+    return template.render(
+        num_tasks=count,
+        robot_type=_robots(setting),
+        robot_constraint=_robot_constraint(setting),
+        object_constraints=_object_constraints(include, exclude),
+        object_list="\n".join(
+            f"- {o.name} -> {o.category or o.name}, {o.name}{_parts(setting, o.name)}" for o in objects
+        ),
+        states=", ".join(state for state in ALLOWED if state != "At"),
+    )
+
+
+def _robots(setting: TaskContext) -> str:
+    kinds = dict.fromkeys(hand.kind or "robot" for hand in setting.hands)
+    number = "bimanual " if len(setting.hands) > 1 else ""
+    return number + " and ".join(kind.replace("_", " ") for kind in kinds) if kinds else "robot"
+
+
+def _robot_constraint(setting: TaskContext) -> str:
+    arms = {0: "There is no robot yet.", 1: "There is a single arm."}
+    lines = [f"- {arms.get(len(setting.hands), f'There are {len(setting.hands)} arms.')}"]
+    for hand in setting.hands:
+        opens = f" opens at most {1000 * hand.opening:.0f} mm," if hand.opening else ""
+        reach = f" reaches {hand.reach:g} m" if hand.reach else ""
+        lines.append(f"- The gripper of `{hand.name}`{opens}{reach} and lifts {hand.payload:g} kg.")
+    return "\n".join(lines)
+
+
+def _object_constraints(include: Sequence[str], exclude: Sequence[str]) -> str:
+    lines = [f"- Every task must involve one of: {', '.join(include)}."] if include else []
+    lines += [f"- No task may involve: {', '.join(exclude)}."] if exclude else []
+    return "\n".join(lines) or "- None."
+
+
+def _parts(setting: TaskContext, name: str) -> str:
+    parts = [joint.child for joint in setting.joints(name)]
+    return f" (parts: {', '.join(f'{name}.{part}' for part in parts)})" if parts else ""
+
+
+def judged(
+    told: Sequence[Told | Unread],
+    setting: TaskContext,
+    source: str,
+    scene: str = "",
+    exclude: Sequence[str] = (),
+) -> list[Proposal]:
+    """Proposed tasks as documents, those that are accepted; of the others why not."""
+    proposed = Proposals(setting)
+    for one in told:
+        if isinstance(one, Unread):
+            proposed.found.append(Proposal(one.name, "", None, (Reason("unreadable", one.why),)))
+        elif (refused := _propose(one, proposed, source, scene, exclude)) is not None:
+            proposed.found.append(refused)
+    return proposed.found
+
+
+def _propose(told: Told, proposed: Proposals, source: str, scene: str, exclude: Sequence[str]) -> Proposal | None:
+    """Propose what a model said; why not, where no document can be made of it."""
+    setting = proposed.setting
+    name = free_name(told.task_name, proposed.names)
+    goal, wrong = goal_of(told)
+    said = goal_words(goal)
+    if wrong:
+        return Proposal(name, said, None, (Reason("bad_goal", wrong),))
+    if lacks := misnamed(goal, setting):
+        return Proposal(name, said, None, lacks)
+    barred = sorted({a for text, _ in texts(goal) for a in exclude if a in text.replace(",", " ").replace("(", " ")})
+    if barred:
+        return Proposal(name, said, None, (Reason("excluded", f"it is about `{barred[0]}`, which was excluded"),))
+    goal = _released(goal)
+    steps = [step_of(call) for call in conjuncts(goal) if call.predicate != "Released"]
+    idea = Idea(name, (goal,), tuple(steps))
+    plain = instruction_of(idea) if steps else f"{told.task_name.replace('_', ' ').strip().capitalize()}."
+    words = told.instruction.strip() or plain
+    note = f"task cousin of `{setting.twin.scene.name}`, {source}"
+    made = task(name, setting, scene or "scene.yaml", words, goal, subtasks(idea, setting), note)
+    proposed.add(name, said, made)
+    return None
+
+
+def _released(goal: Any) -> Any:
+    """The goal, and that nothing holds what it wants put somewhere; as it is where it names one predicate only."""
+    placed = dict.fromkeys(c.args[0] for c in conjuncts(goal) if c.predicate in ON and c.predicate != "Touching")
+    there = {str(call) for call in conjuncts(goal)}
+    more = tuple(text for name in placed if "." not in name and (text := f"Released({name})") not in there)
+    every = (*goal["all"], *more)
+    return every[0] if len(every) == 1 else {"all": every}
+
+
+MOST_TASKS = 200
+MOST_TEXT = 100_000
+"""Letters of an answer that are read."""
+
+_MARK = re.compile(r"^\s*-{3,}[^\n]*$|^\s*```[^\n]*$", re.MULTILINE)
+"""Between tasks: `--- Task 2`; and the fences that models like to put around YAML."""
+
+
+class Asked(BaseModel):
+    """A predicate of a goal: a state of a group, or of a group and another."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    state: str = Field(max_length=40, description="One of the allowed states.")
+    group: str = Field(max_length=130, description="The object, or `object.part`.")
+    other_group: str | None = Field(None, max_length=130, description="The other object, for binary states.")
+    value: bool = Field(True, description="False where it must not hold.")
+    state_kwargs: dict[str, Any] | None = Field(None, description="Not used; null.")
+
+
+class Told(BaseModel):
+    """A proposed task."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    task_name: str = Field(min_length=1, max_length=100, description="Short snake_case name.")
+    instruction: str = Field("", max_length=400, description="What the robot is told, in plain words.")
+    goal_predicates_all: list[Asked] = Field([], max_length=16, description="All must be true for success.")
+    goal_predicates_any: list[Asked] | None = Field(None, max_length=16, description="Any suffices; else null.")
+    semantic_group_mapping: dict[str, list[str]] = Field(
+        {}, max_length=32, description="Only where groups are not the objects' own names."
+    )
+
+
+class Answer(BaseModel):
+    """The proposed tasks."""
+
+    tasks: list[Told] = Field(max_length=MOST_TASKS)
+
+
+class Unread(BaseModel):
+    """A part of an answer that is no task, and why."""
+
+    name: str
+    why: str
+
+
+def read(text: str) -> list[Told | Unread]:
+    """The tasks of an answer in the paper's format: YAML blocks, a line `--- Task n` before each."""
+    found: list[Told | Unread] = []
+    blocks = [block for block in _MARK.split(text[:MOST_TEXT]) if block.strip()]
+    for block in blocks[:MOST_TASKS]:
+        label = f"part {len(found) + 1} of the answer"
+        try:
+            data = parse(block, label).data
+        except YamlError as error:
+            found.append(Unread(name=label, why=f"it is no YAML: {error}"))
+            continue
+        if not isinstance(data, dict):
+            if "task_name" in block:
+                found.append(Unread(name=label, why="it is no mapping with the key `task_name`"))
+            continue  # words between tasks
+        try:
+            found.append(Told.model_validate(data))
+        except ValidationError as error:
+            first = error.errors()[0]
+            at = ".".join(str(part) for part in first["loc"])
+            name = data.get("task_name")
+            found.append(Unread(name=name[:64] if isinstance(name, str) else label, why=f"`{at}`: {first['msg']}"))
+    return found
+
+
+def goal_of(told: Told) -> tuple[Any, str]:
+    """The goal of a proposed task as a condition, and what is wrong with its groups; that is empty where nothing is."""
+    names, wrong = {}, ""
+    for group, members in told.semantic_group_mapping.items():
+        if len(members) != 1:
+            wrong = wrong or f"the group `{group[:40]}` stands for {len(members)} objects, and must for one"
+        else:
+            names[group] = members[0]
+    terms = [_term(asked, names) for asked in told.goal_predicates_all]
+    if told.goal_predicates_any:
+        terms.append({"any": tuple(_term(asked, names) for asked in told.goal_predicates_any)})
+    if any(asked.state_kwargs for asked in (*told.goal_predicates_all, *(told.goal_predicates_any or []))):
+        wrong = wrong or "`state_kwargs` mean nothing here"
+    return {"all": tuple(terms)}, wrong
+
+
+def _term(asked: Asked, names: dict[str, str]) -> Any:
+    groups = [asked.group, *([asked.other_group] if asked.other_group else [])]
+    text = f"{asked.state}({', '.join(names.get(group, group) for group in groups)})"
+    return text if asked.value else {"not": text}
+
+
+@dataclass(frozen=True)
+class TaskCousin:
+    """A task that was proved in the twin; ``goal`` is what it asks for, as text, and ``hands`` act in it.
+
+    What is done lasts in all ``engines``.
+    """
+
+    spec: TaskSpec
+    goal: str
+    hands: tuple[Hand, ...] = ()
+    engines: tuple[str, ...] = ("mujoco",)
+
+    def reasons(self, twin: Twin, state: SceneState, others: Collection[str] = ()) -> tuple[Reason, ...]:
+        """Why it is no task in a scene as it stands: done already, or its things out of reach; empty where it is one.
+
+        That its things fit each other was proved in the twin, and no layout changes it; it is proved anew where one of
+        them is among the ``others``, which are not the twin's.
+        """
+        setting = context_at(twin, state, self.hands, self.engines)
+        found = unchanged(self.spec.goal, setting) or unreached(self.spec.goal, setting)
+        return found or (impossible(self.spec.goal, setting) if set(objects_of(self.spec.goal)) & set(others) else ())
+
+
+def context_at(twin: Twin, state: SceneState, hands: tuple[Hand, ...], engines: tuple[str, ...]) -> TaskContext:
+    """The setting of a twin in another state."""
+    return TaskContext(twin.at(state), hands, engines=engines)
+
+
+def task_cousins(
+    twin: Twin,
+    scene: SceneSpec,
+    axis: TaskAxis,
+    seed: int = 0,
+    reference: str = "",
+    vlm: Vlm | None = None,
+    picture: bytes = b"",
+) -> tuple[tuple[TaskCousin, ...], tuple[Proposal, ...]]:
+    """The tasks of a recipe's axis in a twin, and all that was proposed on the way.
+
+    ``scene`` is the twin's document and ``reference`` its file as the tasks' documents name it. A ``vlm`` that sees the
+    ``picture`` is asked where the axis says so. Raises :class:`ImpossibleError` where nothing can be done.
+    """
+    setting = TaskContext(twin, hands_of(scene), engines=axis.engines)
+    if axis.proposals == "model":
+        if vlm is None:
+            why = "`proposals: model` needs a model: name one, or take `affordances`"
+            raise ImpossibleError((Reason("no_model", why),))
+        from simfoundry.cousins.tasks.proposals import propose_tasks
+
+        every = sorted({o.name for o in twin.scene.objects} - set(axis.objects)) if axis.objects else []
+        found: Sequence[Proposal] = propose_tasks(
+            vlm, setting, picture, axis.count, scene=reference, include=axis.objects, exclude=every
+        )
+    else:
+        found = enumerate_tasks(setting, axis.count, seed, reference, axis.objects)
+    good = tuple(
+        TaskCousin(p.task, p.goal, setting.hands, axis.engines) for p in found if p.accepted and p.task is not None
+    )
+    if not good:
+        said = "; ".join(f"{p.name}: {p.reasons[0].text}" for p in found[:3] if p.reasons)
+        text = f"none of {len(found)} proposed tasks is possible" + (f": {said}" if said else "")
+        raise ImpossibleError((Reason("no_task", text),))
+    return good, tuple(found)

@@ -1,0 +1,318 @@
+"""Paths of one arm through the scene: straight lines of the hand, and ways around what is in between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simfoundry.backends.mjcf.bodies import free_joint_name
+from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
+from simfoundry.evaluate.expert.arm import Arm
+from simfoundry.evaluate.expert.grasps import Jaws, finger_positions
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.scene.model import Scene
+from simfoundry.scene.state import SceneState
+from simfoundry.scene.trees import trees
+from simfoundry.worlds.mujoco_world import MujocoWorld
+
+Path = list[Array]
+"""Postures to go through, each shape (n,) [rad or m]."""
+
+LINE = 0.015
+"""Between the postures of a straight line [m]."""
+
+TURN = 0.1
+"""And between their rotations [rad]."""
+
+LEAP = 0.35
+"""A joint that moves more than this between them [rad] has changed its branch."""
+
+FINE = 0.08
+"""Between the postures of a path that are looked at [rad]."""
+
+GAP = 0.004
+"""What moves freely stays this far from everything [m]."""
+
+WIDE = 0.02
+"""And on its way this far where it can: the joints lag behind their targets, each in its own way, and cut corners."""
+
+NODES, STRIDE = 1500, 0.3
+"""How many postures a search tries, and how far it steps [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """What a hand holds, and how: ``X_HO``."""
+
+    name: str
+    X_HO: Pose
+
+
+class Reach:
+    """One arm in its cell."""
+
+    def __init__(self, cell: Cell, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:
+        self.cell, self.arm, self.jaws, self.rng = cell, arm, fingers, rng
+        self.name = arm.robot.name
+
+    def clear(
+        self, q: Array, share: float, held: Held | None = None, gap: float = GAP, ignore: Iterable[str] = ()
+    ) -> bool:
+        """Whether a posture touches nothing."""
+        self.cell.pose(self.name, q, share)
+        moving = [self.name]
+        if held is not None:
+            self.cell.put(held.name, self.arm.hand(q) @ held.X_HO)
+            moving.append(held.name)
+        return self.cell.clash(moving, gap, ignore) is None
+
+    def line(
+        self,
+        q: Array,
+        X_WH: Pose,
+        share: float,
+        held: Held | None = None,
+        gap: float = 0.0,
+        ignore: Iterable[str] = (),
+    ) -> Path | None:
+        """Postures that take the hand from ``q`` straight to ``X_WH``; None where it cannot go so."""
+        start = self.arm.hand(q)
+        count = max(1, int(np.ceil(max(float(np.linalg.norm(X_WH.p - start.p)) / LINE, start.angle_to(X_WH) / TURN))))
+        path = [q]
+        for k in range(1, count + 1):
+            between = self.arm.solve(blend(start, X_WH, k / count), path[-1])
+            if between is None or np.abs(between - path[-1]).max() > LEAP:
+                return None
+            if not self.clear(between, share, held, gap, ignore):
+                return None
+            path.append(between)
+        return path
+
+    def way(
+        self, q: Array, goal: Array, share: float, held: Held | None = None, ignore: Iterable[str] = ()
+    ) -> Path | None:
+        """Postures from ``q`` to ``goal`` around what is in between, far from it if there is such a way; or None."""
+        ignored = tuple(ignore)
+        for gap in (WIDE, GAP):
+
+            def free(posture: Array, gap: float = gap) -> bool:
+                return self.clear(posture, share, held, gap, ignored)
+
+            if not free(goal):
+                continue
+            if _straight(q, goal, free):
+                return [q, goal]
+            found = _search(q, goal, free, self.arm.low, self.arm.high, self.rng)
+            if found is not None:
+                return _shortened(found, free, self.rng)
+        return None
+
+
+def blend(a: Pose, b: Pose, share: float) -> Pose:
+    """A pose between two."""
+    qb = b.q if float(a.q @ b.q) >= 0 else -b.q
+    angle = float(np.arccos(np.clip(a.q @ qb, -1.0, 1.0)))
+    if angle < 1e-6:
+        return Pose.of(a.p + share * (b.p - a.p), b.q)
+    q = (np.sin((1 - share) * angle) * a.q + np.sin(share * angle) * qb) / np.sin(angle)
+    return Pose.of(a.p + share * (b.p - a.p), q)
+
+
+def _straight(a: Array, b: Array, free: object) -> bool:
+    """Whether every posture between two is free; the first is taken to be."""
+    count = max(1, int(np.ceil(np.abs(b - a).max() / FINE)))
+    return all(free(a + (b - a) * k / count) for k in range(1, count + 1))  # type: ignore[operator]
+
+
+def _search(start: Array, goal: Array, free: object, low: Array, high: Array, rng: np.random.Generator) -> Path | None:
+    """Rapidly exploring random trees from both ends (RRT-Connect, Kuffner and LaValle 2000)."""
+    trees = ([start], [goal])
+    parents: tuple[list[int], list[int]] = ([-1], [-1])
+    side = 0
+    for _ in range(NODES):
+        # Between the two ends more often than anywhere: most ways lead there.
+        mix = rng.uniform(size=len(start))
+        near = start + mix * (goal - start) + rng.normal(scale=0.5, size=len(start))
+        sample = np.clip(near, low, high) if rng.uniform() < 0.8 else rng.uniform(low, high)
+        new = _extend(trees[side], parents[side], sample, free)
+        if new is not None:
+            other = 1 - side
+            while True:
+                step = _extend(trees[other], parents[other], trees[side][new], free)
+                if step is None:
+                    break
+                if np.abs(trees[other][step] - trees[side][new]).max() < 1e-9:
+                    ends = [_back(trees[0], parents[0], new if side == 0 else step)[::-1]]
+                    return ends[0] + _back(trees[1], parents[1], step if side == 0 else new)[1:]
+        side = 1 - side
+    return None
+
+
+def _extend(tree: list[Array], parent: list[int], towards: Array, free: object) -> int | None:
+    """Grow a tree by one step; the number of the new posture."""
+    distance = np.abs(np.array(tree) - towards).max(axis=1)
+    nearest = int(distance.argmin())
+    if distance[nearest] < 1e-9:
+        return None
+    step = tree[nearest] + (towards - tree[nearest]) * min(1.0, STRIDE / distance[nearest])
+    if not _straight(tree[nearest], step, free):
+        return None
+    tree.append(step)
+    parent.append(nearest)
+    return len(tree) - 1
+
+
+def _back(tree: list[Array], parent: list[int], k: int) -> Path:
+    found = []
+    while k >= 0:
+        found.append(tree[k])
+        k = parent[k]
+    return found
+
+
+def _shortened(path: Path, free: object, rng: np.random.Generator) -> Path:
+    """A path without detours that need not be."""
+    for _ in range(40):
+        if len(path) < 3:
+            break
+        i, j = sorted(int(k) for k in rng.choice(len(path), 2, replace=False))
+        if j > i + 1 and _straight(path[i], path[j], free):
+            path = path[: i + 1] + path[j:]
+    return path
+
+
+FAR = 0.03
+"""How far apart things are when they are still looked at [m]."""
+
+
+class Cell:
+    """The scene in MuJoCo, without time. What is asked of it changes it; :meth:`sync` brings it back to a state."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._world = MujocoWorld(scene)
+        self._model, self._data = self._world.model, self._world.data
+        model = self._model
+        owners = {model.body(t.name).id: o.name for o in scene.objects for t in trees(o)}
+        owners |= {model.body(r.name).id: r.name for r in scene.robots if mujoco_model(r) is not None}
+        roots = model.body_rootid[model.geom_bodyid]
+        self._owner = np.array([owners.get(int(root), "") for root in roots])
+        self._robots = {r.name for r in scene.robots}
+        self._free = {
+            o.name: int(model.joint(free_joint_name(trees(o)[0])).qposadr[0]) for o in scene.objects if not o.fixed
+        }
+        model.geom_margin[:] = FAR / 2
+        model.pair_margin[:] = FAR
+        self._hands = {r.name: self._hand(r.name) for r in scene.robots if mujoco_model(r) is not None}
+        self._hand_geoms = {name: {int(g) for g in hand[1]} for name, hand in self._hands.items()}
+        self._own: set[tuple[int, int]] = set()
+        self._own = self._touching_itself()
+
+    def _touching_itself(self) -> set[tuple[int, int]]:
+        """Pairs of geoms of one robot that are near each other at the start: neighbours in its build."""
+        self._world.reset()
+        self._collide()
+        contacts = self._data.contact[: self._data.ncon]
+        pairs = (tuple(sorted(int(g) for g in c.geom)) for c in contacts)
+        return {(a, b) for a, b in pairs if self._owner[a] == self._owner[b]}
+
+    def sync(self, state: SceneState, postures: Mapping[str, Array], grippers: Mapping[str, float]) -> None:
+        """Go to a state, with each robot's arm and gripper where they are."""
+        self._world.reset(SceneState.of(state.poses, state.joints, state.motions))
+        for name, q in postures.items():
+            self.pose(name, q, grippers[name])
+
+    def pose(self, robot: str, q: Array, share: float) -> None:
+        """Put a robot's arm into a posture, with its gripper closed by ``share``."""
+        native = mujoco_model(self.scene.robot(robot))
+        assert native is not None
+        names = list(native.joints.values()) or list(self._world.robot(robot).joints)
+        for name, position in zip(names, q, strict=True):
+            self._set(f"{robot}.{name}", position)
+        if native.gripper is not None:
+            for name, position in finger_positions(native.gripper, share).items():
+                self._set(f"{robot}.{name}", position)
+
+    def _set(self, joint: str, position: float) -> None:
+        self._data.qpos[self._model.joint(joint).qposadr[0]] = position
+
+    def put(self, name: str, X_WO: Pose) -> None:
+        """Put an object somewhere."""
+        start = self._free[name]
+        self._data.qpos[start : start + 7] = [*X_WO.p, *X_WO.q]
+
+    def _collide(self) -> None:
+        import mujoco
+
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_collision(self._model, self._data)
+
+    def hand_clash(self, robot: str, X_WH: Pose, held: str | None = None, gap: float = 0.0, ignore: str = "") -> bool:
+        """Whether a hand without its arm, and what it holds, would come nearer to anything than ``gap`` [m].
+
+        Much cheaper than to find out how the arm gets there. The fingers are as they were posed last.
+        """
+        import mujoco
+
+        data = self._data
+        mujoco.mj_kinematics(self._model, data)
+        bodies, geoms, frame = self._hands[robot]
+        link = Pose.of(data.xpos[bodies[0]], data.xquat[bodies[0]])
+        moved = X_WH @ (link @ frame).inverse()
+        turn = moved.rotation
+        for points in (data.xpos, data.xipos):
+            points[bodies] = points[bodies] @ turn.T + moved.p
+        for turns in (data.xmat, data.ximat):
+            turns[bodies] = (turn @ turns[bodies].reshape(-1, 3, 3)).reshape(-1, 9)
+        data.geom_xpos[geoms] = data.geom_xpos[geoms] @ turn.T + moved.p
+        data.geom_xmat[geoms] = (turn @ data.geom_xmat[geoms].reshape(-1, 3, 3)).reshape(-1, 9)
+        mujoco.mj_collision(self._model, data)
+        contact = data.contact
+        for k in np.flatnonzero(contact.dist[: data.ncon] < max(gap, 0.0)):
+            pair = [int(g) for g in contact.geom[k]]
+            owners = {str(self._owner[g]) for g in pair}
+            if len(owners) < 2 or ignore in owners or owners == {robot, held}:
+                continue
+            if held in owners and contact.dist[k] < 0.0:
+                return True
+            if held not in owners and any(g in self._hand_geoms[robot] for g in pair):
+                return True
+        return False
+
+    def _hand(self, robot: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Pose]:
+        """Bodies and geoms of a hand, the one with the hand's frame first, and that frame in it."""
+        native = mujoco_model(self.scene.robot(robot))
+        assert native is not None
+        model, frame = self._model, native.frame("hand")
+        top = model.body(f"{robot}.{frame.link}").id
+        bodies = [top]
+        for body in range(top + 1, model.nbody):  # MuJoCo's order is depth first: a parent comes before its children
+            if int(model.body_parentid[body]) in bodies:
+                bodies.append(body)
+        return np.array(bodies), np.flatnonzero(np.isin(model.geom_bodyid, bodies)), frame.X_LF
+
+    def clash(self, moving: Iterable[str], gap: float = 0.0, ignore: Iterable[str] = ()) -> str | None:
+        """What the robots and objects that are ``moving`` together come nearer to than ``gap`` [m]; None if nothing.
+
+        What they touch of each other and of ``ignore`` does not count.
+        """
+        self._collide()
+        mine = set(moving)
+        passed = mine | set(ignore)
+        contact = self._data.contact
+        for k in np.flatnonzero(contact.dist[: self._data.ncon] < gap):
+            a, b = (int(g) for g in contact.geom[k])
+            first, second = self._owner[a], self._owner[b]
+            if first == second:
+                known = (min(a, b), max(a, b)) in self._own
+                if first in self._robots and first in mine and not known and contact.dist[k] < 0:
+                    return f"{first} itself"
+                continue
+            if first in mine and second not in passed:
+                return str(second)
+            if second in mine and first not in passed:
+                return str(first)
+        return None

@@ -1,0 +1,1 @@
+"""Every HTML page: the templates, the one style, and what each page shows."""

@@ -1,0 +1,209 @@
+"""A page that shows a change: the scene before and after as pictures, and what changed as a list.
+
+One file without scripts and without links, to be attached to a pull request. All text from documents is escaped, and
+the same documents give the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from simfoundry.reports.labels import Label, place_labels
+from simfoundry.reports.render import render
+from simfoundry.spec.change.compare import DocumentComparison, Side
+from simfoundry.spec.change.diff.poses import motion, words
+from simfoundry.spec.change.diff.words import MemberChange, summary
+from simfoundry.spec.diagnostics import SpecError
+from simfoundry.spec.models.scene import SceneSpec
+
+if TYPE_CHECKING:
+    from simfoundry.reports.pictures import Picture, Tint
+    from simfoundry.scene.model import Camera, Scene
+
+COLORS = {
+    "moved": (0xF0, 0x8C, 0x00),
+    "added": (0x2F, 0x9E, 0x44),
+    "removed": (0xE0, 0x31, 0x31),
+    "changed": (0x1C, 0x7E, 0xD6),
+}
+"""What a mark looks like in pictures and in the list (sRGB bytes)."""
+
+SEEN_M, SEEN_DEG = 5e-4, 0.1
+"""A move along with something else counts from half a millimetre and a tenth of a degree on: less is how a thing lies
+on a surface that is reckoned anew."""
+
+
+def page(comparisons: Sequence[DocumentComparison]) -> str:
+    """Return the page of some documents."""
+    documents = [_document(c, f"d{k}") for k, c in enumerate(comparisons)]
+    title = comparisons[0].name if len(comparisons) == 1 else f"{len(comparisons)} documents"
+    return render("comparison.html.j2", title=title, sources="", colors=COLORS, documents=documents)
+
+
+def mark_of(entry: MemberChange) -> str:
+    """The mark that decides the colour of a thing."""
+    return next((mark for mark in ("added", "removed", "moved") if mark in entry.marks), "changed")
+
+
+def _document(comparison: DocumentComparison, key: str) -> dict[str, Any]:
+    """What the page says of one document."""
+    lowered = _lowered_sides(comparison)
+    comparison = _with_moves(comparison, lowered)
+    return {
+        "name": comparison.name,
+        "old": _label(comparison.old),
+        "new": _label(comparison.new),
+        "summary": summary(comparison.entries),
+        "sides": _pictures(comparison, lowered, key) if lowered else [],
+        "entries": [
+            {
+                "key": f"{key}-{k}",
+                "name": entry.name,
+                "subject": entry.subject if entry.name else "",
+                "mark": mark_of(entry),
+                "verbs": entry.verbs,
+                "facts": entry.facts,
+            }
+            for k, entry in enumerate(comparison.entries)
+        ],
+        "lines": comparison.lines() if not comparison.entries else [],
+        "findings": comparison.findings,
+    }
+
+
+def _with_moves(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> DocumentComparison:
+    """The comparison with the moves that no text says: of what stands on or beside something that changed."""
+    old, new = lowered if lowered else ("", "")
+    if isinstance(old, str) or isinstance(new, str):
+        return comparison
+    entries = list(comparison.entries)
+    known = {entry.name: k for k, entry in enumerate(entries) if entry.section == "objects"}
+    before = {item.name: item for item in old.objects}
+    for item in new.objects:
+        entry = entries[known[item.name]] if item.name in known else None
+        there = before.get((entry.was if entry is not None else "") or item.name)
+        if there is None or (entry is not None and "moved" in entry.marks):
+            continue
+        found = motion(*({"xyz": tuple(X.p), "quat_wxyz": tuple(X.q)} for X in (there.X_WO, item.X_WO)))
+        if math.hypot(*found.shift) < SEEN_M and found.angle < SEEN_DEG:
+            continue
+        told = words(found)
+        if entry is None:
+            entries.append(MemberChange("objects", item.name, "", ("moved",), (*told, "with what its place names"), ()))
+        else:
+            marks = ("moved", *entry.marks)
+            entries[known[item.name]] = replace(entry, marks=marks, verbs=(*entry.verbs, *told))
+    return replace(comparison, entries=tuple(entries))
+
+
+def _label(side: Side | None) -> str:
+    return side.label if side is not None else "nothing"
+
+
+# -- pictures -------------------------------------------------------------------------------------------------------
+
+
+def _lowered_sides(comparison: DocumentComparison) -> tuple[Scene | str, ...]:
+    """Both scenes, or why one cannot be shown; nothing for documents of other kinds."""
+    sides = (comparison.old, comparison.new)
+    if not any(side is not None and isinstance(side.spec, SceneSpec) for side in sides):
+        return ()
+    return tuple(_lowered(side) for side in sides)
+
+
+def _pictures(comparison: DocumentComparison, lowered: Sequence[Scene | str], key: str) -> list[dict[str, Any]]:
+    """Both scenes side by side, each as a picture or as the reason why there is none."""
+    sides = (comparison.old, comparison.new)
+    scenes = [scene for scene in lowered if not isinstance(scene, str)]
+    shown: list[Picture | str] = [str(scene) for scene in lowered]
+    if scenes:
+        from simfoundry.reports.pictures import common_camera, picture
+
+        views = [_viewpoint(side, scene) for side, scene in zip(sides, lowered, strict=True)]
+        camera = common_camera(scenes, reversed(views))  # as the new document sees it
+        tints = _tints(comparison, lowered)
+        shown = [
+            scene if isinstance(scene, str) else picture(scene, camera, _colors(comparison, new), tint)
+            for scene, tint, new in zip(lowered, tints, (False, True), strict=True)
+        ]
+    return [
+        _side(side, one, _keys(comparison, key, new), "after" if new else "before")
+        for side, one, new in zip(sides, shown, (False, True), strict=True)
+    ]
+
+
+def _tints(comparison: DocumentComparison, lowered: Sequence[Scene | str]) -> tuple[dict[str, Tint], dict[str, Tint]]:
+    """The tints of both scenes; an object has one tint, also under a new name."""
+    from simfoundry.reports.pictures import tints_of
+
+    was = {entry.name: entry.was for entry in comparison.entries if entry.section == "objects" and entry.was}
+    now = {old: new for new, old in was.items()}
+    names = [[] if isinstance(scene, str) else [item.name for item in scene.objects] for scene in lowered]
+    tints = tints_of([*(now.get(name, name) for name in names[0]), *names[1]])
+    return {name: tints[now.get(name, name)] for name in names[0]}, tints
+
+
+def _lowered(side: Side | None) -> Scene | str:
+    """The scene of a side, or why there is none."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.errors import SimfoundryError
+    from simfoundry.scene.lower import lower
+
+    if side is None:
+        return "There is no such document."
+    if not isinstance(side.spec, SceneSpec):
+        return "This is not a scene."
+    try:
+        return lower(side.loaded, Cache.default(), fetch=False)
+    except SpecError as error:
+        first = error.diagnostics[0]
+        count = len(error.diagnostics)
+        return f"It cannot be shown: {first.message}" + (f" (and {count - 1} more)" if count > 1 else "") + "."
+    except (SimfoundryError, OSError, ValueError) as error:
+        return f"It cannot be shown: {error}"
+
+
+def _viewpoint(side: Side | None, scene: Scene | str) -> Camera | None:
+    """The camera from which a scene is seen, if its viewpoint is a camera."""
+    if side is None or isinstance(scene, str) or not isinstance(side.spec, SceneSpec):
+        return None
+    return next((c for c in scene.cameras if c.name == side.spec.viewpoint), None)
+
+
+def _keys(comparison: DocumentComparison, key: str, new: bool) -> dict[str, tuple[str, MemberChange]]:
+    """The changed objects of the old or the new scene by the name that they have there, each with its CSS class."""
+    out: dict[str, tuple[str, MemberChange]] = {}
+    for k, entry in enumerate(comparison.entries):
+        if entry.section == "objects":
+            out.setdefault(entry.name if new else entry.was or entry.name, (f"{key}-{k}", entry))
+    return out
+
+
+def _colors(comparison: DocumentComparison, new: bool) -> dict[str, tuple[int, int, int]]:
+    return {name: COLORS[mark_of(entry)] for name, (_, entry) in _keys(comparison, "", new).items()}
+
+
+def _side(
+    side: Side | None, shown: Picture | str, keys: dict[str, tuple[str, MemberChange]], caption: str
+) -> dict[str, Any]:
+    about = {"caption": caption, "label": _label(side)}
+    if isinstance(shown, str):
+        return {**about, "picture": None, "reason": shown}
+    labels = [_tag(label, *keys[label.name]) for label in place_labels(shown.tags, shown.width / shown.height)]
+    return {**about, "picture": shown, "labels": labels}
+
+
+def _tag(label: Label, key: str, entry: MemberChange) -> dict[str, str]:
+    """A label, and the line from it to what it names, in percent of the picture."""
+    places = {
+        "x": label.x,
+        "y": label.y,
+        "stem_x": label.thing_x,
+        "stem_top": min(label.y, label.thing_y),
+        "stem_height": abs(label.thing_y - label.y),
+    }
+    percents = {name: f"{100 * share:.2f}" for name, share in places.items()}
+    return {**percents, "mark": mark_of(entry), "key": key, "name": label.name, "text": label.text}

@@ -1,0 +1,176 @@
+"""An evaluation as one page: conditions, success with intervals, grids of starts, failures, videos.
+
+Videos are linked by their paths beside the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.metrics import Rate
+from simfoundry.evaluate.statistics.pools import Pool, comparisons, pool_rows, pools
+from simfoundry.evaluate.statistics.records import is_result
+from simfoundry.evaluate.statistics.results import MANY, Cell, cell_key, cells, titles
+from simfoundry.reports.render import render
+
+Record = Mapping[str, Any]
+
+GOOD, BAD, UNKNOWN = "#2a8a55", "#c3453a", "#9aa4af"
+"""Colours of rollouts that succeeded, failed, and have no result: those of the style, on a light and a dark ground."""
+
+
+@dataclass(frozen=True)
+class RateCell:
+    """A cell of a table: a rate with its interval, or a text; ``trouble`` stands below it."""
+
+    rate: Rate | None = None
+    text: str = "–"
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class RateRow:
+    """A row of a table: its head, how many tasks it is about (0: not said), and a cell for each policy."""
+
+    head: str
+    each: Sequence[RateCell]
+    count: int = 0
+    step: bool = False
+
+
+def page(records: Sequence[Record], title: str = "Evaluation") -> str:
+    """Return the whole page."""
+    by_cell: dict[tuple[str, ...], list[Record]] = {}
+    for record in records:
+        by_cell.setdefault(cell_key(record), []).append(record)
+    named, pooled = titles(cells(records)), pools(records)
+    return render(
+        "evaluation.html.j2",
+        title=title,
+        sources="'self'",
+        facts=_conditions(records),
+        pools={"policies": _policies(p.policy for p in pooled), "rows": list(_pool_rows(pooled))} if pooled else None,
+        pairs=comparisons(records),
+        policies=_policies(policy for here in named.values() for policy in here),
+        tasks=list(_task_rows(named)),
+        engines=sorted(compare_engines(records), key=lambda one: not one.disagrees),
+        each=[_task(name, list(here.values()), by_cell) for name, here in named.items()],
+        many=len(named) > MANY,
+    )
+
+
+def _policies(names: Iterable[str]) -> list[str]:
+    return list(dict.fromkeys(names))
+
+
+def _conditions(records: Sequence[Record]) -> dict[str, str]:
+    """Versions, engines, robots, seeds and counts: the conditions under which all this was found."""
+    robots = sorted({f"{name}: {kind}" for r in records for name, kind in r["robots"].items()})
+    recipes = sorted({r["cousin"]["recipe"] for r in records if r.get("cousin")})
+    return {
+        "SimFoundry": _listed(r["version"] for r in records),
+        "engine": _listed(f"{r['engine']} {r['engine_version']}" for r in records),
+        "robot": ", ".join(robots),
+        "seed": _listed(str(r["seed"]) for r in records),
+        "tasks": str(len({(r["task"], r["part"], r["step"]) for r in records})),
+        "policies": _listed(r["policy"] for r in records),
+        "rollouts": str(sum(map(is_result, records))),
+        "control": _listed(f"{r['control_hz']:g} Hz" for r in records),
+        "cousins of": ", ".join(recipes),
+    }
+
+
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(dict.fromkeys(words))
+
+
+def _task_rows(named: Mapping[str, Mapping[str, Cell]]) -> Iterator[RateRow]:
+    policies = _policies(policy for here in named.values() for policy in here)
+    for name, here in named.items():
+        yield RateRow(name, [_success(here[p]) if p in here else RateCell() for p in policies])
+        steps = dict.fromkeys(s for cell in here.values() for s in cell.subtasks) if len(named) <= MANY else ()
+        yield from _step_rows(steps, here, policies)
+
+
+def _success(cell: Cell) -> RateCell:
+    return RateCell(cell.success if cell.success.of else None, "no result", cell.exceptions)
+
+
+def _pool_rows(found: Sequence[Pool]) -> Iterator[RateRow]:
+    """All tasks together, and each step of them."""
+    policies = _policies(pool.policy for pool in found)
+    for name, here in pool_rows(found).items():
+        tasks = max(len(pool.counts) for pool in here.values())
+        yield RateRow(name, [RateCell(here[p].rate) if p in here else RateCell() for p in policies], tasks)
+        if not all(pool.is_balanced for pool in here.values()):
+            alike = [RateCell(None, here[p].stratified_text) if p in here else RateCell() for p in policies]
+            yield RateRow("each task weighs the same", alike, step=True)
+        yield from _step_rows(dict.fromkeys(s for pool in here.values() for s in pool.subtasks), here, policies)
+
+
+def _step_rows(
+    steps: Iterable[str], here: Mapping[str, Cell] | Mapping[str, Pool], policies: Sequence[str]
+) -> Iterator[RateRow]:
+    for step in steps:
+        each = [RateCell(here[p].subtasks.get(step)) if p in here else RateCell() for p in policies]
+        yield RateRow(step, each, step=True)
+
+
+def _task(name: str, here: Sequence[Cell], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
+    """One task with what it asks for, and what each policy did."""
+    record = by_cell[here[0].key][0]
+    return {
+        "name": name,
+        "line": "; ".join(f"{cell.policy} {cell.success.done}/{cell.success.of}" for cell in here),
+        "instruction": record["instruction"],
+        "horizon": record["horizon"],
+        "seconds": f"{record['horizon'] / record['control_hz']:.0f}",
+        "cells": [_details(cell, by_cell[cell.key]) for cell in here],
+    }
+
+
+def _details(cell: Cell, records: Sequence[Record]) -> dict[str, Any]:
+    ends = ", ".join(f"{count} {end}" for end, count in cell.ends.items())
+    failures = [record for record in records if not record["success"]]
+    return {
+        "policy": cell.policy,
+        "ends": ends + (f", {cell.missing} missing" if cell.missing else ""),
+        "grids": [_grid(name, records) for name in dict.fromkeys(n for r in records for n in r["cells"])],
+        "failures": [{**record, "why": _why(record), "done": _steps_done(record)} for record in failures],
+        "videos": [record for record in records if record.get("video")],
+    }
+
+
+def _grid(name: str, records: Sequence[Record]) -> dict[str, Any]:
+    """The cells of an object's region, x up and y to the left as the arm sees them; each with its rollout."""
+    here = [record for record in records if name in record["cells"]]
+    region = here[0]["regions"][name]
+    cells_ = [
+        {
+            "index": record["index"],
+            "row": record["cells"][name][0],
+            "column": record["cells"][name][1],
+            "why": _why(record),
+            "color": (GOOD if record["success"] else BAD) if is_result(record) else UNKNOWN,
+        }
+        for record in here
+    ]
+    rows, columns = (max(record["grid"][k] for record in here) for k in (0, 1))
+    return {"name": name, "rows": rows, "columns": columns, "x": region["x"], "y": region["y"], "cells": cells_}
+
+
+def _steps_done(record: Record) -> str:
+    return ", ".join(f"{name} ({step})" for name, step in record["subtasks"].items() if step is not None)
+
+
+def _why(record: Record) -> str:
+    """Why a rollout ended as it did, with what its goal lacked in the last state."""
+    if record["success"]:
+        return f"success after {record['steps']} steps"
+    said = [record["reason"] or record["end"]]
+    if record.get("unmet") and is_result(record):
+        said.append(f"at the end: {record['unmet']}")
+    return "; ".join(said)

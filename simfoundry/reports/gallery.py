@@ -1,0 +1,70 @@
+"""``gallery.html``: pictures of the first cousins, what they were asked for, and why candidates were rejected."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from simfoundry.cousins.recipe.candidate import Candidate
+from simfoundry.cousins.run.log import Reader
+from simfoundry.cousins.run.report import FILE, draw, examples, summary
+from simfoundry.cousins.run.run import Ledger, Plan
+from simfoundry.reports.render import render
+from simfoundry.runtime.files import write_atomically
+
+PAGE = "gallery.html"
+PICTURES = "pictures"
+
+
+def write_gallery(plan: Plan, ledger: Ledger, most: int, progress: Callable[[int, int], None] | None = None) -> Path:
+    """Write the page, and the pictures that are not there yet, of at most ``most`` cousins."""
+    with Reader() as reader:
+        places = islice((place for place in ledger.counted() if place.accepted), most)
+        shown = [reader.candidate(place) for place in places]
+    pictures = {}
+    for k, candidate in enumerate(shown):
+        if progress is not None:
+            progress(k, len(shown))
+        path = _picture(plan.out, candidate)
+        if path is not None:
+            pictures[candidate.index] = path.relative_to(plan.out).as_posix()
+    variants = [str(count) for count in plan.variants]
+    write_atomically(plan.out / PAGE, page(summary(plan, ledger), shown, pictures, examples(ledger), variants).encode())
+    return plan.out / PAGE
+
+
+def _picture(out: Path, candidate: Candidate) -> Path | None:
+    """The picture of a cousin's scene, drawn unless it is there; None if it has no scene of its own, or no camera."""
+    if "scene" not in candidate.documents:
+        return None
+    path = out / PICTURES / f"{candidate.index:06d}.png"
+    if not path.is_file():
+        image = draw(out / candidate.files()["scene"])
+        if image is None:
+            return None
+        write_atomically(path, image)
+    return path
+
+
+def page(
+    facts: Mapping[str, Any],
+    shown: Sequence[Candidate],
+    pictures: Mapping[int, str],
+    reasons: Mapping[str, str],
+    variants: Sequence[str] = (),
+) -> str:
+    """Return the page; ``pictures`` by index, ``reasons`` an example of each, ``variants`` what came of each object."""
+    title = f"Cousins: {facts['recipe']}"
+    return render(
+        "gallery.html.j2",
+        title=title,
+        sources="'self'",
+        facts=facts,
+        shown=shown,
+        pictures=pictures,
+        reasons=reasons,
+        variants=variants,
+        file=FILE,
+    )

@@ -1,0 +1,90 @@
+"""The results of ``simfoundry verify`` as one page that needs nothing else: tables, bars, pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TypeVar
+
+from simfoundry.reports.render import render
+from simfoundry.verify import tables
+from simfoundry.verify.behaviours import Behaviour
+from simfoundry.verify.engines import InstalledEngine
+from simfoundry.verify.rest import RestResult
+from simfoundry.verify.run import BehaviourResult, ProofStatus, ReadbackResult
+
+_LEGEND = {
+    ProofStatus.OK: "ok",
+    ProofStatus.KNOWN: "not kept, and said so",
+    ProofStatus.MISMATCH: "differs",
+    ProofStatus.FAILED: "failed",
+}
+
+
+C = TypeVar("C", BehaviourResult, ReadbackResult, RestResult)
+
+
+def page(
+    readings: Sequence[ReadbackResult],
+    results: Sequence[BehaviourResult],
+    behaviours: Sequence[Behaviour],
+    engines: Mapping[str, InstalledEngine | None],
+    pictures: Mapping[str, bytes],
+    rested: Sequence[RestResult] = (),
+) -> str:
+    """Return the whole page; ``pictures`` are PNGs by the name of the scene."""
+    stepping = {name: found for name, found in engines.items() if found is None or found.engine.spec.steps}
+    rest_engines = {name: found for name, found in engines.items() if any(r.engine == name for r in rested)}
+    by_name = _rows(((m.behaviour, m) for m in results), stepping)
+    rows = [
+        ({"answer": f"{b.expected:.4g} ± {b.tolerance:.2g} {b.unit}".rstrip(), **vars(b)}, by_name.get(b.name, {}))
+        for b in behaviours
+    ]
+    return render(
+        "verification.html.j2",
+        title="simfoundry verify",
+        sources="",
+        summary=summary(readings, results, rested),
+        engines=engines,
+        stepping=stepping,
+        rest_engines=rest_engines,
+        readings=_rows(((r.subject, r) for r in readings), engines),
+        differing=[r for r in readings if r.comparison is None or r.comparison.mismatches],
+        behaviours=[(b, {**dict.fromkeys(stepping), **row}) for b, row in rows] if results else [],
+        rested=_rows(((r.subject, r) for r in rested), rest_engines),
+        known=tables.known_lines(readings, results),
+        stale=tables.stale_lines(readings),
+        pictures=pictures,
+        legend=_LEGEND,
+        absent=tables.ABSENT,
+        reading_cell=tables.reading_cell,
+        measured_cell=tables.measured_cell,
+        rested_cell=tables.rested_cell,
+        difference_line=tables.difference_line,
+    )
+
+
+def _rows(cells: Iterable[tuple[str, C]], engines: Iterable[str]) -> dict[str, dict[str, C | None]]:
+    """Rows by name, each with a cell or None for every engine."""
+    rows: dict[str, dict[str, C | None]] = {}
+    for name, cell in cells:
+        rows.setdefault(name, dict.fromkeys(engines))[cell.engine] = cell
+    return rows
+
+
+def summary(
+    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult] = ()
+) -> str:
+    """Return one sentence: how much was compared, and how much is wrong."""
+    compared = sum(r.comparison.compared for r in readings if r.comparison)
+    wrong = sum(len(r.comparison.mismatches) for r in readings if r.comparison)
+    lost = sum(len(r.comparison.covered) for r in readings if r.comparison)
+    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
+    failed = sum(o.verdict is ProofStatus.FAILED for o in outcomes)
+    off = sum(m.verdict is ProofStatus.MISMATCH for m in results)
+    text = f"{compared} quantities compared, {wrong} differ, {lost} are lost as reported"
+    if results:
+        text += f"; {len(results)} behaviours measured, {off} are off without a reason"
+    if rested:
+        apart = sum(r.verdict is ProofStatus.MISMATCH for r in rested)
+        text += f"; {len(rested)} scenes left alone, {apart} end elsewhere than in other engines"
+    return text + (f"; {failed} failed" if failed else "") + "."

@@ -1,1 +1,0 @@
-"""Changes for people who review them: revisions of documents compared, as text and as a page with pictures."""

@@ -1,0 +1,134 @@
+"""Places `inside` that certainly cannot be taken, found on uncut meshes: before a convex decomposition of minutes.
+
+The convex parts of a mesh contain the mesh, and fill its shallow hollows. So where the mesh of an object meets that of
+its container at every height at which the container would have walls around it, their parts do as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.geometry.shapes import Mesh
+from simfoundry.geometry.walls import FOOT, LEVELS
+from simfoundry.scene.model import Collider, Link, SceneObject
+from simfoundry.scene.place import PlaceError, approach, misfit
+from simfoundry.spec.models.place import Place
+
+POINTS = 600
+"""Surface points of an object of which plumb lines are tried: a hand-sized mesh has one every few millimetres."""
+
+GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of the R2 sequence: powers of the inverse of the plastic number, which spread points evenly over a square."""
+
+RESOLUTION = 0.02
+"""Hollows shallower than this share of the longest side are filled when a mesh is cut: CoACD goes on cutting only where
+they are deeper than 5 % (`threshold` in :mod:`simfoundry.assets.decompose`, of half of that side)."""
+
+
+def uncut(item: SceneObject) -> SceneObject:
+    """The object with the meshes that it shows as its colliders, in place of their hulls."""
+    return replace(item, links=tuple(_uncut_link(link) for link in item.links))
+
+
+def _uncut_link(link: Link) -> Link:
+    shown = [visual for visual in link.visuals if isinstance(visual.geometry, Mesh)]
+    if not shown or len(link.colliders) != 1 or not isinstance(link.colliders[0].geometry, Mesh):
+        return link
+    one = link.colliders[0]
+    meshes = (Collider(v.name, v.geometry, one.friction, one.restitution, v.X_LG) for v in shown)
+    return replace(link, colliders=tuple(meshes))
+
+
+def certain_misfits(
+    objects: Mapping[str, SceneObject], places: Mapping[str, Place], viewer: Pose | None, meshes: Collection[str]
+) -> dict[str, PlaceError]:
+    """The objects that certainly fit at no height inside of what they are placed in; ``meshes`` are :func:`uncut`.
+
+    Only objects are judged whose container has a pose of its own, or stands on one that has.
+    """
+    placed = {name: item for name, item in objects.items() if name not in places}
+    found = {}
+    for name, place in places.items():
+        if place.inside is None or name not in objects:
+            continue
+        container = place.inside.partition(".")[0]
+        if container not in objects:
+            continue
+        stands = {**placed, container: objects[container]}  # it moves with its container, whose height does not matter
+        if place.xy is not None and container in places:
+            continue
+        try:
+            held, carrier, _ = approach(objects[name], place, stands, viewer)
+        except PlaceError:
+            continue
+        cut = [shape for n, shape in ((name, held), (container, carrier.part)) if n in meshes]
+        if cut and _is_blocked(held, carrier.part, RESOLUTION * max(float(shape.size().max()) for shape in cut)):
+            found[name] = misfit(name, held, carrier, "inside")
+    return found
+
+
+def _is_blocked(held: Hulls, container: Hulls, slack: float) -> bool:
+    """True if the object meets the container at every height at which there could be walls around its foot.
+
+    Free intervals of heights are none if they are shorter than ``slack`` [m].
+    """
+    low, high = container.extent(np.array([0.0, 0.0, 1.0]))
+    bottom, top = held.extent(np.array([0.0, 0.0, 1.0]))
+    lowest, highest = low - bottom - max(LEVELS) * (top - bottom) - FOOT, high - bottom - max(FOOT, slack)
+    reached = lowest
+    for start, end in sorted(_blocked_lifts(held, container)):
+        if start > reached + slack or reached >= highest:
+            break
+        reached = max(reached, end)
+    return reached >= highest
+
+
+def _blocked_lifts(held: Hulls, container: Hulls) -> Iterator[tuple[float, float]]:
+    """Intervals of lifts [m] by which a point of the object comes to lie within a solid part of the container."""
+    corners = container.corners[container.triangles]
+    part = container.part[container.triangles[:, 0]]
+    flat = corners[:, :, :2]
+    low, high = flat.min(axis=1), flat.max(axis=1)
+    for point in _surface_points(held):
+        near = np.flatnonzero(((low <= point[:2]) & (point[:2] <= high)).all(axis=1))
+        met, heights = _crossings(corners[near], point[:2])
+        for one in set(part[near][met].tolist()):
+            here = np.sort(heights[part[near][met] == one])
+            if len(here) % 2 == 0:  # else the line grazes an edge, or the mesh is open
+                for bottom, top in here.reshape(-1, 2) - point[2]:
+                    yield float(bottom), float(top)
+
+
+def _surface_points(shape: Hulls) -> Array:
+    """:data:`POINTS` points spread over the faces of a shape, and as many of its corners [m], (n, 3)."""
+    corners = shape.corners[:: max(1, len(shape.corners) // POINTS)]
+    if not len(shape.triangles):
+        return corners
+    a, b, c = (shape.corners[shape.triangles[:, k]] for k in range(3))
+    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    count = np.arange(POINTS)
+    face = np.searchsorted(area, (count + 0.5) / POINTS * area[-1])
+    s, t = (count[:, None] * GOLDEN % 1.0).T
+    s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+    points = a[face] + s[:, None] * (b - a)[face] + t[:, None] * (c - a)[face]
+    return np.concatenate([corners, points])
+
+
+def _crossings(triangles: Array, point: Array) -> tuple[Array, Array]:
+    """The triangles (k, 3, 3) that the plumb line through ``point`` meets: a mask (k,) and the heights of those [m]."""
+    a, b, c = (triangles[:, k, :2] for k in range(3))
+    u, v, w = b - a, c - a, point - a
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    steep = np.abs(area) < 1e-16  # of a triangle that stands upright the line meets the neighbours
+    area = np.where(steep, 1.0, area)
+    s = (w[:, 0] * v[:, 1] - w[:, 1] * v[:, 0]) / area
+    t = (u[:, 0] * w[:, 1] - u[:, 1] * w[:, 0]) / area
+    met = ~steep & (s >= 0) & (t >= 0) & (s + t <= 1)
+    z = triangles[:, :, 2]
+    heights = z[:, 0] + s * (z[:, 1] - z[:, 0]) + t * (z[:, 2] - z[:, 0])
+    return met, heights[met]

@@ -1,0 +1,128 @@
+"""Equality of values of documents, and lists of conditions or of pairs, which are sets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+from simfoundry.spec.change.diff.changes import EXPRESSION_LISTS, PAIR_LISTS, expression
+from simfoundry.spec.change.merge.conflict import Path_
+from simfoundry.spec.yaml.spelling import call
+from simfoundry.spec.yaml.tree import YamlTree
+
+_JOINED = ("all", "any")
+
+
+def is_list_of_conditions(path: Path_, *values: Any) -> bool:
+    """Whether lists at ``path`` are sets of conditions, or of pairs."""
+    if not path or path[-1] not in (*EXPRESSION_LISTS, *PAIR_LISTS):
+        return False
+    is_item = _is_pair if path[-1] in PAIR_LISTS else _is_condition
+    return all(isinstance(value, tuple) and all(map(is_item, value)) for value in values)
+
+
+def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
+    """The items of a list by what they say; an `all` or `any` that changed is called like the one in ``base``.
+
+    Equal items are told apart by a number.
+    """
+    names = _numbered([spelled(item.data) for item in items])
+    if base is not None:
+        known = set(base)
+        free = [(name, _kind(item)) for name, item in base.items() if name not in names]
+        for k, item in enumerate(items):
+            kind = _kind(item)
+            twin = next((name for name, other in free if other == kind), None) if kind else None
+            if twin is not None and names[k] not in known:
+                free = [pair for pair in free if pair[0] != twin]
+                names[k] = twin
+    return dict(zip(names, items, strict=True))
+
+
+def spelled(condition: Any) -> str:
+    """A condition, or a pair, as one text, however it is spaced or ordered."""
+    return expression(_spelled(condition))
+
+
+def _is_condition(tree: YamlTree) -> bool:
+    value = tree.value
+    if isinstance(value, dict) and len(value) == 1:
+        key, below = next(iter(value.items()))
+        if key in _JOINED:
+            return isinstance(below.value, tuple) and all(map(_is_condition, below.value))
+        return key == "not" and _is_condition(below)
+    return isinstance(value, str)
+
+
+def _is_pair(tree: YamlTree) -> bool:
+    items = tree.value
+    return isinstance(items, tuple) and len(items) == 2 and all(isinstance(item.value, str) for item in items)
+
+
+def _spelled(condition: Any) -> Any:
+    match condition:
+        case str():
+            return call(condition)
+        case dict():
+            return {key: _spelled(item) for key, item in condition.items()}
+        case tuple():
+            return tuple(_spelled(item) for item in condition)
+    return condition
+
+
+def _numbered(texts: list[str]) -> list[str]:
+    counts = Counter[str]()
+    names = []
+    for text in texts:
+        counts[text] += 1
+        names.append(text if counts[text] == 1 else f"{text} #{counts[text]}")
+    return names
+
+
+def _kind(item: YamlTree) -> str:
+    """``all`` or ``any`` of an item that joins others; empty for any other."""
+    value = item.value
+    key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""
+    return key if key in _JOINED else ""
+
+
+_CONDITIONS = ("goal", "not")
+"""Keys of conditions."""
+
+
+def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
+    """Whether two values at ``path`` say the same: the order of keys and conditions, and spaces in these, mean nothing.
+
+    ``1`` is ``1.0`` but not ``true``.
+    """
+    if a is None or b is None:
+        return a is b
+    x, y = a.value, b.value
+    if isinstance(x, dict):
+        return isinstance(y, dict) and x.keys() == y.keys() and all(same(x[k], y[k], (*path, k)) for k in x)
+    if isinstance(x, tuple):
+        if not isinstance(y, tuple) or len(x) != len(y):
+            return False
+        if is_list_of_conditions(path, x, y):
+            return matched(x).keys() == matched(y).keys()
+        return all(same(i, j, path) for i, j in zip(x, y, strict=True))
+    if isinstance(x, bool) or isinstance(y, bool):
+        return x is y
+    if isinstance(x, str) and isinstance(y, str) and path[-1:] and path[-1] in _CONDITIONS:
+        return spelled(x) == spelled(y)
+    return bool(x == y) or (x != x and y != y)
+
+
+def identical(a: YamlTree, b: YamlTree) -> bool:
+    """Whether two trees are the same to the last comment, and in the same order."""
+    if a is b:
+        return True
+    if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):
+        return False
+    x: Any = a.value
+    y: Any = b.value
+    if isinstance(x, dict) and isinstance(y, dict):
+        return list(x) == list(y) and all(map(identical, x.values(), y.values()))
+    if isinstance(x, tuple) and isinstance(y, tuple):
+        return len(x) == len(y) and all(map(identical, x, y))
+    return type(x) is type(y) and bool(x == y)

@@ -1,0 +1,149 @@
+"""The report of a check, and its formats: text, JSON, SARIF and GitHub annotations."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from simfoundry.spec import diagnostics
+from simfoundry.spec.diagnostics import Diagnostic, Severity, ordered
+
+FORMATS = ("text", "json", "sarif", "github")
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What checking one document gave: its findings, those of the documents that it uses, and which those are."""
+
+    findings: tuple[Diagnostic, ...]
+    uses: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """The documents asked for, how many were read with those that they use, and every finding once, in order."""
+
+    files: tuple[str, ...]
+    documents: int
+    findings: tuple[Diagnostic, ...]
+
+    @property
+    def errors(self) -> int:
+        """How many findings are errors."""
+        return sum(d.severity is Severity.ERROR for d in self.findings)
+
+    @property
+    def warnings(self) -> int:
+        """How many findings are warnings."""
+        return len(self.findings) - self.errors
+
+
+def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
+    """The report of documents that were checked one by one; what several of them use counts, and is reported, once."""
+    files, checked = tuple(files), tuple(checked)
+    seen: dict[Path, str] = {}
+    for name in (*files, *(use for each in checked for use in each.uses)):
+        seen.setdefault(absolute(name), name)
+    findings: set[Diagnostic] = set()
+    for finding in dict.fromkeys(d for each in checked for d in each.findings):
+        name = seen.setdefault(absolute(finding.document), finding.document)
+        file = name + finding.file.removeprefix(finding.document)
+        findings.add(finding if file == finding.file else replace(finding, file=file))
+    return CheckReport(files, len(seen), tuple(ordered(findings)))
+
+
+def absolute(file: str) -> Path:
+    """The same for every spelling of a path; a link is a file of its own: its folder decides what it refers to."""
+    return Path(os.path.normpath(Path(file).absolute()))
+
+
+def checkout() -> Path:
+    """The folder from which other programs count the paths of files: that of a CI job, or else the current one."""
+    return absolute(os.environ.get("GITHUB_WORKSPACE") or ".")
+
+
+def renderer(form: str) -> Callable[[CheckReport], str]:
+    """Return the function that writes a report in one of the ``FORMATS``."""
+    if form == "sarif":
+        from simfoundry.spec.check.sarif import render_sarif
+
+        return render_sarif
+    return {"text": render_text, "json": render_json, "github": render_github}[form]
+
+
+def findings_text(found: Iterable[Diagnostic], colour: bool = False) -> str:
+    """Every finding with its line, its file relative to the current folder; empty where there is none."""
+    return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), colour)
+
+
+def summary(report: CheckReport) -> str:
+    """``3 errors and 1 warning in 2 of 14 documents``."""
+    if not report.findings:
+        return f"no findings in {_count(report.documents, 'document')}"
+    counts = [_count(n, what) for n, what in ((report.errors, "error"), (report.warnings, "warning")) if n]
+    faulty = len({d.document for d in report.findings})
+    of = f"{faulty} of {report.documents} documents" if report.documents > 1 else "1 document"
+    return f"{' and '.join(counts)} in {of}"
+
+
+def render_text(report: CheckReport) -> str:
+    """The findings and the summary, without colour."""
+    return "\n".join(part for part in (findings_text(report.findings), summary(report)) if part)
+
+
+def _relative(file: str) -> str:
+    path, here = Path(file), Path.cwd()
+    return str(path.relative_to(here)) if path.is_absolute() and path.is_relative_to(here) else file
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def render_json(report: CheckReport) -> str:
+    """Return the report as one JSON object for scripts. Its shape is stable: keys are only ever added.
+
+    ``files``: the documents asked for. ``documents``: the number of documents read, with those that they use.
+    ``errors`` and ``warnings``: their numbers. ``findings``: each with ``code``, ``severity`` (``error`` or
+    ``warning``), ``message``, ``file``, ``line`` and ``column`` (from 1, in Unicode characters; 0 for the whole file),
+    ``path`` (the keys that lead there, joined by dots) and ``hint`` (may be empty).
+    """
+    data = {
+        "files": list(report.files),
+        "documents": report.documents,
+        "errors": report.errors,
+        "warnings": report.warnings,
+        "findings": [d.to_json() for d in report.findings],
+    }
+    return json.dumps(data, indent=2, ensure_ascii=False)
+
+
+def render_github(report: CheckReport) -> str:
+    """Return workflow commands for GitHub Actions, which show each finding at its line of a pull request.
+
+    https://docs.github.com/actions/reference/workflow-commands-for-github-actions
+    """
+    folder = checkout()
+    return "\n".join(_command(d, folder) for d in report.findings)
+
+
+def _command(d: Diagnostic, folder: Path) -> str:
+    path = absolute(d.document)
+    file = (path.relative_to(folder) if path.is_relative_to(folder) else path).as_posix()
+    place = {"line": str(d.line), "col": str(d.column)} if d.line else {}
+    properties = ",".join(f"{k}={_property(v)}" for k, v in {"file": file, **place, "title": d.code}.items())
+    message = f"{d.message}\n{d.hint}" if d.hint else d.message
+    return f"::{d.severity} {properties}::{_data(message)}"
+
+
+def _data(text: str) -> str:
+    """What may follow the second ``::``."""
+    return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _property(text: str) -> str:
+    """What may stand between the commas."""
+    return _data(text).replace(":", "%3A").replace(",", "%2C")

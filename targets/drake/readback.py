@@ -1,0 +1,186 @@
+"""Drake, from the urdf build through its ``load_drake.py``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Box, Capsule, Convex, Cylinder, Mesh, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JointIndex, ModelInstanceIndex, RigidBody
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.verify.readback import (
+    FREE,
+    TIMESTEP,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Numbers,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The diagram as its loader gives it."""
+    return DrakeSession(*loader.load(TIMESTEP))
+
+
+class DrakeSession:
+    """A diagram with a discrete plant."""
+
+    timestep = TIMESTEP
+
+    def __init__(self, diagram: Diagram, plant: MultibodyPlant, models: dict[str, ModelInstanceIndex]) -> None:
+        self.diagram, self.plant = diagram, plant
+        self._simulator = Simulator(diagram)
+        self._context = plant.GetMyContextFromRoot(self._simulator.get_mutable_context())
+        self._bodies: dict[str, RigidBody] = {}
+        self._joints: dict[str, Any] = {}
+        for name, model in models.items():
+            for k, index in enumerate(plant.GetBodyIndices(model)):
+                body = plant.get_body(index)
+                self._bodies[name if k == 0 else f"{name}.{body.name()}"] = body
+            for index in plant.GetJointIndices(model):
+                joint = plant.get_joint(JointIndex(index))
+                if joint.num_positions() == 1:
+                    self._joints[f"{name}.{joint.name()}"] = joint
+
+    def step(self) -> None:
+        """One step of the discrete plant."""
+        self._simulator.AdvanceTo(self._simulator.get_context().get_time() + self.timestep)
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots and positions of the joints."""
+        poses = {name: pose_numbers(self._pose(body)) for name, body in self._bodies.items() if "." not in name}
+        return Moment(time, poses, {name: self._position(joint) for name, joint in self._joints.items()})
+
+    def read(self) -> WorldReadback:
+        """Links, joints, gravity."""
+        joints = {name: self._joint(joint) for name, joint in self._joints.items()}
+        return WorldReadback(
+            links={name: self._link(body) for name, body in self._bodies.items()},
+            joints=joints,
+            gravity=numbers(self.plant.gravity_field().gravity_vector()),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+        )
+
+    def close(self) -> None:
+        """Drake frees the diagram with the object."""
+
+    def _pose(self, body: RigidBody) -> Pose:
+        return _pose(self.plant.EvalBodyPoseInWorld(self._context, body))
+
+    def _position(self, joint: Any) -> float:
+        return float(joint.GetOnePosition(self._context))
+
+    def _link(self, body: RigidBody) -> LinkReadback:
+        spatial = body.default_spatial_inertia()
+        com = np.asarray(spatial.get_com())
+        about_com = spatial.Shift(com).CalcRotationalInertia().CopyToFullMatrix3()
+        inspector = self._simulator_inspector()
+        colliders = tuple(_collider(inspector, g) for g in self.plant.GetCollisionGeometriesForBody(body))
+        return LinkReadback(pose_numbers(self._pose(body)), float(spatial.get_mass()), numbers(com),
+                         numbers(about_com), self._held(body), colliders)  # fmt: skip
+
+    def _held(self, body: RigidBody) -> str:
+        """A floating body is free; any other hangs on the parent of its joint."""
+        if body.is_floating():
+            return FREE
+        for index in self.plant.GetJointIndices():
+            joint = self.plant.get_joint(index)
+            if joint.child_body().index() == body.index():
+                above = joint.parent_body().index()
+                return next((name for name, each in self._bodies.items() if each.index() == above), WORLD)
+        return FREE
+
+    def _simulator_inspector(self) -> Any:
+        (scene_graph,) = [s for s in self.diagram.GetSystems() if s.get_name() == "scene_graph"]
+        return scene_graph.model_inspector()
+
+    def _joint(self, joint: Any) -> JointReadback:
+        """Drake has no Coulomb friction of joints; armature is the rotor of an actuator that the loader adds.
+
+        A target is told where it reaches the plant, so that a port that nobody connected shows.
+        """
+        kind = joint.type_name()
+        low, high = float(joint.position_lower_limit()), float(joint.position_upper_limit())
+        axis = joint.translation_axis() if kind == "prismatic" else joint.revolute_axis()
+        X_CJ = _pose(joint.frame_on_child().GetFixedPoseInBodyFrame())
+        actuator = self._actuator(joint)
+        drive: Numbers = ()
+        if actuator is not None and actuator.has_controller():
+            gains = actuator.get_controller_gains()
+            drive = (float(gains.p), float(gains.d), *self._target(actuator))
+        limit = math.inf if actuator is None else float(actuator.effort_limit())
+        return JointReadback(
+            type=kind,
+            axis=numbers(X_CJ.rotation @ axis),
+            limits=(low, high) if math.isfinite(low) and math.isfinite(high) else (),
+            damping=float(joint.default_damping()),
+            friction=0.0,
+            armature=0.0 if actuator is None else float(actuator.default_reflected_inertia()),
+            position=self._position(joint),
+            drive=drive,
+            effort=(limit,) if drive and math.isfinite(limit) else (),
+        )
+
+    def _actuator(self, joint: Any) -> Any:
+        """The actuator of a joint; None where it has none."""
+        for index in self.plant.GetJointActuatorIndices(joint.model_instance()):
+            actuator = self.plant.get_joint_actuator(index)
+            if actuator.joint().index() == joint.index():
+                return actuator
+        return None
+
+    def _target(self, actuator: Any) -> Numbers:
+        """Where a controller pulls to; nothing where nobody tells it, which disarms it."""
+        model = actuator.model_instance()
+        port = self.plant.get_desired_state_input_port(model)
+        if not port.HasValue(self._context):
+            return ()
+        rank = [int(k) for k in self.plant.GetJointActuatorIndices(model)].index(int(actuator.index()))
+        return (float(port.Eval(self._context)[rank]),)
+
+
+def _collider(inspector: Any, geometry: Any) -> ColliderReadback:
+    name = inspector.GetName(geometry).rpartition("::")[2]
+    kind, bounds = _shape(inspector.GetShape(geometry), inspector, geometry)
+    properties = inspector.GetProximityProperties(geometry)
+    friction = properties.GetProperty("material", "coulomb_friction").dynamic_friction()
+    return ColliderReadback(name, kind, bounds, float(friction))
+
+
+def _shape(shape: Any, inspector: Any, geometry: Any) -> tuple[str, Numbers | None]:
+    X_LG = _pose(inspector.GetPoseInFrame(geometry))
+    match shape:
+        case Box():
+            return "box", shape_bounds("box", shape.size(), X_LG)
+        case Sphere():
+            return "sphere", shape_bounds("sphere", [shape.radius()], X_LG)
+        case Cylinder():
+            return "cylinder", shape_bounds("cylinder", [shape.radius(), shape.length()], X_LG)
+        case Capsule():
+            return "capsule", shape_bounds("capsule", [shape.radius(), shape.length()], X_LG)
+        case Mesh() | Convex():
+            hull = shape.GetConvexHull()
+            vertices = np.array([hull.vertex(k) for k in range(hull.num_vertices())])
+            return "mesh", mesh_bounds(vertices, X_LG)
+    return "other", None
+
+
+def _pose(transform: RigidTransform) -> Pose:
+    return Pose.from_matrix(np.asarray(transform.GetAsMatrix4()))

@@ -1,0 +1,149 @@
+"""Genesis, from the urdf build through its ``load_genesis.py``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import genesis as gs
+import numpy as np
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.verify.readback import (
+    FREE,
+    TIMESTEP,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Numbers,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+
+_NO_LIMIT = 1e8
+_TYPES = {gs.JOINT_TYPE.REVOLUTE: "revolute", gs.JOINT_TYPE.PRISMATIC: "prismatic"}
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The scene as its loader gives it."""
+    scene, entities = loader.load(time_step=TIMESTEP)
+    return GenesisSession(scene, entities)
+
+
+class GenesisSession:
+    """A scene on the CPU with its entities."""
+
+    timestep = TIMESTEP
+
+    def __init__(self, scene: Any, entities: dict[str, Any]) -> None:
+        self.scene, self.entities = scene, entities
+        self._joints = {
+            f"{name}.{joint.name}": (entity, joint)
+            for name, entity in entities.items()
+            for joint in entity.joints
+            if joint.type in _TYPES
+        }
+
+    def step(self) -> None:
+        """One step."""
+        self.scene.step()
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots and positions of the joints."""
+        poses = {name: pose_numbers(_poses(entity)[0]) for name, entity in self.entities.items()}
+        return Moment(time, poses, {name: _position(*at) for name, at in self._joints.items()})
+
+    def read(self) -> WorldReadback:
+        """Links, joints, gravity."""
+        links: dict[str, LinkReadback] = {}
+        for name, entity in self.entities.items():
+            called = {link.idx: name if k == 0 else f"{name}.{link.name}" for k, link in enumerate(entity.links)}
+            masses = _array(entity.get_links_mass())
+            for k, (link, X_WL) in enumerate(zip(entity.links, _poses(entity), strict=True)):
+                com, inertia = _array(entity.get_links_COM([k]))[0], _array(entity.get_links_inertia([k]))[0]
+                held = called.get(link.parent_idx) or (WORLD if link.is_fixed else FREE)
+                turn = Pose.of(q=_array(link.desc.inertial_quat)).rotation
+                links[called[link.idx]] = LinkReadback(
+                    pose_numbers(X_WL), float(masses[k]), numbers(com), numbers(turn @ inertia @ turn.T), held,
+                    tuple(_collider(geom) for geom in link.geoms),
+                )  # fmt: skip
+        joints = {name: _joint(*at) for name, at in self._joints.items()}
+        gravity = numbers(_array(self.scene.sim.rigid_solver.get_gravity()).reshape(-1)[:3])
+        return WorldReadback(
+            links, joints, gravity, actuators=tuple(name for name, joint in joints.items() if joint.drive)
+        )
+
+    def close(self) -> None:
+        """Let go of the scene."""
+        self.scene.destroy()
+
+
+def _array(values: Any) -> np.ndarray:
+    """A tensor or an array in double precision."""
+    return np.asarray(values.cpu() if hasattr(values, "cpu") else values, dtype=np.float64)
+
+
+def _poses(entity: Any) -> list[Pose]:
+    rows = zip(_array(entity.get_links_pos()), _array(entity.get_links_quat()), strict=True)
+    return [Pose.of(p, q) for p, q in rows]
+
+
+def _position(entity: Any, joint: Any) -> float:
+    return float(_array(entity.get_dofs_position(joint.dofs_idx_local))[0])
+
+
+def _joint(entity: Any, joint: Any) -> JointReadback:
+    """A motor is told by its gains where it was sent to a position; Genesis gives every joint some."""
+    dofs = joint.dofs_idx_local
+    low, high = (float(_array(bound)[0]) for bound in entity.get_dofs_limit(dofs))
+    one = {
+        what: float(_array(getattr(entity, f"get_dofs_{what}")(dofs))[0])
+        for what in ("damping", "frictionloss", "armature", "kp", "kv")
+    }
+    solver, index = entity.solver, joint.dof_start
+    driven = int(_array(solver.dyn_state.dofs.ctrl_mode.to_numpy())[index, 0]) == int(gs.CTRL_MODE.POSITION)
+    target = float(_array(solver.dyn_state.dofs.ctrl_pos.to_numpy())[index, 0])
+    limit = float(_array(entity.get_dofs_force_range(dofs)[1])[0])
+    known = solver.dyn_info.dofs
+    motion = known.motion_vel if joint.type == gs.JOINT_TYPE.PRISMATIC else known.motion_ang
+    return JointReadback(
+        type=_TYPES[joint.type],
+        axis=numbers(_array(motion.to_numpy())[index].ravel()),
+        limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
+        damping=one["damping"],
+        friction=one["frictionloss"],
+        armature=one["armature"],
+        position=_position(entity, joint),
+        drive=(one["kp"], one["kv"], target) if driven else (),
+        effort=(limit,) if driven and limit < _NO_LIMIT else (),
+    )
+
+
+def _collider(geom: Any) -> ColliderReadback:
+    """Genesis keeps no names of shapes, and turns those that it cannot hold into meshes."""
+    kind, bounds = _shape(geom)
+    return ColliderReadback(None, kind, bounds, float(_array(geom.get_friction()).ravel()[0]))
+
+
+def _shape(geom: Any) -> tuple[str, Numbers | None]:
+    X_LG = Pose.of(_array(geom.init_pos), _array(geom.init_quat))
+    data = _array(geom.data)
+    match geom.type:
+        case gs.GEOM_TYPE.BOX:
+            return "box", shape_bounds("box", data[:3], X_LG)
+        case gs.GEOM_TYPE.SPHERE:
+            return "sphere", shape_bounds("sphere", data[:1], X_LG)
+        case gs.GEOM_TYPE.CYLINDER:
+            return "cylinder", shape_bounds("cylinder", data[:2], X_LG)
+        case gs.GEOM_TYPE.CAPSULE:
+            return "capsule", shape_bounds("capsule", data[:2], X_LG)
+        case gs.GEOM_TYPE.MESH:
+            return "mesh", mesh_bounds(_array(geom.init_verts), X_LG)
+    return "other", None

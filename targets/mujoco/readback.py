@@ -1,0 +1,203 @@
+"""MuJoCo, from the mjcf build through its own ``load.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from types import ModuleType
+
+import mujoco
+import numpy as np
+
+from simfoundry.backends.mjcf.contact_rules import PROXY
+from simfoundry.geometry.frames import Pose
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import (
+    FREE,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pair_name,
+    pose_numbers,
+    shape_bounds,
+)
+
+_contacts = import_file(Path(__file__).with_name("contacts.py"))
+Meetings, Resistance = _contacts.Meetings, _contacts.Resistance
+
+_JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
+_TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
+_KINDS = {int(_GEOM.mjGEOM_BOX): "box", int(_GEOM.mjGEOM_SPHERE): "sphere", int(_GEOM.mjGEOM_CYLINDER): "cylinder",
+          int(_GEOM.mjGEOM_CAPSULE): "capsule", int(_GEOM.mjGEOM_MESH): "mesh"}  # fmt: skip
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The build in ``folder`` as its loader gives it."""
+    return MujocoSession(*loader.load())
+
+
+class MujocoSession:
+    """A model and its data."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.model, self.data = model, data
+        self._bodies = {name: k for k in range(1, model.nbody) if PROXY not in (name := model.body(k).name)}
+        self._meetings = Meetings(model)
+        self._roots = {name: k for name, k in self._bodies.items() if model.body_parentid[k] == 0}
+        joints = {model.joint(k).name: k for k in range(model.njnt)}
+        self._joints = {n: k for n, k in joints.items() if model.jnt_type[k] != mujoco.mjtJoint.mjJNT_FREE}
+
+    @property
+    def timestep(self) -> float:
+        """As the file says."""
+        return float(self.model.opt.timestep)
+
+    def step(self) -> None:
+        """One step."""
+        mujoco.mj_step(self.model, self.data)
+
+    def moment(self, time: float) -> Moment:
+        """From kinematics: after a step MuJoCo's body poses are still those before it."""
+        mujoco.mj_kinematics(self.model, self.data)
+        poses = {name: self._pose(k) for name, k in self._roots.items()}
+        return Moment(time, poses, {name: self._position(k) for name, k in self._joints.items()})
+
+    def read(self) -> WorldReadback:
+        """Bodies, joints, pairs."""
+        mujoco.mj_forward(self.model, self.data)
+        links, pairs = self._contacts({name: self._link(name, k) for name, k in self._bodies.items()})
+        return WorldReadback(
+            links=links,
+            joints={name: self._joint(k) for name, k in self._joints.items()},
+            gravity=numbers(self.model.opt.gravity),
+            pairs=pairs,
+            silent=self._silent(),
+            actuators=tuple(self.model.actuator(k).name for k in range(self.model.nu)),
+        )
+
+    def close(self) -> None:
+        """MuJoCo frees its memory with the objects."""
+
+    def _pose(self, body: int) -> tuple[float, ...]:
+        return pose_numbers(Pose.of(self.data.xpos[body], self.data.xquat[body]))
+
+    def _position(self, joint: int) -> float:
+        return float(self.data.qpos[self.model.jnt_qposadr[joint]])
+
+    def _held(self, body: int) -> str:
+        """A body in the world is welded to it or free; any other is held by the one above."""
+        parent, start = int(self.model.body_parentid[body]), int(self.model.body_jntadr[body])
+        if self.model.body_jntnum[body] and self.model.jnt_type[start] == _JOINT.mjJNT_FREE:
+            return FREE
+        return self.model.body(parent).name if parent else WORLD
+
+    def _link(self, name: str, body: int) -> LinkReadback:
+        model = self.model
+        axes = Pose.of(q=model.body_iquat[body]).rotation
+        felt = self._felt(body)
+        own = [self._meetings.surface(geom) for geom in felt]
+        return LinkReadback(
+            pose=self._pose(body),
+            mass=float(model.body_mass[body]),
+            com=numbers(model.body_ipos[body]),
+            inertia=numbers(axes @ np.diag(model.body_inertia[body]) @ axes.T),
+            held=self._held(body),
+            colliders=tuple(self._collider(name, geom, row) for geom, row in zip(felt, own, strict=True)),
+        )
+
+    def _collider(self, link: str, geom: int, surface: Resistance) -> ColliderReadback:
+        model = self.model
+        kind = _KINDS.get(int(model.geom_type[geom]), "other")
+        X_LG = Pose.of(model.geom_pos[geom], model.geom_quat[geom])
+        x, y, z = (2 * float(v) for v in model.geom_size[geom])
+        if kind == "mesh":  # MuJoCo moves a mesh into its inertial frame, and the geom the other way
+            mesh = model.geom_dataid[geom]
+            start = model.mesh_vertadr[mesh]
+            bounds = mesh_bounds(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], X_LG)
+        else:
+            size = {"box": (x, y, z), "sphere": (x / 2,)}.get(kind, (x / 2, y))
+            bounds = shape_bounds(kind, size, X_LG)
+        name = model.geom(geom).name.removeprefix(f"{link}.")
+        sliding, spinning, rolling = surface
+        return ColliderReadback(name, kind, bounds, friction=sliding, spinning=spinning, rolling=rolling)
+
+    def _joint(self, joint: int) -> JointReadback:
+        model, dof = self.model, self.model.jnt_dofadr[joint]
+        limited, ball = bool(model.jnt_limited[joint]), model.jnt_type[joint] == _JOINT.mjJNT_BALL
+        at = int(model.jnt_qposadr[joint])
+        follows, law = self._law(joint)
+        drive, effort = self._drive(joint)
+        return JointReadback(
+            type=_TYPES.get(int(model.jnt_type[joint]), "other"),
+            axis=None if ball else numbers(model.jnt_axis[joint]),
+            limits=numbers(model.jnt_range[joint]) if limited else (),
+            damping=float(np.ravel(model.dof_damping[dof])[0]),
+            friction=float(model.dof_frictionloss[dof]),
+            armature=float(model.dof_armature[dof]),
+            position=numbers(self.data.qpos[at : at + 4]) if ball else self._position(joint),
+            follows=follows,
+            law=law,
+            drive=drive,
+            effort=effort,
+        )
+
+    def _law(self, joint: int) -> tuple[str, tuple[float, ...]]:
+        """The joint that an equality makes it follow, with multiplier and offset."""
+        model = self.model
+        for k in range(model.neq):
+            if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT and model.eq_obj1id[k] == joint and model.eq_obj2id[k] >= 0:
+                offset, multiplier, *bent = (float(v) for v in model.eq_data[k][:5])
+                return model.joint(int(model.eq_obj2id[k])).name, (multiplier, offset, *(v for v in bent if v))
+        return "", ()
+
+    def _drive(self, joint: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Stiffness, damping and target of the actuator in a joint, and its greatest force."""
+        model = self.model
+        for k in range(model.nu):
+            if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[k][0] == joint:
+                stiffness, damping = -float(model.actuator_biasprm[k][1]), -float(model.actuator_biasprm[k][2])
+                limited = bool(model.actuator_forcelimited[k])
+                effort = (float(model.actuator_forcerange[k][1]),) if limited else ()
+                return (stiffness, damping, float(self.data.ctrl[k])), effort
+        return (), ()
+
+    def _silent(self) -> tuple[str, ...]:
+        """Pairs of bodies that MuJoCo never tests, or whose geoms it never lets touch, by its own rules."""
+        bodies = [body for body in self._bodies.values() if self._meetings.colliders.get(body)]
+        apart = [(a, b) for a, b in combinations(bodies, 2) if not self._meetings.touch(a, b)]
+        return tuple(pair_name(self.model.body(a).name, self.model.body(b).name) for a, b in apart)
+
+    def _felt(self, body: int) -> list[int]:
+        return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
+
+    def _contacts(self, links: Mapping[str, LinkReadback]) -> tuple[dict[str, LinkReadback], dict[str, float]]:
+        """The links, and the friction of every two colliders that meet, unless both have it themselves.
+
+        A collider of a link resists spinning and rolling as its contacts do, whatever it says.
+        """
+        own = {f"{name}.{c.name}": c for name, link in links.items() for c in link.colliders or ()}
+        pairs, odd = {}, dict[str, ColliderReadback]()
+        for a, b, met in self._meetings.contacts():
+            if a not in own or b not in own:
+                continue
+            one, other = own[a], own[b]
+            if one.friction != other.friction or met.friction != one.friction:
+                pairs[pair_name(a, b)] = met.friction
+            for quantity in ("spinning", "rolling"):
+                meant = max(getattr(one, quantity), getattr(other, quantity))
+                if getattr(met, quantity) != meant:
+                    name = a if getattr(one, quantity) == meant else b
+                    odd[name] = replace(odd.get(name, own[name]), **{quantity: getattr(met, quantity)})
+        return {name: _with(name, link, odd) for name, link in links.items()}, pairs
+
+
+def _with(name: str, link: LinkReadback, odd: Mapping[str, ColliderReadback]) -> LinkReadback:
+    return replace(link, colliders=tuple(odd.get(f"{name}.{c.name}", c) for c in link.colliders or ())) if odd else link

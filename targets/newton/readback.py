@@ -1,0 +1,39 @@
+"""Newton, from the mjcf build through the loader of the target `newton`."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import Session
+
+_session = import_file(Path(__file__).with_name("session.py"))
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The model of ``scene.xml`` in the state of its keyframe."""
+    _session.quiet()
+    model = loader.load()
+    root = ET.parse(folder / "scene.xml").getroot()
+    joints = {str(joint.get("name")) for joint in root.iterfind("worldbody//joint")}
+    names = _session.Names(_last, _collider, lambda label: _joint(label, joints), {})
+    session: Session = _session.NewtonSession(model, names)
+    return session
+
+
+def _last(label: str) -> str:
+    return label.rpartition("/")[2]
+
+
+def _collider(label: str) -> tuple[str, str] | None:
+    name = _last(label)
+    link, _, collider = name.rpartition(".")
+    return (link, collider) if ":" not in name else None
+
+
+def _joint(label: str, joints: set[str]) -> str | None:
+    """A joint of the file; any other was added by the importer."""
+    name = _last(label)
+    return name if name in joints else None

@@ -1,0 +1,209 @@
+"""A Newton model, however it was made, and how it is read and stepped."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import newton
+import numpy as np
+import warp as wp
+
+from simfoundry.geometry.frames import Pose, from_xyzw
+from simfoundry.verify.readback import (
+    FREE,
+    TIMESTEP,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Numbers,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pair_name,
+    pose_numbers,
+    shape_bounds,
+)
+
+NO_LIMIT = 1e9
+"""Newton writes limits beyond this for joints that have none."""
+
+_Joint, _Geo = newton.JointType, newton.GeoType
+_TYPES = {int(_Joint.PRISMATIC): "prismatic", int(_Joint.REVOLUTE): "revolute", int(_Joint.BALL): "ball"}
+_KINDS = {int(_Geo.BOX): "box", int(_Geo.SPHERE): "sphere", int(_Geo.CYLINDER): "cylinder",
+          int(_Geo.CAPSULE): "capsule", int(_Geo.MESH): "mesh", int(_Geo.CONVEX_MESH): "mesh"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Names:
+    """How the labels of an importer say which link, collider and joint of the scene they stand for.
+
+    ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
+    the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
+    joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
+    as are resistances that count only in contacts of more dimensions.
+    """
+
+    link: Callable[[str], str]
+    collider: Callable[[str], tuple[str, str] | None]
+    joint: Callable[[str], str | None]
+    static: Mapping[str, Pose]
+    own_damping: Mapping[str, float] | None = None
+
+
+class NewtonSession:
+    """A model on the CPU, stepped by Newton's MuJoCo solver, which is the one of its solvers for articulated scenes."""
+
+    timestep = TIMESTEP
+
+    def __init__(self, model: newton.Model, names: Names) -> None:
+        self.model, self.names = model, names
+        bodies = {names.link(label): k for k, label in enumerate(model.body_label)}
+        self._bodies = {name: k for name, k in bodies.items() if ":" not in name}  # others are parts of links
+        self._kinds = [int(k) for k in _array(model.joint_type)]
+        labels = {names.joint(label): k for k, label in enumerate(model.joint_label)}
+        self._joints = {name: k for name, k in labels.items() if name is not None and self._kinds[k] in _TYPES}
+        self._q_start, self._qd_start = _array(model.joint_q_start), _array(model.joint_qd_start)
+        self._state, self._next = model.state(), model.state()
+        if self._bodies:
+            newton.eval_fk(model, model.joint_q, model.joint_qd, self._state)
+        self._control = model.control()
+        self._solver: newton.solvers.SolverBase | None = None
+
+    def step(self) -> None:
+        """One step; contacts are MuJoCo's own, as everywhere with this solver."""
+        if self._solver is None:
+            self._solver = newton.solvers.SolverMuJoCo(self.model, use_mujoco_cpu=True, enable_multiccd=True)
+        self._state.clear_forces()
+        self._solver.step(self._state, self._next, self._control, None, self.timestep)
+        self._state, self._next = self._next, self._state
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots from the bodies, positions of the joints from the generalised ones."""
+        q = _array(self._state.joint_q)
+        poses = {n: pose_numbers(p) for n, p in self._poses().items() if "." not in n}
+        return Moment(time, poses, {name: float(q[self._q_start[k]]) for name, k in self._joints.items()})
+
+    def read(self) -> WorldReadback:
+        """Bodies, static links and joints."""
+        model, poses, colliders, held = self.model, self._poses(), self._colliders(), self._held()
+        mass, com, inertia = (_array(a) for a in (model.body_mass, model.body_com, model.body_inertia))
+        links = {
+            name: LinkReadback(pose_numbers(poses[name]), float(mass[k]), numbers(com[k]), numbers(inertia[k]),
+                            held.get(k), tuple(colliders.get(name, ())))
+            for name, k in self._bodies.items()
+        }  # fmt: skip
+        links |= {n: LinkReadback(pose_numbers(p), colliders=tuple(colliders.get(n, ()))) for n, p in
+                  self.names.static.items() if n not in links}  # fmt: skip
+        joints = {name: self._joint(name, k) for name, k in self._joints.items()}
+        driven = None
+        if self.names.own_damping is not None:
+            driven = tuple(name for name, joint in joints.items() if joint.drive)
+        return WorldReadback(links, joints, numbers(model.gravity.numpy()[0]), silent=self._silent(), actuators=driven)
+
+    def close(self) -> None:
+        """Newton frees its arrays with the objects."""
+
+    def _held(self) -> dict[int, str]:
+        """What the first joint above each body hangs it on; any other closes a loop."""
+        names = {k: self.names.link(label) for k, label in enumerate(self.model.body_label)}
+        found: dict[int, str] = {}
+        ends = zip(self._kinds, _array(self.model.joint_parent), _array(self.model.joint_child), strict=True)
+        for kind, parent, child in ends:
+            holder = FREE if kind == int(_Joint.FREE) else names[int(parent)] if parent >= 0 else WORLD
+            found.setdefault(int(child), holder)
+        return found
+
+    def _silent(self) -> tuple[str, ...]:
+        """Pairs of bodies of whose shapes Newton filters every pair; shapes of the world have no body to name."""
+        names = {k: name for name, k in self._bodies.items()}
+        owners, flags = _array(self.model.shape_body), _array(self.model.shape_flags)
+        links = [self.names.link(label).partition(":")[0] for label in self.model.body_label]
+        whole = {k: self._bodies.get(link, k) for k, link in enumerate(links)}
+        felt = {
+            k: whole.get(int(owners[k]), -1)
+            for k in range(len(owners))
+            if flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES)
+        }
+        counts: dict[int, int] = Counter(felt.values())
+        filtered: dict[tuple[int, int], int] = Counter()
+        for a, b in self.model.shape_collision_filter_pairs:
+            one, other = sorted((felt.get(int(a), -1), felt.get(int(b), -1)))
+            if one >= 0 and one != other:
+                filtered[one, other] += 1
+        return tuple(pair_name(names[a], names[b]) for (a, b), n in filtered.items() if n == counts[a] * counts[b])
+
+    def _poses(self) -> dict[str, Pose]:
+        body_q = _array(self._state.body_q)
+        return dict(self.names.static) | {name: _pose(body_q[k]) for name, k in self._bodies.items()}
+
+    def _colliders(self) -> dict[str, list[ColliderReadback]]:
+        model = self.model
+        flags, kinds, owners = model.shape_flags.numpy(), model.shape_type.numpy(), model.shape_body.numpy()
+        transforms, scales = model.shape_transform.numpy(), model.shape_scale.numpy()
+        mu, restitution = model.shape_material_mu.numpy(), model.shape_material_restitution.numpy()
+        spinning, rolling = model.shape_material_mu_torsional.numpy(), model.shape_material_mu_rolling.numpy()
+        found: dict[str, list[ColliderReadback]] = {}
+        for k, label in enumerate(model.shape_label):
+            named = self.names.collider(label)
+            if named is None or not flags[k] & int(newton.ShapeFlags.COLLIDE_SHAPES):
+                continue
+            link, name = named
+            X_LG = _pose(transforms[k])
+            if owners[k] < 0:  # merged into the world
+                X_LG = self.names.static[link].inverse() @ X_LG
+            kind = _KINDS.get(int(kinds[k]), "other")
+            bounds = self._bounds(k, kind, scales[k], X_LG)
+            told = self.names.own_damping is not None
+            resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
+            facts = ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
+            found.setdefault(link, []).append(facts)
+        return found
+
+    def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:
+        if kind == "mesh":
+            return mesh_bounds(np.asarray(self.model.shape_source[shape].vertices) * scale, X_LG)
+        size = 2 * scale if kind == "box" else (scale[0], 2 * scale[1])
+        return shape_bounds(kind, size, X_LG)
+
+    def _joint(self, name: str, joint: int) -> JointReadback:
+        """Damping comes as a passive one from MJCF and as a drive's from USD, which has one for both."""
+        model, dof = self.model, int(self._qd_start[joint])
+        low, high = float(model.joint_limit_lower.numpy()[dof]), float(model.joint_limit_upper.numpy()[dof])
+        X_CJ = _pose(model.joint_X_c.numpy()[joint])
+        start, ball = int(self._q_start[joint]), self._kinds[joint] == int(_Joint.BALL)
+        damping = float(model.joint_damping.numpy()[dof] + model.joint_target_kd.numpy()[dof])
+        own = (self.names.own_damping or {}).get(name)
+        drive: Numbers | None = None if self.names.own_damping is None else ()
+        if own is not None:
+            stiffness, target = model.joint_target_ke.numpy()[dof], model.joint_target_q.numpy()[start]
+            damping, drive = own, (float(stiffness), damping - own, float(target))
+        return JointReadback(
+            type=_TYPES[self._kinds[joint]],
+            axis=None if ball else numbers(X_CJ.rotation @ model.joint_axis.numpy()[dof]),
+            limits=(low, high) if max(abs(low), abs(high)) < NO_LIMIT and not ball else (),
+            damping=damping,
+            friction=float(model.joint_friction.numpy()[dof]),
+            armature=float(model.joint_armature.numpy()[dof]),
+            position=numbers(from_xyzw(model.joint_q.numpy()[start : start + 4]))
+            if ball
+            else float(model.joint_q.numpy()[start]),
+            drive=drive,
+        )
+
+
+def quiet() -> None:
+    """Warp tells of every kernel that it loads."""
+    wp.config.quiet = True
+
+
+def _array(values: wp.array | None) -> np.ndarray:
+    """The values; none where the model has no bodies or joints, for which Newton keeps no array."""
+    return np.zeros(0) if values is None else np.asarray(values.numpy())
+
+
+def _pose(transform: np.ndarray) -> Pose:
+    return Pose.of(transform[:3], from_xyzw(transform[3:]))

@@ -1,0 +1,50 @@
+"""Newton, from the usd build through the loader of the target `newton_usd`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from pxr import Usd, UsdGeom
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.runtime.plugins import import_file
+from simfoundry.verify.readback import Session
+
+_newton = import_file(Path(__file__).parents[1] / "newton" / "session.py")
+_usd = import_file(Path(__file__).parents[1] / "usd" / "readback.py")
+"""The session of the other way into Newton, and the names that the stage gives to links and joints."""
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The model of the stage; the surfaces have their own coefficients, because Newton knows no combine mode."""
+    _newton.quiet()
+    session: Session = _newton.NewtonSession(loader.load(), _names(loader.open_stage()))
+    return session
+
+
+def _names(stage: Usd.Stage) -> Any:
+    names = {str(prim.GetPath()): name for name, prim in _usd.links(stage).items()}
+    cache = UsdGeom.XformCache()
+    poses = {name: _pose(prim, cache) for name, prim in _usd.links(stage).items()}
+
+    def collider(label: str) -> tuple[str, str] | None:
+        link, _, name = label.partition("/Colliders/")
+        return (names[link], name) if name and link in names else None
+
+    def joint(label: str) -> str | None:
+        parts = label.split("/")
+        return f"{parts[3]}.{parts[5]}" if len(parts) == 6 and parts[5] != "Anchor" else None
+
+    def link(path: str) -> str:
+        return names.get(path, path)  # a robot that is a file of its own has names of its own
+
+    found = {str(p.GetPath()): joint(str(p.GetPath())) for p in stage.Traverse() if p.HasAttribute(_usd.OWN_DAMPING)}
+    own = {found[path] or "": _usd.own_damping(stage.GetPrimAtPath(path)) for path in found}
+    return _newton.Names(link, collider, joint, poses, own)
+
+
+def _pose(prim: Usd.Prim, cache: UsdGeom.XformCache) -> Pose:
+    return Pose.from_matrix(np.array(cache.GetLocalToWorldTransform(prim)).T)

@@ -1,0 +1,171 @@
+"""PyBullet, from the pybullet build through its own ``load.py``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pybullet
+
+from simfoundry.geometry.frames import Pose, from_xyzw
+from simfoundry.verify.readback import (
+    FREE,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+
+BASE = -1
+"""PyBullet's index of a body's root link; any other link has the index of the joint above it."""
+
+_NUDGE = 0.005
+"""How far joints are moved [rad or m] to feel their motors."""
+
+_TYPES = {pybullet.JOINT_PRISMATIC: "prismatic", pybullet.JOINT_REVOLUTE: "revolute",
+          pybullet.JOINT_SPHERICAL: "ball"}  # fmt: skip
+_KINDS = {pybullet.GEOM_BOX: "box", pybullet.GEOM_SPHERE: "sphere", pybullet.GEOM_CYLINDER: "cylinder",
+          pybullet.GEOM_CAPSULE: "capsule", pybullet.GEOM_MESH: "mesh"}  # fmt: skip
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The build in ``folder`` as its loader gives it."""
+    client = pybullet.connect(pybullet.DIRECT)
+    bodies = loader.load(client)
+    world = json.loads((folder / "world.json").read_text(encoding="utf-8"))
+    return PybulletSession(client, bodies, numbers(world["gravity"]), list(world.get("robots", ())))
+
+
+class PybulletSession:
+    """A client and its bodies by the names of the objects; ``robots`` are those that are no objects."""
+
+    def __init__(self, client: int, bodies: dict[str, int], gravity: tuple[float, ...], robots: list[str]) -> None:
+        self.client, self.bodies = client, bodies
+        self._gravity, self._robots = gravity, robots
+        self._links: dict[str, tuple[int, int]] = {}
+        self._joints: dict[str, tuple[int, int]] = {}
+        for name, body in bodies.items():
+            self._links[name] = (body, BASE)
+            for index in range(self._call("getNumJoints", body)):
+                info = self._call("getJointInfo", body, index)
+                self._links[f"{name}.{info[12].decode()}"] = (body, index)
+                if info[2] != pybullet.JOINT_FIXED:
+                    self._joints[f"{name}.{info[1].decode()}"] = (body, index)
+
+    def _call(self, function: str, *args: object, **options: object) -> Any:
+        return getattr(pybullet, function)(*args, physicsClientId=self.client, **options)
+
+    @property
+    def timestep(self) -> float:
+        """As the build says."""
+        return float(self._call("getPhysicsEngineParameters")["fixedTimeStep"])
+
+    def step(self) -> None:
+        """One step."""
+        self._call("stepSimulation")
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the bases and positions of the joints."""
+        poses = {name: pose_numbers(self._pose(body, BASE)) for name, body in self.bodies.items()}
+        single = {name: at for name, at in self._joints.items() if self._call("getJointInfo", *at)[3] >= 0}
+        joints = {name: float(self._call("getJointState", *at)[0]) for name, at in single.items()}
+        return Moment(time, poses, joints)
+
+    def read(self) -> WorldReadback:
+        """Links and joints. Of the gravity PyBullet tells nothing; it is that of ``world.json``."""
+        links = {name: self._link(*at) for name, at in self._links.items()}
+        joints = {name: self._joint(*at) for name, at in self._joints.items()}
+        return WorldReadback(links, joints, self._gravity, actuators=tuple(self._motors()))
+
+    def close(self) -> None:
+        """Disconnect."""
+        pybullet.disconnect(self.client)
+
+    def _motors(self) -> Iterator[str]:
+        """The joints of robots that pull back when they are moved: Bullet tells of no motor in any other way."""
+        state = self._call("saveState")
+        driven = {n: at for n, at in self._joints.items() if n.partition(".")[0] in self._robots}
+        for body, index in driven.values():
+            position = float(self._call("getJointState", body, index)[0])
+            self._call("resetJointState", body, index, position + _NUDGE)
+        self.step()
+        yield from (n for n, at in driven.items() if abs(self._call("getJointState", *at)[3]) > 0)
+        self._call("restoreState", stateId=state)
+        self._call("removeState", state)
+
+    def _held(self, body: int, index: int) -> str:
+        """Bullet calls a base without mass static."""
+        if index == BASE:
+            return FREE if self._call("getDynamicsInfo", body, BASE)[0] else WORLD
+        parent = int(self._call("getJointInfo", body, index)[16])
+        return next(name for name, at in self._links.items() if at == (body, parent))
+
+    def _inertial(self, body: int, index: int) -> Pose:
+        p, q = self._call("getDynamicsInfo", body, index)[3:5]
+        return Pose.of(p, from_xyzw(q))
+
+    def _pose(self, body: int, index: int) -> Pose:
+        # Bullet keeps link frames in single precision; inertial frames, in double, lead to the same place.
+        if index == BASE:
+            p, q = self._call("getBasePositionAndOrientation", body)
+        else:
+            p, q = self._call("getLinkState", body, index, computeForwardKinematics=True)[:2]
+        return Pose.of(p, from_xyzw(q)) @ self._inertial(body, index).inverse()
+
+    def _link(self, body: int, index: int) -> LinkReadback:
+        """A root that is welded to the world has no mass in Bullet."""
+        info = self._call("getDynamicsInfo", body, index)
+        mass, friction, moments, restitution = float(info[0]), float(info[1]), np.array(info[2]), float(info[5])
+        X_LI = self._inertial(body, index)
+        shapes = self._call("getCollisionShapeData", body, index)
+        surface = (friction**2, restitution**2)
+        return LinkReadback(
+            pose=pose_numbers(self._pose(body, index)),
+            mass=mass or None,
+            com=numbers(X_LI.p),
+            inertia=numbers(X_LI.rotation @ np.diag(moments) @ X_LI.rotation.T) if mass else None,
+            held=self._held(body, index),
+            colliders=tuple(self._collider(shape, X_LI, surface, k, len(shapes)) for k, shape in enumerate(shapes)),
+        )
+
+    def _collider(
+        self, shape: tuple[Any, ...], X_LI: Pose, surface: tuple[float, float], index: int, count: int
+    ) -> ColliderReadback:
+        kind = _KINDS.get(shape[2], "other")
+        X_LG = X_LI @ Pose.of(shape[5], from_xyzw(shape[6]))
+        x, y, z = shape[3]
+        if kind == "mesh":
+            # Bullet tells the vertices of one shape of a link, whichever is asked for, in the inertial frame.
+            vertices = self._call("getMeshData", shape[0], shape[1])[1] if count == 1 and index == 0 else ()
+            bounds = mesh_bounds(np.array(vertices), X_LI) if vertices else None
+        else:
+            size = {"box": (x, y, z), "sphere": (x,)}.get(kind, (y, x))
+            bounds = shape_bounds(kind, size, X_LG)
+        return ColliderReadback(None, kind, bounds, *surface)
+
+    def _joint(self, body: int, index: int) -> JointReadback:
+        info = self._call("getJointInfo", body, index)
+        low, high, ball = float(info[8]), float(info[9]), info[2] == pybullet.JOINT_SPHERICAL
+        return JointReadback(
+            type=_TYPES.get(info[2], "other"),
+            axis=None if ball else numbers(self._inertial(body, index).rotation @ np.array(info[13])),
+            limits=(low, high) if low <= high and not ball else (),
+            damping=float(info[6]),
+            friction=float(info[7]),
+            position=self._turned(body, index) if ball else float(self._call("getJointState", body, index)[0]),
+        )
+
+    def _turned(self, body: int, index: int) -> tuple[float, ...]:
+        """The quaternion of a ball joint, which Bullet gives with w last."""
+        return numbers(from_xyzw(self._call("getJointStateMultiDof", body, index)[0]))

@@ -1,0 +1,198 @@
+"""SAPIEN (PhysX on the CPU), from the urdf build through its ``load_sapien.py``."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import sapien
+from sapien import physx
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.verify.readback import (
+    FREE,
+    TIMESTEP,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Numbers,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pose_numbers,
+    shape_bounds,
+)
+
+_TYPES = {"prismatic": "prismatic", "revolute": "revolute", "revolute_unwrapped": "revolute"}
+_ALONG_X = Pose.of(q=[0.5**0.5, 0.0, 0.5**0.5, 0.0])
+"""From our shapes, along z, to PhysX's, along x."""
+
+_NO_LIMIT = 1e9
+
+_SINGLE = 1e-6
+"""Below this two numbers in single precision are the same."""
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The scene as its loader gives it."""
+    scene, world = loader.load()
+    files = {name: folder / item["urdf"] for name, item in json.loads((folder / "poses.json").read_text()).items()}
+    return SapienSession(scene, world, Told(_collider_names(folder), _own_damping(files), loader.HOLD))
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the build says and SAPIEN does not.
+
+    The names of ``colliders`` in the order of the files, by object and link; the ``damping`` of joints by themselves,
+    to which a motor's adds; ``holds`` is the damping of a drive that stands for Coulomb friction.
+    """
+
+    colliders: dict[tuple[str, str], list[str]]
+    damping: dict[str, float]
+    holds: float
+
+
+def _own_damping(files: dict[str, Path]) -> dict[str, float]:
+    """The damping of the joints in the files, by ``object.joint``."""
+    return {
+        f"{name}.{joint.get('name')}": float(dynamics.get("damping", "0"))
+        for name, path in files.items()
+        for joint in ET.parse(path).getroot().findall("joint")
+        if (dynamics := joint.find("dynamics")) is not None
+    }
+
+
+def _collider_names(folder: Path) -> dict[tuple[str, str], list[str]]:
+    """The names of the collision shapes in the order of the files, which is PhysX's, by object and link."""
+    return {
+        (path.stem, link.get("name", "")): [c.get("name", "") for c in link.findall("collision")]
+        for path in folder.glob("*.urdf")
+        for link in ET.parse(path).getroot().findall("link")
+    }
+
+
+class SapienSession:
+    """A scene with its articulations and single bodies."""
+
+    timestep = TIMESTEP
+
+    def __init__(self, scene: sapien.Scene, world: dict[str, Any], told: Told) -> None:
+        self.scene, self.world, self.told = scene, world, told
+        scene.timestep = self.timestep
+        self._links: dict[str, physx.PhysxRigidBaseComponent] = {}
+        self._joints: dict[str, physx.PhysxArticulationJoint] = {}
+        for name, item in world.items():
+            if isinstance(item, physx.PhysxArticulation):
+                for k, link in enumerate(item.links):
+                    self._links[name if k == 0 else f"{name}.{link.name}"] = link
+                self._joints |= {f"{name}.{joint.name}": joint for joint in item.active_joints}
+            else:
+                parts = (c for c in item.components if isinstance(c, physx.PhysxRigidBaseComponent))
+                self._links[name] = next(parts)
+
+    def step(self) -> None:
+        """One step."""
+        self.scene.step()
+
+    def moment(self, time: float) -> Moment:
+        """Poses of the roots and positions of the joints."""
+        return Moment(time, {name: pose_numbers(_pose(self._links[name].entity_pose)) for name in self.world},
+                      self._positions())  # fmt: skip
+
+    def read(self) -> WorldReadback:
+        """Links, joints, gravity."""
+        positions = self._positions()
+        joints = {name: self._joint(name, joint, positions[name]) for name, joint in self._joints.items()}
+        return WorldReadback(
+            links={name: self._link(name, link) for name, link in self._links.items()},
+            joints=joints,
+            gravity=numbers(self.scene.physx_system.config.gravity),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+        )
+
+    def close(self) -> None:
+        """SAPIEN frees the scene with the object."""
+
+    def _positions(self) -> dict[str, float]:
+        return {
+            f"{name}.{joint.name}": float(position)
+            for name, item in self.world.items()
+            if isinstance(item, physx.PhysxArticulation)
+            for joint, position in zip(item.active_joints, item.qpos, strict=True)
+        }
+
+    def _link(self, name: str, link: physx.PhysxRigidBaseComponent) -> LinkReadback:
+        """A static body has no mass in PhysX."""
+        item = name.partition(".")[0]
+        names = self.told.colliders.get((item, link.name), self.told.colliders.get((name, link.name)))
+        shapes = link.collision_shapes
+        told = names if names is not None else [None] * len(shapes)  # a robot's own file may split its meshes
+        colliders = tuple(_collider(n, s) for n, s in zip(told, shapes, strict=True))
+        pose = pose_numbers(_pose(link.entity_pose))
+        if not hasattr(link, "mass"):
+            return LinkReadback(pose=pose, held=self._held(name, link), colliders=colliders)
+        X_LI = _pose(link.cmass_local_pose)
+        inertia = X_LI.rotation @ np.diag(np.asarray(link.inertia, dtype=np.float64)) @ X_LI.rotation.T
+        return LinkReadback(
+            pose, float(link.mass), numbers(X_LI.p), numbers(inertia), self._held(name, link), colliders
+        )
+
+    def _held(self, name: str, link: physx.PhysxRigidBaseComponent) -> str | None:
+        """A static body is welded to the world; of an articulation's root SAPIEN does not tell."""
+        if isinstance(link, physx.PhysxArticulationLinkComponent):
+            return None if link.parent is None else next(n for n, k in self._links.items() if k == link.parent)
+        return FREE if hasattr(link, "mass") else WORLD
+
+    def _joint(self, name: str, joint: physx.PhysxArticulationJoint, position: float) -> JointReadback:
+        """PhysX has one drive a joint: a motor, the damping, or Coulomb friction, as its gains tell."""
+        low, high = (float(v) for v in np.asarray(joint.limits).ravel())
+        stiffness, damping = float(joint.stiffness), float(joint.damping)
+        holds = stiffness == 0 and damping == self.told.holds
+        own = self.told.damping.get(name, 0.0)
+        drive = stiffness > 0 or (not holds and damping > own * (1 + _SINGLE) + _SINGLE)
+        limit = float(joint.force_limit)
+        return JointReadback(
+            type=_TYPES.get(joint.type, "other"),
+            axis=numbers(_pose(joint.pose_in_child).rotation[:, 0]),
+            limits=(low, high) if max(abs(low), abs(high)) < _NO_LIMIT else (),
+            damping=own if drive else 0.0 if holds else damping,
+            friction=limit if holds else 0.0,
+            armature=float(np.ravel(joint.armature)[0]),
+            position=position,
+            drive=(stiffness, damping - own, float(np.ravel(joint.drive_target)[0])) if drive else (),
+            effort=(limit,) if drive and limit < _NO_LIMIT else (),
+        )
+
+
+def _collider(name: str | None, shape: physx.PhysxCollisionShape) -> ColliderReadback:
+    kind, bounds = _shape(shape)
+    material = shape.physical_material
+    return ColliderReadback(name, kind, bounds, float(material.dynamic_friction), float(material.restitution))
+
+
+def _shape(shape: physx.PhysxCollisionShape) -> tuple[str, Numbers | None]:
+    X_LG = _pose(shape.local_pose)
+    match shape:
+        case physx.PhysxCollisionShapeBox():
+            return "box", shape_bounds("box", 2 * np.asarray(shape.half_size), X_LG)
+        case physx.PhysxCollisionShapeSphere():
+            return "sphere", shape_bounds("sphere", [shape.radius], X_LG)
+        case physx.PhysxCollisionShapeCylinder() | physx.PhysxCollisionShapeCapsule():
+            kind = "cylinder" if isinstance(shape, physx.PhysxCollisionShapeCylinder) else "capsule"
+            return kind, shape_bounds(kind, [shape.radius, 2 * shape.half_length], X_LG @ _ALONG_X.inverse())
+        case physx.PhysxCollisionShapeConvexMesh():
+            return "mesh", mesh_bounds(np.asarray(shape.vertices) * np.asarray(shape.scale), X_LG)
+    return "other", None
+
+
+def _pose(pose: sapien.Pose) -> Pose:
+    return Pose.of(pose.p, pose.q)

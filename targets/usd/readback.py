@@ -1,0 +1,279 @@
+"""OpenUSD, from the usd build through its own ``load.py``: what the stage says, without a simulator."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
+
+from simfoundry.geometry.frames import Pose
+from simfoundry.verify.readback import (
+    FREE,
+    WORLD,
+    ColliderReadback,
+    JointReadback,
+    LinkReadback,
+    Moment,
+    Session,
+    WorldReadback,
+    mesh_bounds,
+    numbers,
+    pair_name,
+    pose_numbers,
+    shape_bounds,
+)
+
+_SCOPES = ("/World/Objects", "/World/Robots")
+_TYPES = {"PhysicsPrismaticJoint": "prismatic", "PhysicsRevoluteJoint": "revolute", "PhysicsSphericalJoint": "ball"}
+_KINDS = {"Cube": "box", "Sphere": "sphere", "Cylinder": "cylinder", "Capsule": "capsule", "Mesh": "mesh"}
+
+
+def open_build(folder: Path, loader: ModuleType) -> Session:
+    """The stage of the build in ``folder``."""
+    return UsdSession(loader.load())
+
+
+class UsdSession:
+    """A stage, which does not move."""
+
+    timestep = 0.0
+
+    def __init__(self, stage: Usd.Stage) -> None:
+        self.stage = stage
+        self._cache = UsdGeom.XformCache()
+
+    def step(self) -> None:
+        """A stage has no dynamics."""
+        raise NotImplementedError("a USD stage does not step")
+
+    def moment(self, time: float) -> Moment:
+        """Poses and joint positions as authored."""
+        poses = {prim.GetName(): pose_numbers(self._pose(prim)) for prim in self._objects()}
+        return Moment(time, poses, {name: _position(prim) for name, prim in self._joints().items()})
+
+    def read(self) -> WorldReadback:
+        """Links and joints, and the gravity of the physics scene."""
+        physics = UsdPhysics.Scene(self.stage.GetPrimAtPath("/World/Physics"))
+        direction = np.array(physics.GetGravityDirectionAttr().Get(), dtype=np.float64)
+        held = self._held()
+        joints = {name: self._joint(name, prim) for name, prim in self._joints().items()}
+        own = {
+            name: LinkReadback(pose=pose_numbers(self._pose(prim))) for name, prim in _references(self.stage).items()
+        }
+        return WorldReadback(
+            links={name: self._link(prim, held[name]) for name, prim in links(self.stage).items()} | own,
+            joints=joints,
+            gravity=numbers(direction * physics.GetGravityMagnitudeAttr().Get()),
+            silent=self._silent(),
+            actuators=tuple(name for name, joint in joints.items() if joint.drive),
+        )
+
+    def close(self) -> None:
+        """USD frees the stage with the object."""
+
+    def _objects(self) -> list[Usd.Prim]:
+        return _items(self.stage)
+
+    def _joints(self) -> dict[str, Usd.Prim]:
+        return {
+            f"{item.GetName()}.{prim.GetName()}": prim
+            for item in self._objects()
+            for prim in (item.GetChild("Joints").GetChildren() if item.GetChild("Joints") else [])
+            if prim.GetTypeName() != "PhysicsFixedJoint"
+        }
+
+    def _pose(self, prim: Usd.Prim) -> Pose:
+        matrix: Gf.Matrix4d = self._cache.GetLocalToWorldTransform(prim)
+        return Pose.from_matrix(np.array(matrix).T)  # USD multiplies row vectors
+
+    def _held(self) -> dict[str, str | None]:
+        """What holds each link: a joint's other end; nothing, if it is a rigid body; else, if it is a root, the world.
+
+        Of other links of an object that cannot move a stage does not tell what they hang on.
+        """
+        names = {prim.GetPath(): name for name, prim in links(self.stage).items()}
+        found: dict[str, str | None] = {}
+        for item in self._objects():
+            scope = item.GetChild("Joints")
+            for prim in scope.GetChildren() if scope else []:
+                ends = [
+                    r.GetTargets() for r in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())
+                ]
+                if ends[1] and ends[1][0] in names:
+                    found[names[ends[1][0]]] = names.get(ends[0][0], WORLD) if ends[0] else WORLD
+        for name, prim in links(self.stage).items():
+            free = FREE if prim.HasAPI(UsdPhysics.RigidBodyAPI) else None if "." in name else WORLD
+            found.setdefault(name, free)
+        return found
+
+    def _silent(self) -> tuple[str, ...]:
+        """The filtered pairs; a collider stands for its link."""
+        names = {str(prim.GetPath()): name for name, prim in links(self.stage).items()}
+        found = set()
+        for path, name in names.items():
+            pairs = UsdPhysics.FilteredPairsAPI(self.stage.GetPrimAtPath(path)).GetFilteredPairsRel()
+            for target in pairs.GetTargets() if pairs else []:
+                found.add(pair_name(name, names[str(target).partition("/Colliders/")[0]]))
+        return tuple(sorted(found))
+
+    def _link(self, prim: Usd.Prim, held: str | None) -> LinkReadback:
+        mass = UsdPhysics.MassAPI(prim)
+        axes = Pose.of(q=_wxyz(mass.GetPrincipalAxesAttr().Get())).rotation
+        moments = np.array(mass.GetDiagonalInertiaAttr().Get(), dtype=np.float64)
+        scope = prim.GetChild("Colliders")
+        X_LW = self._pose(prim).inverse()
+        return LinkReadback(
+            pose=pose_numbers(self._pose(prim)),
+            mass=float(mass.GetMassAttr().Get()),
+            com=numbers(mass.GetCenterOfMassAttr().Get()),
+            inertia=numbers(axes @ np.diag(moments) @ axes.T),
+            held=held,
+            colliders=tuple(self._collider(child, X_LW) for child in (scope.GetChildren() if scope else [])),
+        )
+
+    def _collider(self, prim: Usd.Prim, X_LW: Pose) -> ColliderReadback:
+        kind = _KINDS.get(str(prim.GetTypeName()), "other")
+        # Gf keeps the scale of a box apart from its rotation.
+        transform = Gf.Transform(self._cache.GetLocalToWorldTransform(prim))
+        q = transform.GetRotation().GetQuat()
+        X_LG = X_LW @ Pose.of(transform.GetTranslation(), [q.GetReal(), *q.GetImaginary()])
+        match kind:
+            case "box":
+                side = float(prim.GetAttribute("size").Get())
+                bounds = shape_bounds(kind, [side * s for s in transform.GetScale()], X_LG)
+            case "mesh":
+                bounds = mesh_bounds(np.array(prim.GetAttribute("points").Get()), X_LG)
+            case "sphere":
+                bounds = shape_bounds(kind, [prim.GetAttribute("radius").Get()], X_LG)
+            case _:
+                bounds = shape_bounds(kind, [prim.GetAttribute(n).Get() for n in ("radius", "height")], X_LG)
+        material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
+        surface = UsdPhysics.MaterialAPI(material)
+        return ColliderReadback(
+            name=prim.GetName(),
+            kind=kind,
+            bounds=bounds,
+            friction=_own(material, "friction", float(surface.GetDynamicFrictionAttr().Get())),
+            restitution=_own(material, "restitution", float(surface.GetRestitutionAttr().Get())),
+            spinning=_number(material.GetPrim(), "newton:torsionalFriction"),
+            rolling=_number(material.GetPrim(), "newton:rollingFriction"),
+        )
+
+    def _joint(self, name: str, prim: Usd.Prim) -> JointReadback:
+        """A joint of one axis as its prim says; a ball joint in the state in which its bodies stand."""
+        if prim.GetTypeName() != "PhysicsSphericalJoint":
+            return _joint(name, prim)
+        ball = UsdPhysics.SphericalJoint(prim)
+        parent, child = (r.GetTargets()[0] for r in (ball.GetBody0Rel(), ball.GetBody1Rel()))
+        X_WP, X_WC = (self._pose(self.stage.GetPrimAtPath(path)) for path in (parent, child))
+        X_PJ, X_CJ = (Pose.of(q=_wxyz(a.Get())) for a in (ball.GetLocalRot0Attr(), ball.GetLocalRot1Attr()))
+        turned = (X_WP @ X_PJ).inverse() @ X_WC @ X_CJ
+        return JointReadback(
+            type="ball",
+            limits=(),
+            damping=_number(prim, "newton:damping") / math.radians(1.0),
+            friction=_number(prim, "newton:friction"),
+            armature=_number(prim, "newton:armature"),
+            position=numbers(turned.q),
+            follows="",
+            law=(),
+            drive=(),
+            effort=(),
+        )
+
+
+def links(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+    """The prims of all links by qualified name; the first of an object is its root."""
+    found = {}
+    for item in _items(stage):
+        if not item.GetChild("Model"):
+            for k, prim in enumerate(p for p in item.GetChildren() if p.GetTypeName() == "Xform"):
+                found[item.GetName() if k == 0 else f"{item.GetName()}.{prim.GetName()}"] = prim
+    return found
+
+
+def _items(stage: Usd.Stage) -> list[Usd.Prim]:
+    """Objects and robots."""
+    scopes = (stage.GetPrimAtPath(path) for path in _SCOPES)
+    return [prim for scope in scopes if scope for prim in scope.GetChildren()]
+
+
+def _references(stage: Usd.Stage) -> dict[str, Usd.Prim]:
+    """Robots that are a file of their own, whose prims have names of their own."""
+    return {prim.GetName(): prim for prim in _items(stage) if prim.GetChild("Model")}
+
+
+def _own(material: UsdShade.Material, name: str, value: float) -> float:
+    """A surface's own coefficient, which under the combine mode ``multiply`` is written as its root."""
+    mode = material.GetPrim().GetAttribute(f"physxMaterial:{name}CombineMode").Get()
+    return value * value if mode == "multiply" else value
+
+
+def _joint(name: str, prim: Usd.Prim) -> JointReadback:
+    kind = _TYPES.get(str(prim.GetTypeName()), "other")
+    if kind not in ("prismatic", "revolute"):
+        return JointReadback(type=kind)
+    instance, unit = ("linear", 1.0) if kind == "prismatic" else ("angular", math.radians(1.0))
+    typed = UsdPhysics.PrismaticJoint(prim) if kind == "prismatic" else UsdPhysics.RevoluteJoint(prim)
+    lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
+    drive = UsdPhysics.DriveAPI.Get(prim, instance)
+    damping = float(drive.GetDampingAttr().Get()) / unit if drive else 0.0
+    driven, own = drive and prim.HasAttribute(OWN_DAMPING), own_damping(prim)
+    spring = (float(drive.GetStiffnessAttr().Get()) / unit, damping - own) if driven else ()
+    target = (float(drive.GetTargetPositionAttr().Get()) * unit,) if driven else ()
+    limit = float(drive.GetMaxForceAttr().Get()) if driven else math.inf
+    unit_axis = np.eye(3)["XYZ".index(str(typed.GetAxisAttr().Get()))]
+    follows, law = _law(name, prim)
+    return JointReadback(
+        type=kind,
+        axis=numbers(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(unit_axis)),
+        limits=(lower, upper) if math.isfinite(lower) and math.isfinite(upper) else (),
+        damping=own if driven else damping,
+        friction=_number(prim, f"physxJointAxis:{instance}:dynamicFrictionEffort"),
+        armature=_number(prim, f"physxJointAxis:{instance}:armature"),
+        position=_position(prim),
+        follows=follows,
+        law=law,
+        drive=spring + target,
+        effort=(limit,) if math.isfinite(limit) else (),
+    )
+
+
+OWN_DAMPING = "simfoundry:damping"
+"""What of the damping of a joint with a motor is its own; only those have it."""
+
+
+def own_damping(joint: Usd.Prim) -> float:
+    """The damping of a joint that is not its motor's."""
+    return _number(joint, OWN_DAMPING)
+
+
+def _law(name: str, prim: Usd.Prim) -> tuple[str, tuple[float, ...]]:
+    """The joint that it follows, with multiplier and offset [rad or m]."""
+    leaders = prim.GetRelationship("newton:mimicJoint").GetTargets()
+    if not leaders:
+        return "", ()
+    leader = prim.GetStage().GetPrimAtPath(leaders[0])
+    unit, unit_of_leader = (
+        1.0 if p.GetTypeName() == "PhysicsPrismaticJoint" else math.radians(1.0) for p in (prim, leader)
+    )
+    multiplier, offset = _number(prim, "newton:mimicCoef1"), _number(prim, "newton:mimicCoef0")
+    return f"{name.partition('.')[0]}.{leader.GetName()}", (multiplier * unit / unit_of_leader, offset * unit)
+
+
+def _position(prim: Usd.Prim) -> float:
+    slides = prim.GetTypeName() == "PhysicsPrismaticJoint"
+    value = _number(prim, f"state:{'linear' if slides else 'angular'}:physics:position")
+    return value if slides else math.radians(value)
+
+
+def _number(prim: Usd.Prim, name: str) -> float:
+    value = prim.GetAttribute(name).Get()
+    return 0.0 if value is None else float(value)
+
+
+def _wxyz(q: Gf.Quatf) -> list[float]:
+    return [q.GetReal(), *q.GetImaginary()]
