@@ -124,7 +124,7 @@ class BodyBuilder:
         stored = self.cache.get(file_key(path, scale, self.body.collision)) if self.cache is not None else None
         found = unpack_colliders(stored) if stored is not None else None
         if found is None:
-            found = Colliders((hull(np.array(summary.hull) * scale),))
+            found = Colliders(((np.array(summary.hull) * scale, np.array(summary.hull_faces, dtype=np.int32)),))
             self.is_approximate |= self.body.collision != "hull" and not summary.is_nearly_convex
         self._add_colliders(name, found, X_LG, part)
 

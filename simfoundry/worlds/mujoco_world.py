@@ -12,12 +12,12 @@ import numpy as np
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.mjcf.contact_rules import exact_model
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
+from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state

@@ -15,8 +15,9 @@ import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
 from simfoundry.backends.mjcf.contact_rules import ROBOTS
-from simfoundry.backends.robot_models.mujoco_robot import document_fields, mujoco_model
+from simfoundry.backends.robot_models.mujoco_robot import document_fields
 from simfoundry.scene.model import JointType, LightType, Scene, SceneObject
+from simfoundry.scene.robot import mujoco_model
 
 MARK = "simfoundry:scene"
 """The text that a file of ours starts with; its data is the version of what stands here."""
