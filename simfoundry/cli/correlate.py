@@ -12,8 +12,8 @@ from simfoundry.cli.output import CannotError, force_option, json_option, print_
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from simfoundry.evaluate.correlate import Agreement, Interval
-    from simfoundry.evaluate.scores import Score
+    from simfoundry.evaluate.statistics.correlation import Agreement, Interval
+    from simfoundry.evaluate.statistics.scores import Score
 
 
 @click.command()
@@ -42,8 +42,8 @@ def command(
     Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what
     rates drawn from their posterior and policies drawn anew give. r is undefined where all policies do equally well.
     """
-    from simfoundry.evaluate.correlate import Draws, agreements, left_out, reservations
-    from simfoundry.evaluate.scores import by_engine, read_scores
+    from simfoundry.evaluate.statistics.correlation import Draws, agreements, left_out, reservations
+    from simfoundry.evaluate.statistics.scores import by_engine, read_scores
 
     if svg is not None:
         from simfoundry.runtime.outputs import ensure_replaceable
@@ -85,7 +85,7 @@ def _names(sim: Sequence[Path]) -> list[str]:
 def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from simfoundry.evaluate.correlate import mean_agreement
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     r, violation = mean_agreement(found)
     return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
@@ -97,7 +97,7 @@ def _print(
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.correlate import mean_agreement
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     console = Console()
     for name, one in found.items():
