@@ -98,9 +98,7 @@ def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> 
     goal = _libero_goal(spec, regions, export) if is_libero else _behavior_goal(spec.goal, names, export)
     if not goal:
         raise TaskExportError("nothing of the goal can be said in this format")
-    init = list(
-        _libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export)
-    )
+    init = list(_libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export))
     # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
     name = "LIBERO_Tabletop_Manipulation" if is_libero else f"{spec.name or 'task'}-0"
     sections = [f"(define (problem {name})", f"  (:domain {'robosuite' if is_libero else 'omnigibson'})"]
