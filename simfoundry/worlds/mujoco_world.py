@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
+from simfoundry.backends.mjcf.contact_rules import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
@@ -40,9 +41,7 @@ class MujocoWorld(Judging):
             raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
-        files = compile_mjcf(scene).files
-        assets = {path: data for path, data in files.items() if path.startswith("assets/")}
-        self.model: mujoco.MjModel = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
+        self.model: mujoco.MjModel = exact_model(compile_mjcf(scene).files)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]
