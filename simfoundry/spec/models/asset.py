@@ -1,4 +1,4 @@
-"""``asset/1``: a thing with parts, links and joints, used by scenes."""
+"""``asset/1``: an object with links, parts and joints, for use in scenes."""
 
 import math
 from typing import Literal, Self
@@ -74,7 +74,7 @@ ROUNDING = 1e-6
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
-    """Whether the tensor is positive definite and its principal moments keep the triangle inequality."""
+    """True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
     trace = sum(inertia[:3])
     if not 0 < trace < math.inf:
         return False
@@ -85,7 +85,7 @@ def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> b
 
 
 def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
-    """Whether a symmetric tensor is positive definite: whether its leading minors are positive (Sylvester)."""
+    """True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
     minor = xx * yy - xy * xy
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
@@ -107,7 +107,7 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """Whether its mass, centre of mass and inertia are given, so that its parts need not weigh anything."""
+        """True if mass, centre of mass and inertia are given, so that its parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -115,7 +115,7 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
+    """A joint that follows another: its position is ``multiplier`` times that joint's position, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
     multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
@@ -123,7 +123,7 @@ class MimicSpec(Model):
 
 
 class DriveSpec(Model):
-    """A motor that holds a position like a spring, or resists motion, up to a force.
+    """A motor that holds a position like a spring, or damps motion, up to a maximum force.
 
     Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
     """

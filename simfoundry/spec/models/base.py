@@ -1,4 +1,4 @@
-"""Types that every document shares: names, numbers with units, poses, shapes, quantities with doubt."""
+"""Types that all documents share: names, numbers with units, poses, shapes and estimates."""
 
 # Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
 
@@ -18,7 +18,7 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """What editors, messages and the reference say of a text of a pattern.
+    """Texts about a string pattern for editors, messages and the reference.
 
     Its name where editors offer one, its name in the reference, and the rule that a text must follow.
     """
@@ -72,7 +72,7 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a text that names a file relative to its document, so that another document can take it over."""
+    """Marks a text that is a file path relative to its document, so that an overlay can adjust it."""
 
 
 FileName = Annotated[str, Reference()]
@@ -80,7 +80,7 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Marks a field by the key that it had before; `check` names the new one, and `migrate` writes it."""
+    """Marks a field with its former key; `check` names the present key, and `migrate` writes it."""
 
     key: str
 
@@ -105,7 +105,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
 
 
 class PoseSpec(Model):
-    """Where a frame is in its parent; the rotation is given in at most one of three ways."""
+    """Pose of a frame in its parent; the rotation is given in at most one of three ways."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
@@ -123,7 +123,7 @@ class PoseSpec(Model):
 
 
 class CameraPose(Model):
-    """Where a camera is: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
+    """Pose of a camera: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
@@ -142,7 +142,7 @@ class CameraPose(Model):
 
 
 class Estimate(Model):
-    """A number that was estimated, not measured."""
+    """A number that was estimated rather than measured."""
 
     value: Positive = Field(description="The value to use [kg, or kg/m^3].")
     range: tuple[Positive, Positive] | None = Field(
@@ -164,7 +164,7 @@ Quantity = Annotated[
 
 
 def quantity_value(quantity: float | Estimate | None) -> float | None:
-    """The plain number of a quantity."""
+    """Return the plain number of a quantity."""
     return quantity.value if isinstance(quantity, Estimate) else quantity
 
 
@@ -176,7 +176,7 @@ class Round(Model):
 
 
 class Prism(Model):
-    """An outline extruded along z: table tops, trays, tiles."""
+    """An extrusion of an outline along z: table tops, trays, tiles."""
 
     outline: tuple[Point2, ...] = Field(
         min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
@@ -185,7 +185,7 @@ class Prism(Model):
 
 
 class Lathe(Model):
-    """A profile turned about z: bowls, cups, bottles, plates, rings of any section that reaches the axis."""
+    """A solid of revolution about z: bowls, cups, bottles, plates."""
 
     profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
@@ -219,13 +219,13 @@ class CapsuleShape(Model):
 
 
 class PrismShape(Model):
-    """A prism along z, centred on its frame in height."""
+    """An extrusion along z, centred on its frame in height."""
 
     prism: Prism
 
 
 class LatheShape(Model):
-    """A body of revolution about z; its heights are those of the profile."""
+    """A solid of revolution about z; its heights are those of the profile."""
 
     lathe: Lathe
 
@@ -250,7 +250,7 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Which cousin of its twin a document is: the same recipe, seed and index give the same again."""
+    """Origin of a cousin; the same recipe, seed and index produce it again."""
 
     recipe: Name = Field(description="The recipe by name.")
     seed: Annotated[int, Field(ge=0)] = Field(description="What the recipe's random choices started from.")
@@ -261,7 +261,7 @@ class CousinOf(Model):
 
 
 class Origin(Model):
-    """Where a description comes from, and how well it fits what was seen."""
+    """Origin of a description, and how well it fits the observations."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
@@ -273,7 +273,7 @@ class Origin(Model):
 
 
 class Material(Model):
-    """What things are made of."""
+    """Physical properties and colour of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
     friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair slides at the geometric mean.")
@@ -315,7 +315,7 @@ class BodySpec(Model):
 
 
 class Conflict(Model):
-    """Two edits of one value that a merge could not unite; the document holds ours until somebody decides."""
+    """Two edits of one value that a merge could not unite; the document holds ours until someone decides."""
 
     base: Any = Field(None, description="What both started from.")
     ours: Any = Field(None, description="What this side made of it; it stands in the document.")
@@ -329,7 +329,7 @@ Silence = Annotated[
 
 
 class DocumentSpec(Model):
-    """What every kind of document can say."""
+    """Keys that every kind of document has."""
 
     extends: FileName | None = Field(
         None,

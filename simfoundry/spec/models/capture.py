@@ -1,4 +1,4 @@
-"""``capture/1``: the pictures of a real scene and the camera that took them."""
+"""``capture/1``: images of a real scene, and the camera that took them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Intrinsics(Model):
 
 
 class DepthImage(Model):
-    """A depth picture: 16-bit PNG, TIFF or NumPy array; the value is the distance along the optical axis."""
+    """A depth image: 16-bit PNG, TIFF or NumPy array; values are distances along the optical axis."""
 
     image: FileName = Field(description="File, relative to this document.")
     scale: Positive = Field(0.001, description="Metres of one unit of the picture; 0.001 where it is in millimetres.")
@@ -38,7 +38,7 @@ class DepthImage(Model):
 
 
 class Masks(Model):
-    """Instance masks: a picture in which each object has a number of its own."""
+    """Instance masks: an image in which each object has its own number."""
 
     image: FileName = Field(description="File, relative to this document; as large as the colour picture.")
     background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that are no object.")
@@ -46,7 +46,7 @@ class Masks(Model):
 
 
 class Shot(Model):
-    """One picture: colour, depth, the camera, and masks where there are some."""
+    """One view: colour, depth, the camera, and masks if there are any."""
 
     color: FileName = Field(description="Colour picture, relative to this document.")
     depth: DepthImage

@@ -1,4 +1,4 @@
-"""``cousins/1``: a recipe for variants of a scene that keep what can be done in it."""
+"""``cousins/1``: a recipe for variations of a scene that keep its affordances."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class SceneAxis(Model):
 
 
 class ObjectVariants(Model):
-    """Other things in the place of an object, which can do the same."""
+    """Other objects in place of one, with the same affordances."""
 
     sources: tuple[Source, ...] = Field(
         ("procedural",), min_length=1, description="Where they come from: rules, a library of meshes, or models."
@@ -71,7 +71,7 @@ class ObjectVariants(Model):
 
 
 class ObjectModels(Model):
-    """Who makes the variants whose source is `model`; addresses and keys are in the environment."""
+    """Models that generate variants if a source is `model`; addresses and keys are in the environment."""
 
     vlm: ModelName | None = Field(
         None,
@@ -96,7 +96,7 @@ class ObjectAxis(Model):
 
 
 class DistractorAxis(Model):
-    """Things beside the task: taken from a library, placed without collision."""
+    """Objects beside the task: taken from a library, placed without collision."""
 
     count: tuple[Count, Count] = Field((1, 4), description="Fewest and most of them in a scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
@@ -140,7 +140,7 @@ class TaskAxis(Model):
 
 
 class CousinsSpec(DocumentSpec):
-    """A recipe: the twin, which axes vary, and how many variants; the same recipe and seed give the same variants."""
+    """A recipe: the twin, the axes that vary, and the number of cousins; the same seed gives the same cousins."""
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")

@@ -1,4 +1,4 @@
-"""Where a thing stands, said as people say it: on the desk, left of the plate, inside the bowl."""
+"""Placement constraints: on the desk, left of the plate, inside the bowl."""
 
 from typing import Annotated, Self
 
@@ -23,7 +23,7 @@ DEPTHS = ("in_front_of", "behind")
 
 
 class Place(Model):
-    """A pose to be solved: what carries the thing and where on it; it is dropped onto the real shapes below it.
+    """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
 
     Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `local_xy` and these four it
     is in the middle of its support; one of the four leaves the other direction at the middle of its anchor.

@@ -1,4 +1,4 @@
-"""``policy/1``: where a policy answers, and what its protocol leaves unsaid."""
+"""``policy/1``: the server of a policy, and the conventions that its protocol leaves open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 
 
 def _variable(text: str) -> str:
-    """What is said of another text does not repeat it: it may be a key."""
+    """Reject a text that is no variable name, without repeating it: it may be a key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
         message = "expected the name of an environment variable in capitals, never a key itself"
         raise PydanticCustomError("sf104", "{message}", {"message": message})
@@ -83,7 +83,7 @@ _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::
 
 
 def address_uri(protocol: str, address: str) -> str:
-    """An address in full, ``ws://localhost:8000`` of ``localhost``; raises :class:`ValueError` with a sentence."""
+    """Return an address in full, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
     schemes = known.schemes
@@ -101,7 +101,7 @@ def address_uri(protocol: str, address: str) -> str:
 
 
 class CameraView(Model):
-    """A picture that the policy takes: a camera of the scene, resized without distortion and padded with black."""
+    """An image that the policy receives: a camera of the scene, resized without distortion and padded with black."""
 
     camera: Name = Field(description="A camera of the scene.")
     size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy takes [px].")
@@ -111,7 +111,7 @@ class CameraView(Model):
 
 
 class GripperConvention(Model):
-    """How the policy speaks of the gripper, in what it is shown and in what it answers."""
+    """Numbers that the policy uses for the gripper, in observations and in actions."""
 
     open: Number = Field(0.0, description="The number that means open.")
     closed: Number = Field(1.0, description="The number that means closed.")
@@ -129,7 +129,7 @@ class GripperConvention(Model):
 
 
 class PolicySpec(DocumentSpec):
-    """A policy behind a server: where it is, and what its protocol does not say."""
+    """A policy behind a server: its address, and the conventions that its protocol does not fix."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
     protocol: ProtocolName = Field(

@@ -30,7 +30,7 @@ Travel = tuple[Number, Number]
 
 
 class FrameSpec(Model):
-    """A frame by which scenes call a place of the robot: in a link of the model, at a pose in it."""
+    """A named frame of the robot, at a pose in a link of the model."""
 
     link: str = Field(description="The link, as the model calls it.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of the frame in the link.")
@@ -45,7 +45,7 @@ class FollowSpec(Model):
 
 
 class GripperSpec(Model):
-    """How a gripper is moved, and how far its joints go."""
+    """Command and travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Values of the model's actuators; default: of the joints.")
     joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first tells the opening.")
@@ -55,7 +55,7 @@ class GripperSpec(Model):
 
 
 class AttachSpec(Model):
-    """A model that a link of another carries."""
+    """A model that is attached to a link of another."""
 
     file: Reference | list[Reference]
     to: str = Field(description="The link that carries it.")
@@ -63,7 +63,7 @@ class AttachSpec(Model):
 
 
 class ModelSpec(Model):
-    """A robot in one format. The names of an attached model have its name before them: `gripper.base`."""
+    """A robot in one format. Names of an attached model are prefixed with its own: `gripper.base`."""
 
     file: Reference | list[Reference] = Field(description="The file, or several of which the first found is taken.")
     attach: dict[Name, AttachSpec] = Field({}, description="Models that its links carry, as a gripper, by name.")
@@ -82,12 +82,12 @@ class ModelSpec(Model):
 
     @property
     def files(self) -> list[Reference]:
-        """The files to look for, best first."""
+        """Files to look for, best first."""
         return [self.file] if isinstance(self.file, str) else self.file
 
 
 class RobotFileSpec(Model):
-    """A robot: its model in each format that there is one for, and what no model says of it."""
+    """A robot: its model in each available format, and facts that no model states."""
 
     reach: Positive | None = Field(None, description="How far from its base it can grasp, along the ground [m].")
     opening: Positive | None = Field(None, description="The widest object that fits between its fingers [m].")
@@ -99,18 +99,18 @@ class RobotFileSpec(Model):
 
     @property
     def models(self) -> dict[str, ModelSpec]:
-        """The models by format."""
+        """Models by format."""
         found = {"mjcf": self.mjcf, "urdf": self.urdf, "usd": self.usd}
         return {key: model for key, model in found.items() if model is not None}
 
     @property
     def home_positions(self) -> dict[str, float]:
-        """Where its arm starts, by the scene's names of the joints [rad or m]."""
+        """Home position of the arm, by the scene's names of the joints [rad or m]."""
         return {f"joint{k}": position for k, position in enumerate(self.home or (), 1)}
 
 
 def read_robot_file(file: Path) -> RobotFileSpec:
-    """Read a robot file; raises :class:`SimfoundryError` where it is not one."""
+    """Read a robot file; raises :class:`SimfoundryError` for a faulty one."""
     try:
         data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         models = RobotFileSpec.model_validate_json(json.dumps(data))
@@ -158,7 +158,7 @@ def robot_names() -> list[str]:
 
 
 def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
-    """Return what is said of the robot called ``name``, and the document to which its paths are relative.
+    """Return the file of the robot called ``name``, and the document that its paths are relative to.
 
     What one's own folder says of a built-in robot stands in place of what is built in. None if nobody knows the robot;
     raises :class:`SimfoundryError` for a faulty file.

@@ -1,4 +1,4 @@
-"""``scene/1``: objects, materials, cameras, lights and what should hold among them."""
+"""``scene/1``: objects, materials, cameras, lights and the relations among them."""
 
 import math
 from typing import Annotated, Any, Literal, Self
@@ -58,7 +58,7 @@ DEFAULT_VARIANT = "default"
 
 
 class VariantSpec(BodySpec):
-    """What differs in one variant of an object; all else is as the object has it.
+    """Differences of one variant of an object; everything else is as the object has it.
 
     A new `shape` or `asset` comes without the old one's `scale` and `visual`.
     """
@@ -82,7 +82,7 @@ class VariantSpec(BodySpec):
 
 
 class ObjectSpec(BodySpec):
-    """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
+    """An object of the scene: a primitive `shape`, or an `asset` (a mesh file or an asset document)."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     asset: FileName | None = Field(
@@ -158,7 +158,7 @@ class LightSpec(Model):
 
 
 class BackgroundSpec(Model):
-    """What is seen around the scene; nothing touches it."""
+    """Visual surroundings of the scene; nothing collides with them."""
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
@@ -172,7 +172,7 @@ class BackgroundSpec(Model):
 
 
 class SceneSpec(DocumentSpec):
-    """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
+    """A scene. World frame: right-handed, z up; SI units."""
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
     viewpoint: Name | None = Field(

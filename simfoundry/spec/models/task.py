@@ -1,4 +1,4 @@
-"""``task/1``: what is to be done in a scene, when it is done, and how it starts."""
+"""``task/1``: instruction, goal, steps and starts of a task in a scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Range = tuple[Number, Number]
 
 
 class Start(Model):
-    """What differs from the scene at the start."""
+    """Differences from the scene at the start."""
 
     place: dict[Name, Place] = Field({}, description="Objects that stand elsewhere, by name.")
     pose: dict[Name, PoseSpec] = Field({}, description="Objects that have another pose, by name.")
@@ -46,7 +46,7 @@ class Subtask(Model):
 
 
 class ResetRegion(Model):
-    """Where an object may start: its frame, at the height that the scene gives it."""
+    """Region in which an object starts; its height is that of the scene."""
 
     x: Point2 = Field(description="Lowest and highest x in the world [m].")
     y: Point2 = Field(description="Lowest and highest y in the world [m].")
@@ -62,7 +62,7 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """How the starts of rollouts differ: each object takes another cell of its region's grid in each rollout."""
+    """Variation of the starts: in each rollout, each object takes another cell of its region's grid."""
 
     grid: tuple[Cells, Cells] = Field((5, 5), description="Cells of each region along x and y.")
     objects: dict[Name, ResetRegion] = Field({}, description="The objects that move, by name.")
