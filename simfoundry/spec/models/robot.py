@@ -66,10 +66,10 @@ class RobotSpec(Model):
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; those not named are at home.")
     reach: Positive | None = Field(
-        None, description="How far from its base it can grasp, along the ground [m]; default: what is known of it."
+        None, description="Horizontal reach from its base [m]; default: that of the known robot."
     )
     opening: Positive | None = Field(
-        None, description="The widest thing that fits between its fingers [m]; default: what is known of it."
+        None, description="Widest opening between its fingers [m]; default: that of the known robot."
     )
 
     def known(self) -> KnownRobot | None:

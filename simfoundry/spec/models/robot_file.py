@@ -32,7 +32,7 @@ Travel = tuple[Number, Number]
 class FrameSpec(Model):
     """A named frame of the robot, at a pose in a link of the model."""
 
-    link: str = Field(description="The link, as the model calls it.")
+    link: str = Field(description="The link, by the model's name.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of the frame in the link.")
 
 
@@ -48,9 +48,9 @@ class GripperSpec(Model):
     """Command and travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Values of the model's actuators; default: of the joints.")
-    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first tells the opening.")
+    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first measures the opening.")
     follow: dict[JointName, FollowSpec] = Field(
-        {}, description="Joints that the model moves by closed loops or equations, for targets that have none."
+        {}, description="Joints that the model moves by closed loops or equations, for targets without those."
     )
 
 
@@ -58,20 +58,22 @@ class AttachSpec(Model):
     """A model that is attached to a link of another."""
 
     file: Reference | list[Reference]
-    to: str = Field(description="The link that carries it.")
+    to: str = Field(description="The link to attach it to.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in that link.")
 
 
 class ModelSpec(Model):
     """A robot in one format. Names of an attached model are prefixed with its own: `gripper.base`."""
 
-    file: Reference | list[Reference] = Field(description="The file, or several of which the first found is taken.")
-    attach: dict[Name, AttachSpec] = Field({}, description="Models that its links carry, as a gripper, by name.")
+    file: Reference | list[Reference] = Field(
+        description="The file, or several, of which the first that exists is used."
+    )
+    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, as a gripper, by name.")
     links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None
     effort: dict[JointName, Positive] = Field(
-        {}, description="Greatest force of a joint [N m or N], where the file's own is not the robot's."
+        {}, description="Maximum force of a joint [N m or N], if the file's differs from the robot's."
     )
 
     @model_validator(mode="after")
@@ -89,10 +91,10 @@ class ModelSpec(Model):
 class RobotFileSpec(Model):
     """A robot: its model in each available format, and facts that no model states."""
 
-    reach: Positive | None = Field(None, description="How far from its base it can grasp, along the ground [m].")
-    opening: Positive | None = Field(None, description="The widest object that fits between its fingers [m].")
+    reach: Positive | None = Field(None, description="Horizontal reach from its base [m].")
+    opening: Positive | None = Field(None, description="Widest opening between its fingers [m].")
     payload: Positive | None = Field(None, description="The heaviest object that it should lift [kg].")
-    home: list[Number] | None = Field(None, description="Where its arm starts: `joint1` and so on [rad or m].")
+    home: list[Number] | None = Field(None, description="Home position of the arm: `joint1` and so on [rad or m].")
     mjcf: ModelSpec | None = None
     urdf: ModelSpec | None = None
     usd: Annotated[ModelSpec | None, Field(description="A USD whose default prim is the robot.")] = None
