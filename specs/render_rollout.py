@@ -17,9 +17,9 @@ from render_pictures import png
 
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ImageSize
-from simfoundry.evaluate.rollout import Rollout, Video, rollout
-from simfoundry.evaluate.starts import starts
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.resets.starts import starts
+from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.worlds import open_world
 
 SPECS = Path(__file__).resolve().parent

@@ -15,7 +15,7 @@ from pathlib import Path
 from simfoundry.runtime.files import write_atomically
 
 MAX_BYTES = 2 * 2**30
-"""So much may lie in a cache: the convex parts of some ten thousand meshes."""
+"""Bytes of a cache: the convex parts of some ten thousand meshes."""
 
 SHELVES = 256
 """Folders of a cache, by the first two digits of the keys; each keeps its share of the bytes."""

@@ -1,4 +1,4 @@
-"""Convex parts of meshes and prisms: what touches in every simulator."""
+"""Convex parts of meshes: the colliders of every simulator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MAX_HULL_VERTICES = 64
 """PhysX cooks at most 64 vertices into a hull and simplifies anything larger by itself."""
 
 SHALLOW_FILL, SHALLOW = 0.80, 0.07
-"""So does one that fills this share where its hollows are no deeper than this share of its longest side.
+"""A mesh that fills this share also does, if its hollows are no deeper than this share of its longest side.
 
 Measured on the 21 YCB-Video objects (`python -m tests.benchmarks.colliders FOLDER`): the cans, bottles and the marker,
 which are convex to a hand, fill 0.82 to 0.96 of their hulls with hollows of 3 to 6.8 %; the next are the pitcher (0.82,
@@ -43,7 +43,7 @@ PRIMITIVE_APART = 0.10
 """Primitives farther from the hull than this share of the longest side are not compared with the mesh at all."""
 
 SLOW_FACES = 2000
-"""From so many triangles on the cache keeps hulls and primitives, too: to find them takes a tenth of a second."""
+"""Triangles from which on the cache keeps hulls and primitives, too: to find them takes a tenth of a second."""
 
 
 def hull(points: Array, limit: int = MAX_HULL_VERTICES) -> Part:
@@ -122,7 +122,7 @@ def mesh_colliders(
 
 def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable[[str], object]) -> Colliders:
     from simfoundry.assets import decompose  # most meshes need no process
-    from simfoundry.assets.simplify import simplified
+    from simfoundry.assets.deviation import simplified
 
     whole, outline = hull(vertices), hull(vertices, limit=len(vertices))
     volume, full = solid_of(vertices, faces).volume, solid_of(*outline).volume

@@ -1,8 +1,10 @@
-"""What can be wrong with a mesh, a profile or an outline, in words; without numpy, so that a check starts at once."""
+"""Faults of meshes, profiles and outlines; without numpy, so that a check starts at once."""
 
 from __future__ import annotations
 
 MAX_FACES = 2_000_000
+"""Triangles of a mesh: decomposing more takes many minutes, and no simulator needs them."""
+
 MAX_BYTES = 256 * 2**20
 """Two million triangles with their pictures fit into this; more would take minutes and the memory of the machine."""
 
@@ -22,7 +24,7 @@ class MeshError(Exception):
 
 
 def implausible_size(name: str, size: float, scale: float) -> MeshError | None:
-    """What is wrong with a mesh that measures ``size`` [m] in its longest direction, read with ``scale``."""
+    """Return the fault of a mesh whose longest side is ``size`` [m], read with ``scale``; None for a plausible one."""
     shown = f"{name} is {size:.4g} m across"
     if size > LARGEST:
         millimetres = SMALLEST < size / 1000 < LARGEST

@@ -1,4 +1,4 @@
-"""Bodies of revolution: a profile turned about z, as one closed mesh and as convex parts."""
+"""Solids of revolution: a profile turned about z, as one closed mesh and as convex parts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simfoundry.assets.deviation import face_planes
 from simfoundry.assets.errors import profile_misses_axis, profile_off_axis, shape_crosses_itself
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def lathe_parts(profile: Array) -> list[Array]:
 
 
 def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
-    """How far the hulls of :func:`lathe_parts` are from the body of revolution at most [m], outside or inside of it.
+    """Return the greatest distance [m] of the hulls of :func:`lathe_parts` from the body of revolution.
 
     It is sampled, and finds the greatest distance to within some percent. Where a hull stands out of the body is
     measured at its corners, edges and faces; where the body stands out of all hulls, on its own surface.
@@ -110,7 +111,7 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
         [np.column_stack([edges[:, :1] * [math.cos(t), math.sin(t)], edges[:, 1]]) for t in angles]
     )
     # What is no farther outside of some part than the parts stand proud changes nothing: nearly all, seen from nearby.
-    planes = [_planes(corners, faces) for corners, faces in parts]
+    planes = [face_planes(corners, faces) for corners, faces in parts]
     for (corners, _), (normal, offset) in zip(parts, planes, strict=True):
         near = ((surface >= corners.min(axis=0) - proud) & (surface <= corners.max(axis=0) + proud)).all(axis=1)
         near[near] = (surface[near] @ normal.T - offset).max(axis=1) <= proud
@@ -119,14 +120,6 @@ def lathe_error(profile: Array, parts: list[tuple[Array, Faces]]) -> float:
     for normal, offset in planes:
         outside = np.minimum(outside, (surface @ normal.T - offset).max(axis=1))
     return max(proud, float(outside.max(initial=0.0)))
-
-
-def _planes(corners: Array, faces: Faces) -> tuple[Array, Array]:
-    """Outward unit normals (n, 3) and offsets [m] of the faces of a convex part."""
-    a, b, c = (corners[faces[:, k]] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return normal, np.einsum("ij,ij->i", normal, a)
 
 
 def _bands(profile: Array) -> list[Polygon]:
@@ -160,7 +153,7 @@ def _polygons(shape: Any) -> list[Polygon]:
 
 
 def _fits(union: Any) -> bool:
-    """Whether the union is one piece, nearly convex, and stays so when it is turned about the axis."""
+    """Return whether the union is one piece, nearly convex, and stays so when it is turned about the axis."""
     if union.geom_type != "Polygon" or not _nearly_convex(union):
         return False
     corners = np.array(union.exterior.coords)[:-1]
@@ -168,7 +161,7 @@ def _fits(union: Any) -> bool:
 
 
 def _convex_of_revolution(corners: Array) -> bool:
-    """Whether a band that reaches the axis is convex as a body: as a polygon joined with its mirror image."""
+    """Return whether a band that reaches the axis is convex as a body: as a polygon joined with its mirror image."""
     from shapely.geometry import Polygon
 
     mirrored = Polygon(corners).union(Polygon(corners * [-1.0, 1.0]))

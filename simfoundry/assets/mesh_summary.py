@@ -1,4 +1,4 @@
-"""What a check wants to know of a mesh file: bounds, volume, gaps and hull, measured once and kept in the cache.
+"""Summaries of mesh files for checks: bounds, volume, gaps and hull, measured once and kept in the cache.
 
 A file that was measured before is only hashed, so that a second check loads neither numpy nor a reader of meshes.
 """
@@ -34,7 +34,7 @@ VERSION = "mesh facts 2"
 
 Vec = tuple[float, float, float]
 Moments = tuple[float, ...]
-"""Of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
+"""Moments of a solid: x, y and z of its centre of mass, and xx, yy, zz, xy, xz, yz of its inertia."""
 
 ZERO_MOMENTS: Moments = (0.0,) * 9
 
@@ -44,9 +44,9 @@ class MeshFacts:
     """A mesh in the units of its file, z up.
 
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
-    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull, of which ``hull`` has at most
-    64 corners, and none where the mesh is flat. ``moments`` and ``hull_moments`` are the centres of mass and the
-    inertias about them, of density 1.
+    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at most 64
+    corners and the triangles ``hull_faces``, and none where the mesh is flat. ``moments`` and ``hull_moments`` are
+    the centres of mass and the inertias about them, of density 1.
     """
 
     size: float
@@ -55,12 +55,13 @@ class MeshFacts:
     volume: float
     hull_volume: float
     hull: tuple[Vec, ...]
+    hull_faces: tuple[tuple[int, int, int], ...] = ()
     moments: Moments = ZERO_MOMENTS
     hull_moments: Moments = ZERO_MOMENTS
 
     @property
     def is_nearly_convex(self) -> bool:
-        """Whether it certainly collides as its hull."""
+        """Return whether the mesh certainly collides as its hull."""
         return not self.gaps and self.hull_volume > 0 and self.volume >= NEARLY_CONVEX * self.hull_volume
 
     def solid(self, scale: float, of_hull: bool) -> Solid:
@@ -75,7 +76,7 @@ class MeshFacts:
         return Solid(volume * scale**3, np.array([x, y, z]) * scale, inertia * scale**5)
 
     def fault(self, name: str, scale: float, solid: str, collision: str) -> MeshError | None:
-        """What lowering will find wrong with the file ``name``, read with ``scale``, as a body of these fields.
+        """Return the fault that lowering finds in the file ``name``, read with ``scale``, as a body of these fields.
 
         Where the inertia of the body is given, ``solid`` is `given`: the mesh need not be closed.
         """
@@ -122,7 +123,7 @@ def _facts(path: Path, version: tuple[int, int], cache: Cache) -> MeshFacts:
 
 
 def file_digest(path: Path) -> str:
-    """Of the bytes, and of the suffix that says how they are read."""
+    """Return the digest of a file's bytes and of the suffix that decides how they are read."""
     import hashlib
 
     digest = hashlib.sha256(f"{VERSION} {path.suffix.lower()} ".encode())
@@ -138,8 +139,9 @@ def _read(stored: bytes) -> MeshFacts | None:
         data = json.loads(stored)
         hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
         numbers = (float(data["size"]), int(data["triangles"]), int(data["gaps"]))
+        faces = tuple((int(a), int(b), int(c)) for a, b, c in data["hull_faces"])
         moments = (tuple(map(float, data[name])) for name in ("moments", "hull_moments"))
-        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, *moments)
+        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, faces, *moments)
     except (ValueError, TypeError, KeyError):
         return None
 
@@ -160,14 +162,17 @@ def measure(path: Path) -> MeshFacts:
     triangles, gaps = len(joined), open_edges(faces)
     own = mass.mesh(vertices, faces) if len(faces) else None
     corners: tuple[Vec, ...] = ()
+    hull_faces: tuple[tuple[int, int, int], ...] = ()
     full = None
     try:
         full = mass.mesh(*hull(vertices, limit=len(vertices)))
-        corners = tuple((float(x), float(y), float(z)) for x, y, z in hull(vertices)[0])
+        points, sides = hull(vertices)
+        corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
+        hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
     except MeshError:
         pass  # flat or a point: it has no hull, and the finding is that of its volume
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
-    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, _moments(own), _moments(full))
+    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 
 
 def _moments(solid: Solid | None) -> Moments:

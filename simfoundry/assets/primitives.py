@@ -56,7 +56,7 @@ class Primitive:
 
 
 def fitted_primitives(corners: Array, within: float) -> list[Primitive]:
-    """Of each kind the primitive nearest to the convex hull of points [m], shape (n, 3), where it is ``within`` [m].
+    """Return the nearest primitive of each kind to the convex hull of points [m], shape (n, 3), up to ``within`` [m].
 
     The distance is that of Hausdorff: of two convex bodies it is the greatest difference of their support functions.
     """

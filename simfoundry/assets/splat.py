@@ -1,4 +1,4 @@
-"""3D Gaussian splats in: the PLY that trainers write, its stored numbers turned into what they mean.
+"""Read 3D Gaussian splats: the PLY that trainers write, its stored numbers converted to physical ones.
 
 The file holds raw parameters (Kerbl et al., 3D Gaussian Splatting, SIGGRAPH 2023): opacity before the logistic
 function, scales before the exponential, quaternions of any length, and colour as spherical harmonics, channel by
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from simfoundry.assets.errors import MeshError
 
 MAX_GAUSSIANS = 5_000_000
+"""Gaussians take 250 bytes each in memory; those of a room are one million."""
+
 EXPORT = "export it again from the trainer, as PLY"
 
 Array = NDArray[np.float32]
@@ -75,7 +77,7 @@ _DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _RESTS = (0, 9, 24, 45)
-"""How many coefficients there are beyond the first of each channel, at degrees 0 to 3."""
+"""Coefficients beyond the first of each channel, at degrees 0 to 3."""
 
 
 def _vertices(path: Path) -> Any:

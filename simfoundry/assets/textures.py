@@ -48,7 +48,7 @@ def _meshes(spec: SceneSpec | AssetSpec) -> Iterator[tuple[tuple[str, ...], str]
 
 
 def texture_faults(path: Path, root: Path | None = None) -> list[str]:
-    """What is wrong with the pictures that a mesh file names, a sentence each; empty where all of them are shown.
+    """Return the faults of the pictures that a mesh file names, a sentence each; none where all of them are shown.
 
     One that is missing, that cannot be read, or that lies outside of the folder ``root`` leaves its surface plain.
     """

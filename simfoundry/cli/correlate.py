@@ -7,25 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import CannotError, force_option, json_option, print_json, reporting
+from simfoundry.cli.options import ANY, NEW_FILE
+from simfoundry.cli.output import CannotError, print_json, subcommand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from simfoundry.evaluate.correlate import Agreement, Interval
-    from simfoundry.evaluate.scores import Score
+    from simfoundry.evaluate.statistics.correlation import Agreement, Interval
+    from simfoundry.evaluate.statistics.scores import Score
 
 
-@click.command()
-@click.argument("real", type=click.Path(path_type=Path, exists=True))
-@click.argument("sim", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand(force=True)
+@click.argument("real", type=ANY)
+@click.argument("sim", nargs=-1, required=True, type=ANY)
 @click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
 @click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="For intervals.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
-@click.option("--svg", type=click.Path(path_type=Path, dir_okay=False), help="Write the scatter plot.")
-@force_option
-@json_option
-@reporting
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot.")
 def command(
     real: Path,
     sim: tuple[Path, ...],
@@ -42,8 +40,8 @@ def command(
     Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what
     rates drawn from their posterior and policies drawn anew give. r is undefined where all policies do equally well.
     """
-    from simfoundry.evaluate.correlate import Draws, agreements, left_out, reservations
-    from simfoundry.evaluate.scores import by_engine, read_scores
+    from simfoundry.evaluate.statistics.correlation import Draws, agreements, left_out, reservations
+    from simfoundry.evaluate.statistics.scores import by_engine, read_scores
 
     if svg is not None:
         from simfoundry.runtime.outputs import ensure_replaceable
@@ -85,7 +83,7 @@ def _names(sim: Sequence[Path]) -> list[str]:
 def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from simfoundry.evaluate.correlate import mean_agreement
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     r, violation = mean_agreement(found)
     return {"tasks": [asdict(a) for a in found], "mean": {"pearson": r, "mmrv": violation}, "not_in_both": missing}
@@ -97,7 +95,7 @@ def _print(
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.correlate import mean_agreement
+    from simfoundry.evaluate.statistics.correlation import mean_agreement
 
     console = Console()
     for name, one in found.items():

@@ -2,46 +2,37 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, NEW_FOLDER, files_below, resumable
+from simfoundry.cli.options import shard as shard_of
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from simfoundry.api.evaluation import Evaluation
     from simfoundry.evaluate.entries import Entry
-    from simfoundry.evaluate.run import Outcome, Plan
+    from simfoundry.evaluate.run import Plan
 
 
 SENTENCES = 10
 """So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
 
 
-def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
-    if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
-    return int(match[1]) - 1, int(match[2])
-
-
-@click.command("eval")
-@click.argument("tasks", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand("eval")
+@click.argument("tasks", nargs=-1, required=True, type=ANY)
 @click.option(
     "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
     help="random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml, or a server: "
     "openpi:localhost:8000?action_space=joint_position.",
 )  # fmt: skip
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/eval"), show_default=True
-)
+@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
 @click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
 @click.option(
@@ -56,10 +47,8 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 )
 @click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
-@click.option("--shard", callback=_shard, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
+@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 where a success rate is below this.")
-@json_option
-@reporting
 def command(
     tasks: tuple[Path, ...],
     policies: tuple[str, ...],
@@ -90,8 +79,9 @@ def command(
 
     Exit code 1 where rollouts are missing, or where a rate is below --require.
     """
+    from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
-    from simfoundry.evaluate.run import Plan, prepare, run
+    from simfoundry.evaluate.run import Plan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
         raise CannotError("--from, --step and --subtasks exclude each other")
@@ -102,29 +92,14 @@ def command(
         rollouts=rollouts,
         seed=seed,
         engines=tuple(dict.fromkeys(worlds)),
-        shard=shard,
+        shard=(shard[0] - 1, shard[1]),
         cameras=cameras or None,
         video=_can_film(worlds) if video is None else video,
     )
-    troubles: list[str] = []
-    with progress_bar(as_json) as progress, _interruptible(out):
+    with progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
-        won: dict[str, list[int]] = {}
-
-        def seen(outcome: Outcome, done: int, of: int) -> None:
-            label = outcome.job.contender.label
-            label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
-            tally = won.setdefault(label, [0, 0])
-            if outcome.answered:
-                tally[0] += outcome.record["success"]
-                tally[1] += 1
-            if outcome.trouble:
-                verdict = "counts as failed" if outcome.answered else "is missing"
-                troubles.append(f"{label}, rollout {outcome.job.index} {verdict}: {outcome.trouble}")
-            progress(f"{label} {tally[0]}/{tally[1]}", done / of)
-
-        run(plan, seen, jobs)
-    return _report(plan, troubles, require, as_json)
+        evaluation = run_plan(plan, jobs, progress)
+    return _print_report(plan, evaluation, require, as_json)
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
@@ -140,7 +115,7 @@ def _can_film(worlds: Sequence[str]) -> bool:
 def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
     from simfoundry.evaluate.entries import Entry, Part
 
-    for path in _documents(tasks):
+    for path in files_below(tasks, ".task.yaml", "tasks"):
         if onward is not None or alone is not None:
             yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
             continue
@@ -150,42 +125,16 @@ def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subta
             yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
 
 
-def _documents(tasks: Sequence[Path]) -> Iterator[Path]:
-    for path in tasks:
-        inside = sorted(path.rglob("*.task.yaml")) if path.is_dir() else [path]
-        if not inside:
-            raise CannotError(f"{path} holds no tasks: their names end in .task.yaml")
-        yield from inside
+def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+    from simfoundry.evaluate.statistics.results import cells
 
-
-@contextmanager
-def _interruptible(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo(f"stopped; what is done is in {out}, and the same command goes on from there", err=True)
-        sys.exit(130)
-
-
-def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
-    import json
-
-    from simfoundry.evaluate.records import read_all
-    from simfoundry.evaluate.results import cells, results
-    from simfoundry.evaluate.run import pending
-    from simfoundry.reports.evaluation import page
-    from simfoundry.runtime.files import write_atomically
-
-    records = [record for _, record in read_all(plan.folder)]
-    found = results(records)
-    write_atomically(plan.folder / "results.json", (json.dumps(found, indent=1, ensure_ascii=False) + "\n").encode())
-    write_atomically(plan.folder / "report.html", page(records).encode())
-    missing = len(pending(plan))
-    low = [c for c in cells(records) if require is not None and c.success.of and c.success.share < require]
+    missing, troubles = evaluation.missing, evaluation.troubles
+    low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
     if as_json:
-        print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
+        extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
+        print_json({**evaluation.results, **extra})
     else:
-        _print(records)
+        _print(evaluation.records)
         for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
         if len(troubles) > SENTENCES:
@@ -195,7 +144,7 @@ def _report(plan: Plan, troubles: list[str], require: float | None, as_json: boo
         for cell in low:
             where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
             click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
-        click.echo(f"{plan.folder / 'report.html'}")
+        click.echo(f"{evaluation.report}")
     return FINDINGS if missing or low else DONE
 
 
@@ -203,7 +152,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from simfoundry.evaluate.results import MANY, cells, titles
+    from simfoundry.evaluate.statistics.results import MANY, cells, titles
 
     found = cells(records)
     policies = list(dict.fromkeys(cell.policy for cell in found))
@@ -228,8 +177,8 @@ def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None
     """What all tasks together say, and how sure it is that two policies differ."""
     from rich.table import Table
 
-    from simfoundry.evaluate.engines import compare_engines
-    from simfoundry.evaluate.strata import comparisons, pool_rows, pools
+    from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+    from simfoundry.evaluate.statistics.pools import comparisons, pool_rows, pools
 
     found = pools(records)
     if found:

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.control import Controller, physics_steps
 from simfoundry.evaluate.expert.grasps import down, grasps, jaws
 from simfoundry.evaluate.expert.places import places
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ActionSpace, Image
-from simfoundry.evaluate.rollout import Rollout, rollout
-from simfoundry.evaluate.starts import Start
-from simfoundry.evaluate.task import Task, load_task
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.rollouts.control import Controller, physics_steps
+from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
+from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
@@ -39,7 +39,7 @@ from simfoundry.runtime.outputs import ensure_folder_replaceable
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec

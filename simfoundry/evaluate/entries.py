@@ -10,9 +10,9 @@ from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.choose import Choice, Replay, parse_policy
+from simfoundry.evaluate.policies.choice import Choice, Replay, parse_policy
 from simfoundry.evaluate.policies.python_class import PythonClass
-from simfoundry.evaluate.task import Task, load_task
+from simfoundry.evaluate.tasks.task import Task, load_task
 
 _LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")

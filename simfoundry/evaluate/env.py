@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import Controller, checked_action, physics_steps
-from simfoundry.evaluate.judging import Progress, judge_of
-from simfoundry.evaluate.observe import check_cameras, pictures, readings
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
-from simfoundry.evaluate.starts import Start, starts
-from simfoundry.evaluate.task import Task, load_task, need_robots
+from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
+from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
+from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.tasks.task import Task, load_task, need_robots
 from simfoundry.geometry.frames import Array
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import is_world, open_world, world_names

@@ -14,15 +14,15 @@ from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
 from simfoundry.evaluate.entries import Contender, Entry, Part
-from simfoundry.evaluate.observe import check_cameras
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choose import Expert, open_policy
-from simfoundry.evaluate.records import Slot, check_layout, is_result
-from simfoundry.evaluate.rollout import End, Rollout, Video, rollout
-from simfoundry.evaluate.starts import Start, starts
-from simfoundry.evaluate.strata import cousin_of
-from simfoundry.evaluate.task import Task, need_robots
-from simfoundry.evaluate.videos import whole_picture
+from simfoundry.evaluate.policies.choice import Expert, open_policy
+from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.rollouts.observation import check_cameras
+from simfoundry.evaluate.rollouts.rollout import End, Rollout, Video, rollout
+from simfoundry.evaluate.rollouts.videos import whole_picture
+from simfoundry.evaluate.statistics.pools import cousin_of
+from simfoundry.evaluate.statistics.records import Slot, check_layout, is_result
+from simfoundry.evaluate.tasks.task import Task, need_robots
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
 from simfoundry.scene.robot import FILES_ONLY, Robot
@@ -276,7 +276,7 @@ def _video(plan: Plan, task: Task) -> Video | None:
 
 
 def _write_video(path: Path, result: Rollout, rate: float) -> None:
-    from simfoundry.evaluate.videos import side_by_side, write_video
+    from simfoundry.evaluate.rollouts.videos import side_by_side, write_video
 
     views = [frames for frames in result.frames.values() if frames]
     if views:
@@ -296,7 +296,7 @@ class _Setting:
 @lru_cache(maxsize=1)
 def _setting(entry: Entry, rollouts: int, seed: int, engine: str) -> _Setting:
     """Kept for the next rollout of the same task."""
-    from simfoundry.evaluate.judging import judge_of
+    from simfoundry.evaluate.rollouts.progress import judge_of
 
     cache = Cache.default()
     task = entry.load(cache)

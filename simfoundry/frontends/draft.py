@@ -24,7 +24,7 @@ LinkPath = tuple[str, str]
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """How to import: folders of packages by name, and whether files that exist are replaced."""
+    """Options of an import: folders of packages by name, and whether files that exist are replaced."""
 
     packages: Mapping[str, Path] = field(default_factory=dict)
     force: bool = False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -99,12 +98,7 @@ class _Key:
     """A form, equal to every other of the same parts."""
 
     def __init__(self, form: Form) -> None:
-        self.form = form
-        parts = form.parts
-        text = b"".join(
-            np.ascontiguousarray(v).tobytes() for v in (parts.corners, parts.part, parts.radius, parts.triangles)
-        )
-        self._digest = hashlib.sha256(text).digest()
+        self.form, self._digest = form, form.digest
 
     def __hash__(self) -> int:
         return hash(self._digest)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,10 +59,10 @@ class Pose:
         out[:3, 3] = self.p
         return out
 
-    @property
+    @cached_property
     def rotation(self) -> Array:
         """The rotation matrix, shape (3, 3)."""
-        return matrix_from_quat(self.q)
+        return frozen_array(matrix_from_quat(self.q))
 
     @property
     def is_identity(self) -> bool:

@@ -62,9 +62,15 @@ def rotations(q: Array) -> Array:
     return out
 
 
-def turns(axis: Array, angle: Array) -> Array:
-    """Rotation matrices, shape (n, 3, 3), about one unit axis by angles [rad], shape (n,)."""
-    x, y, z = axis
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * skew + (1 - c) * (skew @ skew))
+class Turn:
+    """Rotations about one unit axis, shape (3,)."""
+
+    def __init__(self, axis: Array) -> None:
+        x, y, z = axis
+        self._skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        self._square = self._skew @ self._skew
+
+    def by(self, angle: Array) -> Array:
+        """Rotation matrices by angles [rad], (n,), shape (n, 3, 3)."""
+        s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+        return np.asarray(np.eye(3) + s * self._skew + (1 - c) * self._square)

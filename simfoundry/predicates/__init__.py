@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from simfoundry.geometry.poses import Poses
     from simfoundry.predicates.judging.bodies import PredicateError
     from simfoundry.predicates.judging.judge import Judge, Verdict
-    from simfoundry.predicates.judging.states import Poses, StateBatch
+    from simfoundry.predicates.judging.states import StateBatch
 
 _MODULES = {
     "Judge": "judge",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from simfoundry.evaluate.correlate import Agreement, mean_agreement
+from simfoundry.evaluate.statistics.correlation import Agreement, mean_agreement
 from simfoundry.reports.render import render
 
 SIDE, MARGIN, LEGEND = 440, 56, 210

@@ -9,11 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from simfoundry.evaluate.engines import compare_engines
-from simfoundry.evaluate.metrics import Rate
-from simfoundry.evaluate.records import is_result
-from simfoundry.evaluate.results import MANY, Cell, cell_key, cells, titles
-from simfoundry.evaluate.strata import Pool, comparisons, pool_rows, pools
+from simfoundry.evaluate.statistics.engine_comparison import compare_engines
+from simfoundry.evaluate.statistics.metrics import Rate
+from simfoundry.evaluate.statistics.pools import Pool, comparisons, pool_rows, pools
+from simfoundry.evaluate.statistics.records import is_result
+from simfoundry.evaluate.statistics.results import MANY, Cell, cell_key, cells, titles
 from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]

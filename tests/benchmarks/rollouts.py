@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from simfoundry.evaluate.judging import judge_of
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
-from simfoundry.evaluate.rollout import Rollout, rollout
-from simfoundry.evaluate.starts import starts
-from simfoundry.evaluate.task import Task, load_task
+from simfoundry.evaluate.resets.starts import starts
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
+from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.expressions import AllOf, NoneOf
 from simfoundry.worlds.mujoco_world import MujocoWorld

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.evaluate.expert.policy import Expert
-from simfoundry.evaluate.judging import judge_of
 from simfoundry.evaluate.policies.base import Image, ImageSize
-from simfoundry.evaluate.rollout import Rollout, Video, rollout
-from simfoundry.evaluate.starts import starts
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.resets.starts import starts
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.rollouts.rollout import Rollout, Video, rollout
+from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.worlds import open_world, world_names
 
 SPECS = Path(__file__).parents[2] / "specs" / "tasks"

@@ -130,10 +130,10 @@ def table(tasks: list[str], count: int, seed: int, out: Path, gallery: Path | No
 def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Path, cache: Cache | None) -> int:
     """Roll the expert out on Cup in Bowl with each of its object cousins; 1 where it wins too few."""
     from simfoundry.evaluate.expert.policy import Expert
-    from simfoundry.evaluate.judging import judge_of
-    from simfoundry.evaluate.rollout import rollout
-    from simfoundry.evaluate.starts import starts
-    from simfoundry.evaluate.task import load_task
+    from simfoundry.evaluate.resets.starts import starts
+    from simfoundry.evaluate.rollouts.progress import judge_of
+    from simfoundry.evaluate.rollouts.rollout import rollout
+    from simfoundry.evaluate.tasks.task import load_task
     from simfoundry.worlds import open_world
 
     won = total = 0

@@ -15,13 +15,13 @@ import pytest
 
 from simfoundry import __version__
 from simfoundry.evaluate.entries import contenders
-from simfoundry.evaluate.metrics import wilson
-from simfoundry.evaluate.results import cells
-from simfoundry.evaluate.videos import side_by_side, whole_picture
+from simfoundry.evaluate.rollouts.videos import side_by_side, whole_picture
+from simfoundry.evaluate.statistics.metrics import wilson
+from simfoundry.evaluate.statistics.results import cells
 from simfoundry.reports.evaluation import page
 from tests.cli.command import run
 from tests.evaluate.benches import TASK, write_bench
-from tests.evaluate.test_strata import record
+from tests.evaluate.test_pools import record
 
 PUSH = np.column_stack([np.zeros(45), np.minimum(0.05 + 0.006 * np.arange(45), 0.22), np.zeros(45)])
 """Straight on, slowly, into the block."""

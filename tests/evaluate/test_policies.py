@@ -14,10 +14,10 @@ import pytest
 
 from simfoundry.evaluate.policies import lerobot
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choose import Expert, Random, Replay, open_policy, parse_policy
+from simfoundry.evaluate.policies.choice import Expert, Random, Replay, open_policy, parse_policy
 from simfoundry.evaluate.policies.groot import GrootPolicy
 from simfoundry.evaluate.policies.openpi import OpenpiPolicy
-from simfoundry.evaluate.policies.random_actions import HORIZON, STEP, RandomPolicy
+from simfoundry.evaluate.policies.random_walk import HORIZON, STEP, RandomPolicy
 from simfoundry.evaluate.policies.replay import load_replay
 from simfoundry.evaluate.policies.roboarena import RoboarenaPolicy
 from simfoundry.spec.diagnostics import SpecError
@@ -293,7 +293,7 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, prot
 
 def test_nothing_of_a_server_is_loaded_before_it_is_asked() -> None:
     code = (
-        "import sys; from simfoundry.evaluate.policies.choose import open_policy, parse_policy\n"
+        "import sys; from simfoundry.evaluate.policies.choice import open_policy, parse_policy\n"
         "texts = [f'{n}:a?action_space=joint_position' for n in ('openpi', 'roboarena', 'groot')]\n"
         "policies = [open_policy(parse_policy(text)) for text in texts]\n"
         "print([m for m in ('websockets', 'zmq', 'msgpack', 'PIL', 'torch', 'mujoco') if m in sys.modules])"

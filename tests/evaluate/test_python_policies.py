@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from simfoundry.evaluate.policies.base import PolicyError
-from simfoundry.evaluate.policies.choose import open_policy, parse_policy
+from simfoundry.evaluate.policies.choice import open_policy, parse_policy
 from simfoundry.evaluate.policies.serve import serve
 from tests.cli.command import run
 from tests.conftest import REPOSITORY

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.control import FARTHEST, Controller
-from simfoundry.evaluate.judging import HOLD, Progress
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
-from simfoundry.evaluate.rollout import End, Video, rollout
-from simfoundry.evaluate.starts import Start
-from simfoundry.evaluate.task import Task, load_task
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.rollouts.control import FARTHEST, Controller
+from simfoundry.evaluate.rollouts.progress import HOLD, Progress
+from simfoundry.evaluate.rollouts.rollout import End, Video, rollout
+from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
 from simfoundry.render.gl import Engine, choose_engine

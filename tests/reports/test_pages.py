@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.evaluate.correlate import Agreement
+from simfoundry.evaluate.statistics.correlation import Agreement
 from simfoundry.reports import comparison, correlation, evaluation, gallery, verification
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import compare, side

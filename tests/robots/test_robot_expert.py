@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from simfoundry.evaluate.expert.policy import Expert
-from simfoundry.evaluate.judging import judge_of
-from simfoundry.evaluate.rollout import End, rollout
-from simfoundry.evaluate.starts import starts
-from simfoundry.evaluate.task import load_task
+from simfoundry.evaluate.resets.starts import starts
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.rollouts.rollout import End, rollout
+from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.worlds import open_world
 
 pytest.importorskip("mink", reason="the expert solves its arms with mink")

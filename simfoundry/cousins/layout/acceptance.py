@@ -14,7 +14,7 @@ from simfoundry.cousins.layout.propose import Layout
 from simfoundry.cousins.layout.twin import ELSEWHERE, Twin
 from simfoundry.cousins.layout.views import SEEN, best_view
 from simfoundry.cousins.recipe.candidate import Reason
-from simfoundry.evaluate.place import rounded
+from simfoundry.evaluate.resets.placement import rounded
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import StateBatch, Verdict
 from simfoundry.scene.state import SceneState

@@ -15,7 +15,7 @@ from simfoundry.evaluate.expert.joints import lead
 from simfoundry.evaluate.expert.places import PlaceAt, places
 from simfoundry.evaluate.expert.worker import FailedError, Script, Worker
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation
-from simfoundry.evaluate.task import Task
+from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge, StateBatch
 from simfoundry.runtime.extras import need_extra

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation, PolicyError
 from simfoundry.evaluate.policies.groot_modality import Modality, eef_9d, modality
-from simfoundry.evaluate.policies.reading import droid_cameras, pictures, reading
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, reading
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.zmq_socket import Requests
 from simfoundry.geometry.frames import Array

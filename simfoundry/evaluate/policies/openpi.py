@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from simfoundry.evaluate.policies.base import InvalidAnswerError, Observation
-from simfoundry.evaluate.policies.reading import droid_cameras, pictures, state
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec

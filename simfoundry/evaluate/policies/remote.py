@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, InvalidAnswerError, Observation, PolicyError
 from simfoundry.evaluate.policies.chunk import actions_of
-from simfoundry.evaluate.policies.reading import cameras_of
+from simfoundry.evaluate.policies.observation_keys import cameras_of
 from simfoundry.evaluate.policies.record import PolicyRecord
 from simfoundry.geometry.frames import Array
 from simfoundry.spec.models.policy import PolicySpec

@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Any
 
 from simfoundry.evaluate.policies.base import Observation
+from simfoundry.evaluate.policies.observation_keys import droid_cameras, pictures, state
 from simfoundry.evaluate.policies.openpi import DROID_STATE
-from simfoundry.evaluate.policies.reading import droid_cameras, pictures, state
 from simfoundry.evaluate.policies.remote import RemotePolicy
 from simfoundry.evaluate.policies.websocket import Connection
 from simfoundry.spec.models.policy import PolicyProtocol, PolicySpec

@@ -1,6 +1,6 @@
-"""Conditions of BDDL as conditions of the language: quantifiers become `all`, `any` and `not` over the scene's objects.
+"""Convert conditions of BDDL: quantifiers become `all`, `any` and `not` over the scene's objects.
 
-What they mean is as the `bddl` package evaluates it: `forn` is exactly so many, `fornpairs` exactly so many pairs,
+They mean what the `bddl` package evaluates: `forn` is exactly so many, `fornpairs` exactly so many pairs,
 `forpairs` as many of one kind as there are of the fewer, each with a partner.
 """
 
@@ -12,21 +12,21 @@ from itertools import combinations, product
 from math import comb
 from typing import Any
 
-from simfoundry.frontends.bddl.expressions import BddlGroup, BddlWord
+from simfoundry.frontends.bddl.problem import BddlGroup, BddlWord
 
 MOST_TERMS = 20_000
-"""A goal of more predicates than this says nothing to anybody."""
+"""Predicates of a written-out goal: nobody reads more, and quantifiers over many objects explode."""
 
 Condition = Any
 """A predicate, or a mapping of `all`, `any` or `not`, as in a document."""
 
 Scope = Mapping[str, str]
-"""What variables stand for, by their names."""
+"""Objects that variables stand for, by the names of the variables."""
 
 
 @dataclass
 class ConditionReader:
-    """Turns conditions into ours: ``atom`` makes a predicate of its name and arguments, ``things`` are all by type."""
+    """Converts conditions: ``atom`` makes a predicate of its name and arguments, ``things`` are the objects by type."""
 
     atom: Callable[[BddlGroup, str, list[str]], Condition | None]
     things: Mapping[str, Sequence[str]]
@@ -34,7 +34,7 @@ class ConditionReader:
     terms: int = 0
 
     def condition(self, group: BddlGroup, scope: Scope) -> Condition | None:
-        """One condition; None where something of it is missing, which is then in ``missing``."""
+        """Return one condition; None where something of it is missing, which is then in ``missing``."""
         match group.head:
             case "and" | "or":
                 return self._joined(
@@ -91,7 +91,7 @@ class ConditionReader:
         return self._joined("all", sides)
 
     def _at_least(self, group: BddlGroup, least: int, found: list[Condition | None]) -> Condition | None:
-        """That so many of some hold."""
+        """At least so many of some conditions hold."""
         if not self._affordable(group, len(found), least):
             return None
         if least == len(found):
@@ -99,7 +99,7 @@ class ConditionReader:
         return self._joined("any", [self._joined("all", list(chosen)) for chosen in combinations(found, least)])
 
     def _exactly(self, group: BddlGroup, count: int, found: list[Condition | None]) -> Condition | None:
-        """That so many of some hold and the others do not."""
+        """Exactly so many of some conditions hold."""
         if count > len(found):
             self._lack(group, f"{count} are to hold of {len(found)}")
             return None
@@ -123,7 +123,7 @@ class ConditionReader:
         return found[0] if len(found) == 1 else {key: tuple(found)}
 
     def _members(self, group: BddlGroup) -> tuple[str, Sequence[str]]:
-        """The variable of ``(?x - type)`` and the things that it ranges over."""
+        """The variable of ``(?x - type)`` and the objects that it ranges over."""
         words = [item for item in group.items if isinstance(item, BddlWord)]
         if len(words) != 3 or words[1].text != "-":
             return "", ()
@@ -140,7 +140,7 @@ class ConditionReader:
 
 
 def negated(condition: Condition | None) -> Condition | None:
-    """That a condition does not hold, with `not` only before predicates; `Open` and `Closed` are each other's."""
+    """Return the negation of a condition, with `not` only before predicates; `Open` negates `Closed`."""
     if condition is None:
         return None
     if isinstance(condition, dict):

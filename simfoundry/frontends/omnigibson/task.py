@@ -1,4 +1,4 @@
-"""The authors' task YAML in: goals, milestones, starts and ranges, as a task on a scene that was imported before."""
+"""Read the authors' task YAML: goals, milestones, starts and ranges, as a task on a scene that was imported before."""
 
 from __future__ import annotations
 
@@ -21,9 +21,14 @@ BINARY = {
     "OnTop": "OnTop", "OnTopAABB": "OnTop", "Inside": "Inside", "InsideAABB": "Inside", "Under": "Under",
     "NextTo": "NextTo", "Touching": "Touching", "AboveAABB": "Above",
 }  # fmt: skip
-UNARY = {"Open": "Open", "Lifted": "Lifted", "IsGrasping": "Grasped"}
+UNARY = {"Lifted": "Lifted", "IsGrasping": "Grasped"}
 AGENTS = ("agent", "robot", "robot0")
+
 CONTROL_HZ = 15.0
+"""Actions a second of the release's evaluation, which its task files do not state."""
+
+HORIZON = 1000
+"""Steps of a task that states none, as the release's own default."""
 
 _DROPPED = {
     "robot_pose": "robots stand in the scene", "robot_xyz_randomization": "robots stand still",
@@ -42,67 +47,68 @@ def read_task(
 ) -> tuple[TaskSpec, ModelDraft]:
     """Read the task of a YAML file of the release for a scene; raises :class:`ImportRefusedError`."""
     try:
-        document = read_yaml(path)
+        data = read_yaml(path).data
     except YamlError as error:
         raise ImportRefusedError(path, str(error)) from None
-    data = document.data
-    config = data.get("og_task_config") if isinstance(data, dict) else None
-    if not isinstance(config, dict):
+    if not isinstance(data, dict) or not isinstance(data.get("og_task_config"), dict):
         raise ImportRefusedError(path, "it has no `og_task_config`: it is no task of the release")
     assert options.scene is not None
-    return _TaskReader(path, data, config, spec, scene).spec(relative_path(options.scene, out))
+    reader = _TaskReader(path, data, spec, scene)
+    return reader.spec(relative_path(options.scene, out)), reader.draft
 
 
 class _TaskReader:
     """One task file while it is read."""
 
-    def __init__(
-        self, path: Path, data: dict[str, Any], config: dict[str, Any], scene: SceneSpec, lowered: Scene
-    ) -> None:
-        self.path, self.data, self.config, self.scene, self.lowered = path, data, config, scene, lowered
+    def __init__(self, path: Path, data: dict[str, Any], spec: SceneSpec, scene: Scene) -> None:
+        self.path, self.data, self.scene_spec, self.scene = path, data, spec, scene
+        self.config: dict[str, Any] = data["og_task_config"]
         self.draft = ModelDraft(str(data.get("task_name") or path.stem), "OmniGibson task")
-        self.groups = {str(k): list(v or ()) for k, v in (config.get("semantic_group_mapping") or {}).items()}
+        self.groups = {str(k): list(v or ()) for k, v in (self.config.get("semantic_group_mapping") or {}).items()}
 
     def refused(self, message: str, hint: str = "") -> ImportRefusedError:
         return ImportRefusedError(self.path, message, hint=hint)
 
-    def spec(self, scene_file: str) -> tuple[TaskSpec, ModelDraft]:
-        goal = self.goal()
-        instruction = self.data.get("language_instruction")
+    def spec(self, scene_file: str) -> TaskSpec:
+        goal, instruction = self.goal(), self.data.get("language_instruction")
         if not instruction:
             instruction = self.draft.name.replace("_", " ").capitalize() + "."
             self.draft.assumed("instruction", "none is given; the name of the task stands for it")
-        steps = (self.config.get("termination_config") or {}).get("max_steps") or 1000
+        steps = (self.config.get("termination_config") or {}).get("max_steps") or HORIZON
         data: dict[str, Any] = {
-            "simfoundry": "task/1", "name": plain_name(self.draft.name, "task"), "scene": Path(scene_file).as_posix(),
+            "simfoundry": "task/1", "name": plain_name(self.draft.name, "task"), "scene": scene_file,
             "instruction": str(instruction), "goal": goal, "control_hz": CONTROL_HZ, "horizon": int(steps),
         }  # fmt: skip
-        subtasks, start, reset = self.subtasks(), self.start(), self.reset()
-        beside = {"subtasks": subtasks, "start": start, "reset": {"objects": reset} if reset else {}}
-        data |= {key: value for key, value in beside.items() if value}
+        reset = self.reset()
+        optional = {"subtasks": self.subtasks(), "start": self.start(), "reset": {"objects": reset} if reset else {}}
+        data |= {key: value for key, value in optional.items() if value}
         for key, why in _DROPPED.items():
             if self.config.get(key):
                 self.draft.dropped(f"`{key}`", why)
-        self.wording(str(instruction), goal)
-        return TaskSpec.model_validate(rounded(data)), self.draft
+        for text in _texts(goal) if " in " in f" {str(instruction).lower()} " else ():
+            if text.startswith("OnTop("):
+                why = "the instruction says `in`, and the goal is met on top; taken as it stands"
+                self.draft.assumed(f"`{text}`", why)
+        return TaskSpec.model_validate(rounded(data))
 
     def members(self, group: Any) -> list[str]:
-        """The objects of a group, by the names that the scene gives them; agents stay what they are."""
-        words = self.groups.get(str(group), [group])
-        out: list[str] = []
-        for word in map(str, words):
-            if word in AGENTS:
-                out.append("agent")
-                continue
-            found = [n for n, o in self.scene.objects.items() if self.means(word, n, o)]
+        """The objects of a group, by the names that the scene gives them; agents keep theirs."""
+        out: dict[str, None] = {}
+        for word in map(str, self.groups.get(str(group), [group])):
+            found = ["agent"] if word in AGENTS else self.objects_called(word)
             if not found:
                 raise self.refused(f"no object of the scene is `{word}`", "name one by its name or category")
-            out += [n for n in found if n not in out]
-        return out
+            out |= dict.fromkeys(found)
+        return list(out)
 
-    def means(self, word: str, name: str, item: Any) -> bool:
-        note = item.origin.note if item.origin is not None else None
-        return plain_name(word) in (name, item.category or "") or note == f"`{word}` of the release"
+    def objects_called(self, word: str) -> list[str]:
+        """The objects of a name or category, or those that had the name in the release."""
+
+        def matches(name: str, item: Any) -> bool:
+            note = item.origin.note if item.origin is not None else None
+            return plain_name(word) in (name, item.category or "") or note == f"`{word}` of the release"
+
+        return [name for name, item in self.scene_spec.objects.items() if matches(name, item)]
 
     def predicates(self, key: str) -> list[dict[str, Any]]:
         listed = self.config.get(key) or []
@@ -113,18 +119,16 @@ class _TaskReader:
     def goal(self) -> Any:
         """All predicates together; `all` and `any` in their keys are about the objects of a group."""
         if self.predicates("goal_predicates_specific"):
-            raise self.refused(
-                "`goal_predicates_specific` names objects by number", "write them as `goal_predicates_all`"
-            )
+            message = "`goal_predicates_specific` names objects by number"
+            raise self.refused(message, "write them as `goal_predicates_all`")
         every = [self.condition(p, "all") for p in self.predicates("goal_predicates_all")]
-        every += [self.condition(p, "any") for p in self.predicates("goal_predicates_any")]
-        if self.predicates("goal_predicates_any"):
-            self.draft.changed(
-                "`goal_predicates_any`", "each asks for any object of its group, and all of them must hold"
-            )
-        if not every:
+        some = [self.condition(p, "any") for p in self.predicates("goal_predicates_any")]
+        if some:
+            why = "each asks for any object of its group, and all of them must hold"
+            self.draft.changed("`goal_predicates_any`", why)
+        if not every + some:
             raise self.refused("its goal is empty: every rollout would succeed at once", "give it goal predicates")
-        return every[0] if len(every) == 1 else {"all": tuple(every)}
+        return (every + some)[0] if len(every + some) == 1 else {"all": tuple(every + some)}
 
     def condition(self, predicate: dict[str, Any], quantifier: str) -> Any:
         each = [self.atom(predicate, name) for name in self.members(predicate.get("group"))]
@@ -134,40 +138,38 @@ class _TaskReader:
 
     def atom(self, predicate: dict[str, Any], name: str) -> Any:
         """One predicate about one object."""
-        state, wanted = str(predicate.get("state")), predicate.get("value", True) is not False
+        state, is_wanted = str(predicate.get("state")), predicate.get("value", True) is not False
         others = self.members(predicate["other_group"]) if predicate.get("other_group") else []
         if predicate.get("state_kwargs"):
-            self.draft.changed(
-                f"parameters of {state}",
-                "predicates here have thresholds of their own",
-                str(predicate["state_kwargs"])[:80],
-            )
+            why = "predicates here have thresholds of their own"
+            self.draft.changed(f"parameters of {state}", why, str(predicate["state_kwargs"])[:80])
         if len(others) > 1:
             raise self.refused(f"`{predicate.get('other_group')}` must mean one object, and means {len(others)}")
         if state == "Touching" and "agent" in (name, *others):
-            thing = name if name != "agent" else others[0] if others else ""
-            if not wanted and thing and thing != "agent":
-                return f"Released({thing})"
-            robots = list(self.scene.robots)
-            if len(robots) != 1:
-                raise self.refused("a robot is to touch something", f"the scene must have one robot, not {len(robots)}")
-            return f"Touching({robots[0]}, {thing})"
-        if state == "IsGrasping":
-            text = f"Grasped({others[0] if name == 'agent' and others else name})"
+            return self.touched_by_robot(name if name != "agent" else (others or [""])[0], is_wanted)
+        if state == "IsGrasping" and name == "agent" and others:
+            name = others[0]
+        if state in UNARY and (name != "agent" or state == "IsGrasping"):
+            text = f"{UNARY[state]}({name})"
         elif state in BINARY and others and name != "agent":
             text = f"{BINARY[state]}({name}, {others[0]})"
         elif state == "Open" and name != "agent":
-            return f"{'Open' if wanted else 'Closed'}({name})"
-        elif state in UNARY and name != "agent":
-            text = f"{UNARY[state]}({name})"
+            return f"{'Open' if is_wanted else 'Closed'}({name})"
         else:
             raise self.refused(f"there is no predicate for `{state}` of `{predicate.get('group')}`")
-        return text if wanted else {"not": text}
+        return text if is_wanted else {"not": text}
+
+    def touched_by_robot(self, item: str, is_wanted: bool) -> str:
+        if not is_wanted and item not in ("", "agent"):
+            return f"Released({item})"
+        robots = list(self.scene_spec.robots)
+        if len(robots) != 1:
+            raise self.refused("a robot is to touch something", f"the scene must have one robot, not {len(robots)}")
+        return f"Touching({robots[0]}, {item})"
 
     def subtasks(self) -> dict[str, Any]:
         """Milestones in an order that their `requires` allow."""
-        listed = self.predicates("milestone_predicates")
-        names = NameTable("step")
+        listed, names = self.predicates("milestone_predicates"), NameTable("step")
         out: dict[str, Any] = {}
         done: set[str] = set()
         while listed:
@@ -181,20 +183,17 @@ class _TaskReader:
 
     def start(self) -> dict[str, Any]:
         place: dict[str, Any] = {}
-        for key in ("init_predicates_all", "init_predicates_any", "init_predicates_specific"):
-            for predicate in self.predicates(key):
-                if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
-                    self.draft.dropped(
-                        f"`{key}`: {predicate.get('state')}", "only objects placed on others can be said"
-                    )
-                    continue
-                below = self.members(predicate.get("other_group"))
-                members = self.members(predicate.get("group"))
-                if len(members) > 1:
-                    self.draft.changed(
-                        f"`{key}` of `{predicate.get('group')}`", "the release keeps the last object only; so does this"
-                    )
-                place[members[-1]] = {"on": below[0]}
+        keys = ("init_predicates_all", "init_predicates_any", "init_predicates_specific")
+        for key, predicate in ((k, p) for k in keys for p in self.predicates(k)):
+            if predicate.get("state") != "PlaceOnTop" or predicate.get("value") is False:
+                why = "only objects placed on others can be said"
+                self.draft.dropped(f"`{key}`: {predicate.get('state')}", why)
+                continue
+            below, members = self.members(predicate.get("other_group")), self.members(predicate.get("group"))
+            if len(members) > 1:
+                why = "the release keeps the last object only; so does this"
+                self.draft.changed(f"`{key}` of `{predicate.get('group')}`", why)
+            place[members[-1]] = {"on": below[0]}
         joints: dict[str, Any] = {}
         for group, positions in (self.config.get("group_init_joint_positions") or {}).items():
             for name in self.members(group):
@@ -209,27 +208,17 @@ class _TaskReader:
             half = [abs(float(v)) for v in widths.get(group) or (0, 0, 0)]
             turn = math.degrees(abs(float(turns.get(group) or 0.0)))
             if half[2]:
-                self.draft.dropped(
-                    f"range of height of `{group}`", "objects start at the height that the scene gives them"
-                )
+                why = "objects start at the height that the scene gives them"
+                self.draft.dropped(f"range of height of `{group}`", why)
             for name in self.members(group):
-                p = [float(v) for v in self.lowered.object(name).X_WO.p]
+                p = self.scene.object(name).X_WO.p.tolist()
                 region: dict[str, Any] = {k: (p[i] - half[i], p[i] + half[i]) for i, k in enumerate("xy")}
-                if turn:
-                    region["yaw_deg"] = (-turn, turn)
-                out[name] = region
+                out[name] = region | ({"yaw_deg": (-turn, turn)} if turn else {})
         return out
-
-    def wording(self, instruction: str, goal: Any) -> None:
-        """Say where the words ask for `in` and the goal for `on`."""
-        if " in " in f" {instruction.lower()} ":
-            for text in _texts(goal):
-                if text.startswith("OnTop("):
-                    why = "the instruction says `in`, and the goal is met on top; taken as it stands"
-                    self.draft.assumed(f"`{text}`", why)
 
 
 def _texts(condition: Any) -> Iterator[str]:
+    """The predicates of a condition."""
     if isinstance(condition, str):
         yield condition
     elif isinstance(condition, dict):

@@ -83,7 +83,7 @@ class _UsdReader:
         self.bodies: dict[str, UsdBody] = {}
         self.left: Counter[str] = Counter()
         self.placed_links: dict[str, tuple[BodyDraft, str]] = {}
-        """By path of a body: what it became part of, and as which link."""
+        """By path of a body: its draft and its link."""
 
     def read(self) -> ModelDraft:
         prims = list(self.pxr.Usd.PrimRange.Stage(self.stage, self.pxr.Usd.TraverseInstanceProxies()))
@@ -213,7 +213,7 @@ class _UsdReader:
             yield read_joint(self.draft, self.pxr, prim, self.end, self.to_m, self.to_kg)
 
     def end(self, targets: list[Any]) -> tuple[str, Pose, Array]:
-        """What a joint is fastened to: a body, or the world; the frame there and its scale."""
+        """The body of a joint, or the world; the frame of its target there and its scale."""
         prim = self.stage.GetPrimAtPath(targets[0]) if targets else None
         if not prim:
             return WORLD, Pose.of(), np.full(3, self.to_m)
@@ -226,7 +226,7 @@ class _UsdReader:
         return str(body.prim.GetPath()), body.X_WB.inverse() @ X_WP, scale
 
     def trees(self, joints: list[UsdJoint]) -> None:
-        """Bodies that joints connect are one thing; joints that close a loop are noted."""
+        """Make one object of bodies that joints connect; joints that close a loop are noted."""
         left = dict(self.bodies)
         at: dict[str, list[UsdJoint]] = {}
         for joint in joints:
@@ -246,7 +246,7 @@ class _UsdReader:
         return bool(self.bodies[path].prim.HasAPI(self.pxr.UsdPhysics.ArticulationRootAPI))
 
     def tree(self, root: str, left: dict[str, UsdBody], at: dict[str, list[UsdJoint]], used: set[int]) -> None:
-        """One thing: its root, and all that joints carry from there."""
+        """One object: its root, and all that joints carry from there."""
         body = self.bodies[root]
         draft = BodyDraft("", root, {}, X_WO=body.X_WB)
         frames = {root: Pose.of()}

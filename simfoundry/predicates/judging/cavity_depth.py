@@ -4,25 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.geometry.cavity import UPWARD, Cavity, cavity, cavity_upward
-from simfoundry.geometry.form import Form
+from simfoundry.geometry.cavity import Cavity, cavity_upward
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, rotate
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.judging.bodies import PredicateError, Thing
+from simfoundry.predicates.judging.bodies import Thing
 from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
 
 SAMPLES = 64
 """Points of a thing whose depth is measured."""
-
-
-def hollow_links(view: View, b: Thing) -> list[tuple[int, Form]]:
-    """The links of a thing that have a cavity, by index; a :class:`PredicateError` where there is none."""
-    found = [(k, form) for k, form in view.forms(b) if cavity(form) is not None]
-    if not found:
-        raise PredicateError(f"`{b.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow")
-    return found
 
 
 def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
@@ -31,14 +22,15 @@ def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
     Up is the nearest of the axes of a link.
     """
     found = []
-    for k, form in hollow_links(view, b):
+    for k in view.bodies.hollow_links(b):
+        form = view.bodies[b.owner].forms[k]
+        assert form is not None
         up = view.link(b.owner, k).R[:, 2]
-        nearest = np.abs(up).argmax(axis=1)
-        positive = np.take_along_axis(up, nearest[:, None], axis=1)[:, 0] > 0
-        for axis, sign in UPWARD:
-            states = np.flatnonzero((nearest == axis) & (positive == (sign > 0)))
-            if len(states) and (hole := cavity_upward(form, axis, sign)) is not None:
-                found.append((k, hole, states))
+        axes = np.abs(up).argmax(axis=1)
+        upward = np.take_along_axis(up, axes[:, None], axis=1)[:, 0] > 0
+        for axis, sign in sorted(set(zip(axes.tolist(), np.where(upward, 1, -1).tolist(), strict=True))):
+            if (hole := cavity_upward(form, axis, sign)) is not None:
+                found.append((k, hole, np.flatnonzero((axes == axis) & (upward == (sign > 0)))))
     return found
 
 

@@ -13,31 +13,35 @@ from simfoundry.geometry.distance import (
     box_bounds,
     box_support,
     candidates,
-    middles_apart,
+    decide_distances,
+    decide_support,
     steepest_together,
 )
 from simfoundry.geometry.exact_distance import Exact
+from simfoundry.geometry.form import FEW
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index
 from simfoundry.predicates.judging.bodies import Bodies, Thing
 from simfoundry.predicates.judging.thresholds import TOUCH
-from simfoundry.predicates.judging.view import View
+from simfoundry.predicates.judging.view import Balls, View
 
 FAR = 0.05
 """Distances beyond this [m] are bounds: no farther than the truth."""
-
-FEW = 16
-"""Of so many states the distance is always measured."""
 
 FLATTEST = math.cos(math.radians(80.0))
 """A wall that pushes up by less than this cosine does not help to hold a thing."""
 
 
 class Distances:
-    """Distances between the bodies of one scene."""
+    """Distances between the bodies of one scene.
 
-    def __init__(self, bodies: Bodies) -> None:
+    With ``bounds_first`` thresholds are decided by bounds also in few states, and MuJoCo is loaded only where these do
+    not tell; the verdicts are the same, the numbers behind them are not measured.
+    """
+
+    def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self._bodies = bodies
+        self._bounds_first = bounds_first
 
     @cached_property
     def _exact(self) -> Exact:
@@ -50,24 +54,24 @@ class Distances:
         with a ``threshold`` [m] only the side of it is exact: below it, the distance is no more than what is returned;
         above it, no less.
         """
-        limit = threshold if threshold is not None and view.n > FEW else None
-        out = np.full(view.n, np.inf)
-        for i, one in view.forms(a):
-            for j, other in view.forms(b):
-                if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
-                    continue
-                X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
-                lower = middles_apart(X_WA, one, X_WB, other)
-                some = np.flatnonzero(lower < np.minimum(out, FAR))
-                if len(some):
-                    lower[some] = np.maximum(lower[some], ball_bound(X_WA.at(some), one, X_WB.at(some), other))
-                cut = FAR if limit is None else float(np.nextafter(limit, np.inf))
-                close = np.flatnonzero((lower < np.minimum(out, cut)) & (out > (-np.inf if limit is None else limit)))
-                out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
-                if len(close):
-                    pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-                    found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
-                    out[close] = np.minimum(out[close], found)
+        limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
+        balls, lowers = _balls_apart(view, a, b)
+        beyond = (lowers >= FAR).all(axis=0)
+        out = lowers[:, beyond].min(axis=1, initial=np.inf)
+        for row, column in np.argwhere(~beyond).tolist():
+            (i, one), (j, other) = balls[0].links[row], balls[1].links[column]
+            X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
+            lower = lowers[:, row, column]
+            some = np.flatnonzero(lower < np.minimum(out, FAR))
+            if len(some):
+                lower[some] = np.maximum(lower[some], ball_bound(X_WA.at(some), one, X_WB.at(some), other))
+            cut = FAR if limit is None else float(np.nextafter(limit, np.inf))
+            close = np.flatnonzero((lower < np.minimum(out, cut)) & (out > (-np.inf if limit is None else limit)))
+            out = np.where(out > cut, np.minimum(out, np.maximum(lower, cut)), out)
+            if len(close):
+                pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+                found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
+                out[close] = np.minimum(out[close], found)
         return out
 
     def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
@@ -78,41 +82,42 @@ class Distances:
         that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
         ``steepest`` are exact.
         """
-        many = view.n > FEW
+        many = view.n > FEW or self._bounds_first
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
         cosine = np.full(view.n, -1.0)
         pushes: list[tuple[Index, Array, Array]] = []
-        for i, one in view.forms(a):
-            for j, other in view.forms(b):
-                if not (one.solid and other.solid) or (a.owner == b.owner and i == j):
-                    continue
-                X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
-                close = np.flatnonzero((cosine < steepest) & (middles_apart(X_WA, one, X_WB, other) <= limit))
-                close = close[ball_bound(X_WA.at(close), one, X_WB.at(close), other) <= limit]
-                if not len(close):
-                    continue
-                pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
-                apart, up, open_ = box_support(pair, limit, steepest)
-                if not many:
-                    open_ = np.arange(len(close))
-                if len(open_):
-                    some = pair.at(open_)
-                    most = np.full(len(open_), np.nextafter(limit, np.inf))
-                    state, near, way = self._exact.pushes(
-                        some.a,
-                        some.b,
-                        some.X_WA,
-                        some.X_WB,
-                        candidates(some, most),
-                        limit,
-                        steepest if many else np.inf,
-                    )
-                    apart[open_], up[open_] = np.inf, -1.0
-                    np.minimum.at(apart, open_[state], near)
-                    np.maximum.at(up, open_[state], way[:, 2])
-                    pushes.append((close[open_][state], near, way))
-                gap[close] = np.minimum(gap[close], apart)
-                cosine[close] = np.maximum(cosine[close], up)
+        balls, lowers = _balls_apart(view, a, b)
+        for row, column in np.argwhere((lowers <= limit).any(axis=0)).tolist():
+            (i, one), (j, other) = balls[0].links[row], balls[1].links[column]
+            X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
+            close = np.flatnonzero((cosine < steepest) & (lowers[:, row, column] <= limit))
+            close = close[ball_bound(X_WA.at(close), one, X_WB.at(close), other) <= limit]
+            if not len(close):
+                continue
+            pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
+            apart, up, open_ = box_support(pair, limit, steepest)
+            if self._bounds_first:
+                open_ = decide_support(pair, limit, steepest, apart, up, open_)
+            if not many:
+                open_ = np.arange(len(close))
+            if len(open_):
+                some = pair.at(open_)
+                most = np.full(len(open_), np.nextafter(limit, np.inf))
+                state, near, way = self._exact.pushes(
+                    some.a,
+                    some.b,
+                    some.X_WA,
+                    some.X_WB,
+                    candidates(some, most),
+                    limit,
+                    steepest if many else np.inf,
+                )
+                apart[open_], up[open_] = np.inf, -1.0
+                np.minimum.at(apart, open_[state], near)
+                np.maximum.at(up, open_[state], way[:, 2])
+                pushes.append((close[open_][state], near, way))
+            gap[close] = np.minimum(gap[close], apart)
+            cosine[close] = np.maximum(cosine[close], up)
         left = np.flatnonzero((cosine < steepest) & (gap <= limit))
         if len(left) and pushes:
             states, near, ways = (np.concatenate(column) for column in zip(*pushes, strict=True))
@@ -132,9 +137,25 @@ class Distances:
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
         """On which side of a threshold the distances of two links are: bounds that are on the same side."""
         found, open_ = box_bounds(pair, threshold)
+        if self._bounds_first:
+            open_ = decide_distances(pair, threshold, found, open_)
         if len(open_):
             some = pair.at(open_)
             most = np.full(len(open_), np.nextafter(threshold, np.inf))
             near = candidates(some, most)
             found[open_] = self._exact.distance(some.a, some.b, some.X_WA, some.X_WB, near, most, threshold)
         return found
+
+
+def _balls_apart(view: View, a: Thing, b: Thing) -> tuple[tuple[Balls, Balls], Array]:
+    """The balls around the links of two things, and how far these are apart [m], (n, links of a, links of b).
+
+    A link is infinitely far from itself.
+    """
+    first, second = view.balls(a), view.balls(b)
+    off = first.centre[:, :, None] - second.centre[:, None]
+    apart = np.sqrt(np.einsum("nijk,nijk->nij", off, off)) - first.radius[:, None] - second.radius
+    if a.owner == b.owner:
+        same = [[i == j for j, _ in second.links] for i, _ in first.links]
+        apart[:, np.array(same, dtype=bool).reshape(apart.shape[1:])] = np.inf
+    return (first, second), apart

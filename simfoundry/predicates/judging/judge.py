@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -35,11 +36,15 @@ class Judge:
     A condition is a text, ``"OnTop(cup, desk)"``, or several joined by ``all``, ``any`` and ``not``, as data or as the
     models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for what is no condition and
     :class:`PredicateError` for what cannot be judged in this scene.
+
+    With ``bounds_first`` values are the same, but margins and explanations may name bounds instead of distances, and
+    MuJoCo is loaded only where bounds do not tell.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, bounds_first: bool = False) -> None:
         self.scene = scene
-        self._context = Context(Bodies(scene))
+        self._context = Context(Bodies(scene), bounds_first)
+        self._calls: dict[str, tuple[Callable[..., None], list[Any]]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:
         """The verdict on one state."""
@@ -55,6 +60,39 @@ class Judge:
             values[index], margins[index], _ = self._judged(condition, View(self._context.bodies, some))
         return values, margins
 
+    def holds(self, conditions: Mapping[str, Any], batch: StateBatch) -> dict[str, NDArray[np.bool_]]:
+        """Values of several conditions in n states, (n,) each, by name.
+
+        Faster than :meth:`batch` for each: they share poses and verdicts, and a part of a condition is judged only if
+        the parts before it leave its value open in some state.
+        """
+        found = {name: np.zeros(batch.n, bool) for name in conditions}
+        for start in range(0, batch.n, CHUNK):
+            index = np.arange(start, min(start + CHUNK, batch.n))
+            view = View(self._context.bodies, batch if len(index) == batch.n else batch.at(index))
+            known: dict[str, NDArray[np.bool_]] = {}
+            for name, condition in conditions.items():
+                found[name][index] = self._value(condition, view, known)
+        return found
+
+    def _value(self, condition: Any, view: View, known: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """The values of a condition; ``known`` are those of predicates that were judged before, by their text."""
+        tag, below = parts(condition)
+        if tag == "text":
+            if condition not in known:
+                known[condition] = self._judged(condition, view).value
+            return known[condition]
+        if tag == "not" or not below:
+            return ~self._value(below[0], view, known) if below else self._judged(condition, view).value
+        decisive = tag == "any"
+        value = np.full(view.n, not decisive)
+        for part in below:
+            found = self._value(part, view, known)
+            value = value | found if decisive else value & found
+            if (value == decisive).all():
+                break
+        return value
+
     def _arguments(self, call: Call) -> list[Any]:
         """The arguments as the rule takes them: things, joints and numbers by their kinds."""
         bodies = self._context.bodies
@@ -69,9 +107,12 @@ class Judge:
     def _judged(self, condition: Any, view: View) -> _Judged:
         tag, below = parts(condition)
         if tag == "text":
-            call = parse_call(condition)
             terms = Terms(self._context, view)
-            call.declaration.rule(terms, *self._arguments(call))
+            if condition not in self._calls:
+                call = parse_call(condition)
+                self._calls[condition] = call.declaration.rule, self._arguments(call)
+            rule, arguments = self._calls[condition]
+            rule(terms, *arguments)
             return _Judged(terms.margin > 0, terms.margin, terms.explanation)
         if not below:
             raise PredicateError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from simfoundry.geometry.form import TURNED, Form
 from simfoundry.geometry.frames import Array
-from simfoundry.geometry.poses import Index, Poses, rotate, turns
+from simfoundry.geometry.poses import Index, Poses, rotate
 from simfoundry.predicates.judging.bodies import Bodies, Thing
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.scene.model import Joint, JointType
@@ -43,6 +43,17 @@ class Boxes(NamedTuple):
         return np.asarray(2 * self.half[0].mean(axis=1))
 
 
+class Balls(NamedTuple):
+    """Links with a form, by index, and a ball around each in n states.
+
+    ``centre`` [m], (n, links, 3), in the world; ``radius`` [m], (links,).
+    """
+
+    links: list[tuple[int, Form]]
+    centre: Array
+    radius: Array
+
+
 class View:
     """``n`` states of the bodies of a scene."""
 
@@ -51,6 +62,7 @@ class View:
         self._links: dict[tuple[str, int], Poses] = {}
         self._boxes: dict[Thing, Boxes] = {}
         self._heights: dict[Thing, tuple[Array, Array]] = {}
+        self._balls: dict[Thing, Balls] = {}
 
     def at(self, index: Index) -> View:
         """Some of the states."""
@@ -69,16 +81,15 @@ class View:
                 given = self.batch.poses.get(owner)
                 self._links[key] = Poses.constant(item.X_WO, self.n) if given is None else given
             else:
-                joint = next(j for j in item.joints if j.child == item.links[k].name)
-                X_WZ = self.link(owner, self.bodies[owner].index(joint.parent)).times(joint.X_PC)
-                self._links[key] = self._moved(owner, joint, X_WZ)
+                parent, joint = self.bodies[owner].parents[k]
+                self._links[key] = self._moved(owner, k, joint, self.link(owner, parent).times(joint.X_PC))
         return self._links[key]
 
     def place(self, owner: str, k: int, X_WL: Poses) -> None:
         """Put the k-th link of a body elsewhere; the links that hang on it stay."""
         self._links[owner, k] = X_WL
 
-    def _moved(self, owner: str, joint: Joint, X_WZ: Poses) -> Poses:
+    def _moved(self, owner: str, k: int, joint: Joint, X_WZ: Poses) -> Poses:
         name = f"{owner}.{joint.name}"
         if joint.type in (JointType.BALL, JointType.FREE):
             motion = self.batch.motions.get(name)
@@ -88,7 +99,7 @@ class View:
         at = self.position(owner, joint)
         if joint.type is JointType.PRISMATIC:
             return Poses(X_WZ.p + rotate(X_WZ.R, at[:, None] * joint.axis), X_WZ.R)
-        return Poses(X_WZ.p, X_WZ.R @ turns(joint.axis, at))
+        return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
         """Where a joint is [rad or m], (n,)."""
@@ -105,6 +116,16 @@ class View:
         forms = self.bodies[thing.owner].forms
         return [(k, form) for k in thing.links if (form := forms[k]) is not None]
 
+    def balls(self, thing: Thing) -> Balls:
+        """The balls around the links of a thing that touch."""
+        if thing not in self._balls:
+            solid = [(k, form) for k, form in self.forms(thing) if form.solid]
+            centres = [self.link(thing.owner, k) for k, _ in solid]
+            around = [X.p + X.R @ form.ball[0] for X, (_, form) in zip(centres, solid, strict=True)]
+            stacked = np.stack(around, axis=1) if around else np.zeros((self.n, 0, 3))
+            self._balls[thing] = Balls(solid, stacked, np.array([form.ball[1] for _, form in solid]))
+        return self._balls[thing]
+
     # -- extents ----------------------------------------------------------------------------------------------------
 
     def span(self, thing: Thing, axis: Array) -> tuple[Array, Array]:
@@ -115,9 +136,10 @@ class View:
             along = np.broadcast_to(axis, (self.n, 3))
             local = np.einsum("nji,nj->ni", X_WL.R, along)
             offset = np.einsum("ni,ni->n", X_WL.p, along)
-            reach = local @ form.points.T
-            low = np.minimum(low, offset + (reach - form.radius).min(axis=1))
-            high = np.maximum(high, offset + (reach + form.radius).max(axis=1))
+            points, radius = form.support(self.n)
+            reach = local @ points.T
+            low = np.minimum(low, offset + (reach - radius).min(axis=1))
+            high = np.maximum(high, offset + (reach + radius).max(axis=1))
         return low, high
 
     def heights(self, thing: Thing) -> tuple[Array, Array]:

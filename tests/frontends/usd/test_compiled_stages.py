@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd.compiled.importing import import_usd
-from simfoundry.frontends.usd.compiled.loading import load_usd
+from simfoundry.frontends.usd.compiled.loading import import_usd, load_usd
 from simfoundry.frontends.usd.compiled.reading import read_spec, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError, open_stage
 from simfoundry.scene.lower import lower, lower_file
@@ -316,7 +315,10 @@ def test_the_metadata_can_be_read_by_people(desk: Project) -> None:
     assert '"OnTop(plate, desk)"' in text
     stage = open_stage(desk.stage)
     plate = stage.GetPrimAtPath("/World/Objects/plate")
-    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {"capture": "monday", "fit": 0.002}
+    assert json.loads(plate.GetCustomDataByKey("simfoundry:spec"))["origin"] == {
+        "capture": "monday",
+        "fit_error": 0.002,
+    }
     assert str(desk.stage.parent) not in text and str(desk.document.parent) not in text
 
 

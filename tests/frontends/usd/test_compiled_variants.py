@@ -10,7 +10,7 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd.compiled.importing import Imported, import_usd
+from simfoundry.frontends.usd.compiled.loading import Imported, import_usd
 from simfoundry.scene.lower import lower_file
 
 if TYPE_CHECKING:
@@ -203,7 +203,7 @@ def test_a_camera_rides_on_every_variant_that_has_its_link(built: Path) -> None:
     file.write_text(text + "cameras:\n" + EYE.format(name="eye", mount="cup") + EYE.format(name="two", mount="cup.lid"))
     artifact = compile_usd(lower_file(file))
     losses = [loss.reason for loss in artifact.losses if loss.path == "two"]
-    assert losses == [f"the variant `{v}` of `cup` has no link `lid` for it to ride on" for v in ("tall", "red")]
+    assert losses == [f"The variant `{v}` of `cup` has no link `lid` to mount it on." for v in ("tall", "red")]
     artifact.write(built / "eyes")
     stage = Usd.Stage.Open(str(built / "eyes" / "scene.usda"))
     assert stage.GetPrimAtPath(f"{CUP}/body/eye") and stage.GetPrimAtPath(f"{CUP}/lid/two")

@@ -1,4 +1,4 @@
-"""What a person changed at a part of a stage, in the words of the document; all else stays as it was written."""
+"""Edits of a member of a stage, as data of the document; everything else stays as it was written."""
 
 from __future__ import annotations
 
@@ -10,47 +10,46 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.usd.compiled.joints import edited_joints
-from simfoundry.frontends.usd.compiled.shapes import scaled
 from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links_of
 from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
-from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
 
 MOVED_M = 1e-4
-"""What moved less than this, and turned less than ``UPRIGHT_DEG``, stays as it is written."""
+"""Moves below this [m], and turns below ``UPRIGHT_DEG``, are none: hands in a viewer are not that steady."""
 
 SINGLE = 3.4e38
-"""Larger numbers have no place in single precision."""
+"""The greatest number of single precision."""
 
 ROUNDED = 2e-6
 """Relative difference that writing in single precision and reading back may make: some units of its last place."""
 
 _PIECES = ("Colliders", "Visuals")
 
-_TOLD = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
-"""Starts of attributes that, where somebody adds them, are reported unless they say what holds anyway."""
+_REPORTED_PREFIXES = ("physics:", "physx", "newton:", "drive:", "state:", "simfoundry:", "inputs:")
+"""Prefixes of attributes that are reported where somebody adds them, unless they state the fallback."""
 
 
 @dataclass(frozen=True)
 class Edited:
-    """The data of a part as the stage has it, and what of the stage they cannot say."""
+    """The data of a member as the stage has it, with notes on what it cannot hold."""
 
     data: dict[str, Any]
     notes: tuple[StageNote, ...]
 
 
 def edited_object(part: StageMember) -> Edited:
-    """An object: its pose, size, mass, surface, joints, and whether it is fixed; the same of each of its variants."""
+    """Return an object: its pose, size, mass, surface, joints, and whether it is fixed; so for each of its variants."""
     if part.variant:
         return Edited(*edited_variants(part, _edited_one))
     return Edited(*_edited_one(part))
 
 
 def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...]]:
-    """The data of an object without variants, or of one of them, and what of the stage they cannot say."""
+    """The data of an object without variants, or of one of them, and notes."""
     data = dict(part.spec)
     handled: set[tuple[str, str]] = set()
     handled |= {(link, "at") for link in links_of(part.built)[:1]}
@@ -67,7 +66,7 @@ def _edited_one(part: StageMember) -> tuple[dict[str, Any], tuple[StageNote, ...
 
 
 def edited_robot(part: StageMember) -> Edited:
-    """A robot: where its base stands."""
+    """Return a robot: only its base can be moved."""
     data = dict(part.spec)
     _pose(part, data)
     notes = []
@@ -80,7 +79,7 @@ def edited_robot(part: StageMember) -> Edited:
 
 
 def has_moved(part: StageMember) -> bool:
-    """Whether a part stands elsewhere than where it was written."""
+    """Return whether a member has another pose than the written one."""
     return _shifted(part.X_WP_built, part.X_WP) or _turned(part.X_WP_built, part.X_WP)
 
 
@@ -94,7 +93,7 @@ def _turned(old: Pose, new: Pose) -> bool:
 
 
 def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
-    """A pose as a person writes it; what of the one that was written ``before`` still holds stays as it is."""
+    """Return a pose as a person writes it; the parts of the one ``before`` that still hold stay as written."""
     new = to_data(pose_spec(pose))
     if not isinstance(before, dict):
         return new
@@ -105,7 +104,7 @@ def pose_data(pose: Pose, before: Any, built: Pose) -> dict[str, Any]:
 
 
 def differs(a: Any, b: Any) -> bool:
-    """Whether two values differ by more than what single precision and rounding do."""
+    """Return whether two values differ by more than single precision and rounding."""
     if isinstance(a, tuple | list) and isinstance(b, tuple | list):
         return len(a) != len(b) or any(differs(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, bool) or isinstance(b, bool) or not isinstance(a, int | float) or not isinstance(b, int | float):
@@ -115,7 +114,7 @@ def differs(a: Any, b: Any) -> bool:
 
 
 def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> Iterator[StageNote]:
-    """What else is otherwise than it was written, which nobody takes over."""
+    """Yield a note for each other difference from what was written; none of them is taken over."""
     for relative, values in part.built.items():
         path = f"{part.path}/{relative}" if relative else part.path
         if relative not in part.now:
@@ -136,12 +135,12 @@ def rest(part: StageMember, handled: set[tuple[str, str]], hint: str = "") -> It
         for name, value in now.items():
             if name in (built or {}) or name in ("at", "look", "contact") or (relative, name) in handled:
                 continue
-            if name.startswith(_TOLD) and differs(value, fallback(prim, name)):
+            if name.startswith(_REPORTED_PREFIXES) and differs(value, fallback(prim, name)):
                 yield StageNote(str(prim.GetPath()), f"`{name}` was added, {shown(value)}", hint)
 
 
 def shown(value: Any) -> str:
-    """A value in a message."""
+    """Return a value as messages show it."""
     if isinstance(value, tuple | list):
         return f"({', '.join(shown(v) for v in value)})"
     return f"{value:.4g}" if isinstance(value, float) else "absent" if value is None else str(value)
@@ -158,7 +157,7 @@ def _displaced(values: dict[str, Any], now: dict[str, Any]) -> bool:
 
 
 def _counts(prim: Any) -> bool:
-    """Whether a prim is seen, touched or holds something."""
+    """Return whether a prim is a shape, a joint or a body."""
     from pxr import UsdGeom, UsdPhysics
 
     return bool(prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdPhysics.Joint) or prim.HasAPI(UsdPhysics.RigidBodyAPI))
@@ -174,7 +173,7 @@ def _pose(part: StageMember, data: dict[str, Any]) -> None:
 
 
 def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:
-    """A thing that was scaled, or a primitive that was resized: what touches counts before what is seen."""
+    """An object that was scaled, or a primitive that was resized: colliders count before visuals."""
     factors = part.scale
     links = links_of(part.built)
     if links and "shape" in data:
@@ -194,7 +193,7 @@ def _size(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]
 
 
 def _resized(part: StageMember, relative: str) -> Any:
-    """By what a primitive was stretched along its axes, shape (3,); None where there is no such prim."""
+    """The factors of a resized primitive along its axes, shape (3,); None where there is no such prim."""
     if relative not in part.built or relative not in part.now:
         return None
     built, now = part.built[relative], part.now[relative]
@@ -250,8 +249,8 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
     """A coefficient that was changed, either our own note of it or the root of it that simulators read; or None."""
     if differs(built[1], now[1]):
-        return short(now[1])
-    return short(now[0] ** 2) if differs(built[0], now[0]) else None
+        return float(short(now[1]))
+    return float(short(now[0] ** 2)) if differs(built[0], now[0]) else None
 
 
 def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
@@ -267,3 +266,39 @@ def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]
             data["fixed"] = True
         elif free:
             data.pop("fixed", None)
+
+
+_EVEN = 1e-6
+"""Share by which factors may differ and still be one: single precision, in which stages hold them."""
+
+
+def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
+    """Return the changed data of an object that is stretched by ``factors`` along its axes, shape (3,).
+
+    Or else the reason why the language has no shape for the result.
+    """
+    x, y, z = (float(f) for f in factors)
+    if min(x, y, z) <= 0:
+        return {}, "it is mirrored or flat, which no shape of a scene is"
+    even, round_ = max(x, y, z) - min(x, y, z) <= _EVEN * x, abs(x - y) <= _EVEN * x
+    shape = data.get("shape")
+    if not isinstance(shape, dict):
+        if str(data.get("asset", "")).endswith(".yaml"):
+            return {}, "it was scaled, and an asset document has its own size"
+        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "a mesh scales alike in all axes")
+    kind, value = next(iter(shape.items()))
+    if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
+        return {}, f"stretched by {x:.4g}, {y:.4g}, {z:.4g} it is no {kind} any more"
+    match kind:
+        case "box":
+            new: Any = tuple(short(v * f) for v, f in zip(value, (x, y, z), strict=True))
+        case "sphere":
+            new = short(value * x)
+        case "cylinder" | "capsule":
+            new = {"radius": short(value["radius"] * x), "height": short(value["height"] * z)}
+        case "lathe":
+            new = {"profile": tuple((short(r * x), short(h * z)) for r, h in value["profile"])}
+        case _:
+            outline = tuple((short(a * x), short(b * y)) for a, b in value["outline"])
+            new = {"outline": outline, "height": short(value["height"] * z)}
+    return {"shape": {kind: new}}, ""

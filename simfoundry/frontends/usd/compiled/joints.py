@@ -14,7 +14,7 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.scene.poses import STILL
 
 _OFF_M, _OFF_RAD = 1e-3, 1e-2
-"""How far off its joint a link may be moved by hand and still count as moved along it."""
+"""Distance [m] and angle [rad] off its joint up to which a link counts as moved along it: hands in a viewer err so."""
 
 
 def edited_joints(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> Iterator[StageNote]:

@@ -33,10 +33,10 @@ Data = dict[str, Any]
 class StageReading:
     """A stage as a document.
 
-    ``data`` is what it says now and ``before`` what was compiled, both whole and without defaults; of what was deleted
+    ``data`` is its present content and ``before`` the compiled one, both whole and without defaults; of deleted members
     ``before`` has only the name. ``file`` is the path of the document in its project. ``renamed`` has the new names by
-    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` say what of the
-    stage is not in ``data``.
+    section and old name, ``prims`` the path of the prim of each member by section and name. ``notes`` are on
+    content of the stage that is not in ``data``.
     """
 
     data: Data
@@ -60,7 +60,7 @@ def read_stage(path: Path) -> StageReading:
 
 
 def read_spec(stage: Usd.Stage) -> StageReading | None:
-    """The document of a stage as it is now; None where the stage was not compiled from one."""
+    """Return the present document of a stage; None where the stage was not compiled from one."""
     prim = carrier(stage)
     if prim is None:
         return None
@@ -86,7 +86,7 @@ def read_spec(stage: Usd.Stage) -> StageReading | None:
 
 
 def _had(written: Data, section: str, name: str) -> bool:
-    """Whether a member had a prim of its own, and may so have been deleted."""
+    """Return whether a member had a prim of its own, and may have been deleted."""
     return bool(written.get(section, {}).get(name, {}) is None)
 
 
@@ -98,7 +98,7 @@ def _identified(
 ) -> tuple[Members, dict[tuple[str, str], str], dict[str, StageMember]]:
     """The parts by section and the name they were compiled with; new names by these; and copies by their names."""
     members: Members = {}
-    for part in sorted(found, key=_strangeness):
+    for part in sorted(found, key=_identity_rank):
         if written.get(part.section, {}).get(part.name, part) is None:
             members.setdefault((part.section, part.name), part)
     taken = {name for section in written.values() if isinstance(section, dict) for name in section}
@@ -118,8 +118,8 @@ def _identified(
     return members, names, copies
 
 
-def _strangeness(part: StageMember) -> tuple[bool, bool]:
-    """What kept its name, and its place in the stage, is what was compiled; what did not may be a copy of it."""
+def _identity_rank(part: StageMember) -> tuple[bool, bool]:
+    """Sort key: members that kept name and scope come before their copies."""
     return part.prim.GetName() != part.name, part.prim.GetParent().GetName() != SCOPES[part.section]
 
 
@@ -132,7 +132,7 @@ def _edited(part: StageMember) -> Edited:
 
 
 def _compiled(written: Data, members: Members) -> Data:
-    """The document as it was compiled; what was deleted is there by name."""
+    """The document as it was compiled; deleted members are there by name."""
     out = dict(written)
     for section, names in written.items():
         if isinstance(names, dict) and None in names.values():
@@ -148,7 +148,7 @@ def _joined(
     edited: Mapping[tuple[str, str], Edited],
     copies: dict[str, StageMember],
 ) -> Data:
-    """The document with what its parts say, in its order, copies behind; what was deleted is not there."""
+    """The document with the data of its members, in its order, copies behind, deleted ones left out."""
     out = dict(written)
     for section, members in written.items():
         if isinstance(members, dict) and None in members.values():
@@ -168,9 +168,9 @@ def _placed(
     copies: Mapping[str, StageMember],
     gone: set[str],
 ) -> Data:
-    """The document in which everything stands where the stage has it.
+    """The document with the poses of the stage.
 
-    A place stays while what it is about stands still; else it would be solved into another pose than the stage's.
+    A placement stays while its anchors stand still; else it would be solved into another pose than the stage's.
     """
     out = dict(data)
     by_name = {names.get(key, key[1]): part for key, part in members.items() if key[0] == "objects"}
@@ -199,18 +199,18 @@ def _placed(
 
 
 def _changed(part: StageMember, data: Data) -> bool:
-    """Whether what a thing carries would be placed otherwise than before."""
+    """Return whether objects placed on this one would get other poses than before."""
     return has_moved(part) or _resized(part, data)
 
 
 def _resized(part: StageMember, data: Data) -> bool:
-    """Whether a thing has another shape, or other joints, than before; choosing another variant is no such edit."""
+    """Return whether an object has another shape, or other joints; choosing another variant is no such edit."""
     old, new = (variant_data(spec, part.variant) for spec in (part.spec, data))
     return any(old.get(key) != new.get(key) for key in ("shape", "scale", "joints"))
 
 
 def _only_along(part: StageMember, data: Data) -> bool:
-    """Whether a thing was only shifted, level, so that positions in the world on top of it stay what they are."""
+    """Return whether an object was only shifted horizontally, so that positions in the world on top of it stay."""
     level = abs(float(part.X_WP.p[2] - part.X_WP_built.p[2])) <= MOVED_M
     up = part.X_WP.rotation[:, 2] @ part.X_WP_built.rotation[:, 2]
     return not _resized(part, data) and level and bool(up > 1.0 - 1e-6)

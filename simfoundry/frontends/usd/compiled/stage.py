@@ -1,4 +1,4 @@
-"""A stage that one of our own became: its document, its parts, and what each of their prims says now."""
+"""A compiled stage: its document, its members, and the present values of their prims."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def open_stage(path: Path) -> Usd.Stage:
 
 
 def error_text(error: Exception) -> str:
-    """The text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
+    """Return the text of an error of OpenUSD; it quotes the file, which may be no UTF-8."""
     try:
         return str(error)
     except UnicodeDecodeError as undecoded:
@@ -104,19 +104,19 @@ def error_text(error: Exception) -> str:
 
 
 def carrier(stage: Usd.Stage) -> Usd.Prim | None:
-    """The prim that holds the document: the default prim, or else the first that does."""
+    """Return the prim that holds the document: the default prim, or else the first that does."""
     prims = [stage.GetDefaultPrim(), *stage.Traverse()]
     return next((p for p in prims if p and "document" in _entries(p)), None)
 
 
 def document(prim: Usd.Prim) -> tuple[str, dict[str, Any]]:
-    """The file that a document came from, in its project, and its data without what its parts hold."""
+    """Return the file of a document, in its project, and its data without those of its members."""
     entries = _entries(prim)
     return str(entries.get("file", "")), with_present_keys(SceneSpec, _json(prim, "document", _checked_sections))
 
 
 def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
-    """Every part that is there and active, wherever it is by now, in the order of the stage."""
+    """Return every active member, wherever it is by now, in the order of the stage."""
     found = [_part(prim, world) for prim in stage.Traverse() if "part" in _entries(prim)]
     others = _other_variants(stage, [part for part in found if part.variant], world)
     return [replace(part, others=others.get(part.path, ())) for part in found]
@@ -125,7 +125,7 @@ def parts(stage: Usd.Stage, world: StageFrame) -> list[StageMember]:
 def _other_variants(
     stage: Usd.Stage, varied: list[StageMember], world: StageFrame
 ) -> dict[str, tuple[StageMember, ...]]:
-    """The parts as each variant that is not selected, by path: as many stages as one of them has such variants."""
+    """The members as each variant that is not selected, by path; each stage selects one variant of all of them."""
     from pxr import Sdf, Usd
 
     rest: dict[str, list[str]] = {}
@@ -149,7 +149,7 @@ def _other_variants(
 
 
 def _own_opinions(part: StageMember) -> Values:
-    """What the prims of a variant say, but what they were built with where the word comes from outside of it."""
+    """The values of a variant's prims; those that come from outside the variant count as built."""
     now: Values = {}
     for relative in dict.fromkeys((*part.built, *part.now)):
         prim = part.prim.GetPrimAtPath(relative) if relative else part.prim
@@ -165,7 +165,7 @@ def _own_opinions(part: StageMember) -> Values:
 
 
 def _is_own(prim: Usd.Prim, name: str) -> bool:
-    """Whether the strongest opinion on what :func:`_now` calls ``name`` is that of a variant; a lacking one is."""
+    """Return whether the strongest opinion on a value of :func:`_now` is that of a variant; a lacking one is."""
     from pxr import Usd, UsdGeom
 
     if name == "at":
@@ -267,7 +267,7 @@ def _tuples(data: Any) -> Any:
 
 
 def _now(part: Usd.Prim, built: Values, cache: UsdGeom.XformCache) -> Values:
-    """What the prims of a part say, in the terms of :mod:`simfoundry.backends.usd.source`."""
+    """The present values of a member's prims, in the terms of :mod:`simfoundry.backends.usd.source`."""
     from pxr import Usd, UsdGeom
 
     values: Values = {}
@@ -292,12 +292,12 @@ def _attributes(prim: Usd.Prim) -> dict[str, Any]:
 
 
 def fallback(prim: Usd.Prim, name: str) -> Any:
-    """What an attribute says where nothing is written, as plain data; None where its schemas are not known."""
+    """Return the fallback of an attribute as plain data; None where its schemas are not known."""
     return plain(prim.GetPrimDefinition().GetAttributeFallbackValue(name))
 
 
 def _bound(prim: Usd.Prim, built: Mapping[str, Any]) -> dict[str, Any]:
-    """How a shape looks and touches, as far as it was ``built`` to."""
+    """The look and contact material of a shape, where it was ``built`` with some."""
     from pxr import UsdShade
 
     said: dict[str, Any] = {}

@@ -87,6 +87,6 @@ def _scale(X_WC: Array) -> float | None:
 
 
 def _is_upright(X_WC: Array) -> bool:
-    """Whether z of the document is up in the world."""
+    """Return whether z of the document is up in the world."""
     z = X_WC[:3, 2]
     return bool(z[2] >= UPRIGHT_COS * float(np.linalg.norm(z)))

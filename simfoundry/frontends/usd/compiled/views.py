@@ -1,4 +1,4 @@
-"""Cameras and lights of a stage, in the words of the document."""
+"""Cameras and lights of a stage, as data of the document."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ UPRIGHT_RAD = 1e-3
 
 
 def edited_camera(part: StageMember) -> Edited:
-    """A camera: its pose and its lens."""
+    """Return a camera: its pose and its lens."""
     data = dict(part.spec)
     handled = {("", name) for name in LENS}
     built, now = part.built.get("", {}), part.now[""]
@@ -69,7 +69,7 @@ def camera_pose(X_WC: Pose, before: Any = None) -> dict[str, Any]:
 
 
 def edited_light(part: StageMember) -> Edited:
-    """A light: how bright, which colour, where it is or shines to."""
+    """Return a light: its intensity, colour, and position or direction."""
     data = dict(part.spec)
     names = ("inputs:intensity", "inputs:exposure", "inputs:color")
     handled = {("", name) for name in names}
@@ -96,7 +96,7 @@ def light_type(type_name: str) -> LightType | None:
 
 
 def light_place(kind: LightType, X_WL: Pose) -> dict[str, Any]:
-    """Where a light is, or where it shines to; nothing for a dome."""
+    """Return the position of a point light or the direction of a distant one; nothing for a dome."""
     if kind is LightType.DISTANT:
         return {"direction": _point(X_WL.rotation @ np.array([0.0, 0.0, -1.0]), 4)}
     return {"xyz": _point(X_WL.p, 4)} if kind is LightType.POINT else {}

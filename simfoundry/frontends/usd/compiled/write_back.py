@@ -1,4 +1,4 @@
-"""Edits of a document, found elsewhere, written into its own text: comments, order and overlays stay."""
+"""Write edits of a stage into the text of its document: comments, order and overlays stay."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Written:
 
 
 def edits(old: Data, new: Data, path: Path_ = ()) -> list[Edit]:
-    """What turns ``old`` into ``new``: members of mappings one by one, all else whole."""
+    """Return the edits that turn ``old`` into ``new``: members of mappings one by one, all else whole."""
     found: list[Edit] = []
     for key in dict.fromkeys((*old, *new)):
         a, b = old.get(key, NOTHING), new.get(key, NOTHING)
@@ -88,7 +88,7 @@ def written_into(path: Path, old: Data, new: Data, names: Mapping[tuple[str, str
 
 
 def _base(path: Path, bases: list[Path]) -> Data:
-    """What the document at ``path`` extends, whole; nothing where it extends nothing."""
+    """The flattened base of the document at ``path``; empty where it extends nothing."""
     if not bases:
         return {}
     from simfoundry.spec.load import load
@@ -98,7 +98,7 @@ def _base(path: Path, bases: list[Path]) -> Data:
 
 
 def _other(there: Any, old: Any) -> bool:
-    """Whether a document says something else than what was compiled of it."""
+    """Return whether a document differs from what was compiled of it."""
     if old is NOTHING:
         return True
     if isinstance(there, dict) and isinstance(old, dict):

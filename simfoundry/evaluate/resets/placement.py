@@ -1,0 +1,142 @@
+"""One try at a start: objects put into their cells, checked for collisions, settled, and checked again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from simfoundry.evaluate.resets.grid import Cell, bounds
+from simfoundry.evaluate.tasks.task import Task
+from simfoundry.geometry.frames import Pose, quat_from_rpy
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds.base import World
+from simfoundry.worlds.footing import is_ball
+from simfoundry.worlds.rest import simulate
+from simfoundry.worlds.settle import SettleOptions, settle
+
+SETTLING = SettleOptions(max_drift_m=0.01)
+"""A start settles as a scene does, but may move half as far; tilt 5 deg, overlap 1 mm, its support stays the same."""
+
+OVERLAP = 1e-3
+"""How far [m] an object may overlap with what it stands on or in before it is settled."""
+
+AGREES = 1e-4
+"""How far [m] outside its cell a settled object may lie."""
+
+DIGITS = 5
+"""Decimals of settled positions [m] and quaternions, so that another version of an engine settles to the same start."""
+
+STILL_S, STILL_M, STILL_DEG = 1.0, 2e-3, 1.0
+"""A start stands still: in so much time nothing moves or turns farther than that. A ball may turn."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a try failed: the ``object`` to blame, ``kind`` for counting, and ``why`` with the numbers.
+
+    ``other`` is the object that it met and that is put somewhere too, empty where there is none: only then can it help
+    to give the two other cells, since each cell must be taken in some start.
+    """
+
+    object: str
+    kind: str
+    why: str
+    other: str = ""
+
+
+Spots = Mapping[str, tuple[float, float, float]]
+"""Where objects are put: x, y [m] and turn about z [deg] on top of the scene's pose."""
+
+
+def placed(task: Task, spots: Spots) -> SceneState:
+    """The state with the objects at their spots, at the height that the scene gives them, and with what they carry.
+
+    An object that stands on or in one of them moves along with it; joints are as the scene has them.
+    """
+    scene = task.scene
+    poses = {item.name: item.X_WO for item in scene.objects}
+    for name, (x, y, yaw_deg) in spots.items():
+        before = poses[name]
+        turn = Pose.of(q=quat_from_rpy(0.0, 0.0, float(np.radians(yaw_deg))))
+        poses[name] = Pose.of((x, y, float(before.p[2])), (turn @ Pose.of(q=before.q)).q)
+    for item in scene.objects:
+        carrier = _moving_carrier(task, item.name, spots)
+        if carrier is not None and item.name not in spots and not item.fixed:
+            poses[item.name] = poses[carrier] @ scene.object(carrier).X_WO.inverse() @ item.X_WO
+    return SceneState.of(poses, {}, {})
+
+
+def _moving_carrier(task: Task, name: str, spots: Spots) -> str | None:
+    """The nearest object below that is put somewhere."""
+    seen = {name}
+    while (name := task.carriers.get(name, "")) and name not in seen:
+        if name in spots:
+            return name
+        seen.add(name)
+    return None
+
+
+def clash(task: Task, world: World, spots: Spots, state: SceneState) -> Refusal | None:
+    """The deepest overlap of an object that was put somewhere, or of what it carries, with anything but its carrier."""
+    moved = {n for n in state.poses if n in spots or _moving_carrier(task, n, spots) is not None}
+    world.reset(state)
+    worst: tuple[float, str, str] | None = None
+    for contact in world.contacts():
+        for name, other in ((contact.a, contact.b), (contact.b, contact.a)):
+            related = task.carriers.get(name) == other or task.carriers.get(other) == name
+            allowed = OVERLAP if related else 0.0
+            if name in moved and contact.depth > allowed and (worst is None or contact.depth > worst[0]):
+                worst = (contact.depth, name, other)
+    if worst is None:
+        return None
+    depth, name, other = worst
+    blamed, met = (n if n in spots else _moving_carrier(task, n, spots) or "" for n in (name, other))
+    return Refusal(blamed, f"it met `{other}`", f"`{name}` overlaps `{other}` by {depth * 1000:.1f} mm", met)
+
+
+def settled(task: Task, world: World, state: SceneState) -> SceneState | Refusal:
+    """The state at rest, rounded; or what went wrong."""
+    result = settle(world, SETTLING, state=state)
+    for report in result.objects:
+        problems = [
+            p for p in report.problems if not p.startswith("tilted") or not is_ball(task.scene.object(report.name))
+        ]
+        if problems:
+            return Refusal(report.name, f"it {problems[0]}", f"`{report.name}` {problems[0]}")
+    return rounded(result.state)
+
+
+def rounded(state: SceneState) -> SceneState:
+    """The state to :data:`DIGITS` decimals."""
+    poses = {name: _rounded(pose) for name, pose in state.poses.items()}
+    motions = {name: _rounded(pose) for name, pose in state.motions.items()}
+    return SceneState.of(poses, {name: round(v, DIGITS) + 0.0 for name, v in state.joints.items()}, motions)
+
+
+def _rounded(pose: Pose) -> Pose:
+    return Pose.of(np.round(pose.p, DIGITS) + 0.0, np.round(pose.q, DIGITS) + 0.0)
+
+
+def left_cell(task: Task, cells: Mapping[str, Cell], state: SceneState) -> Refusal | None:
+    """An object that settled outside its cell."""
+    for name, cell in cells.items():
+        spans = bounds(task.reset.objects[name], task.reset.grid, cell)
+        for (low, high), value, axis in zip(spans, state.poses[name].p[:2], "xy", strict=True):
+            outside = max(low - float(value), float(value) - high)
+            if outside > AGREES:
+                why = f"`{name}` settled {outside * 1000:.1f} mm outside its cell along {axis}"
+                return Refusal(name, "it settled outside its cell", why)
+    return None
+
+
+def restless(task: Task, world: World, state: SceneState) -> Refusal | None:
+    """The object that moves most from a state that should be at rest, if it moves too far."""
+    motions = simulate(world, STILL_S, state)
+    for motion in sorted(motions, key=lambda m: -m.moved):
+        turned = 0.0 if is_ball(task.scene.object(motion.name)) else motion.turned_deg
+        if not (motion.moved <= STILL_M and turned <= STILL_DEG):
+            far = f"{motion.moved * 1000:.1f} mm and {turned:.1f} deg in {STILL_S:g} s"
+            return Refusal(motion.name, "it does not stay", f"`{motion.name}` moves {far}")
+    return None

@@ -1,0 +1,216 @@
+"""Starts of rollouts: each object in another cell of its grid each time, settled, verified, the same for every policy.
+
+The paper's protocol ("Real-to-Sim Policy Evaluations"): 25 rollouts, a 5 x 5 grid per object, one cell per rollout
+without replacement, and a sampled rotation. A start depends on the task, the seed and its number alone. Where a cell
+cannot be taken beside those of the others, the object takes that of a later start, and gives it its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.errors import SimfoundryError
+from simfoundry.evaluate.resets.grid import Cell, bounds, deal, draws, sample
+from simfoundry.evaluate.resets.placement import Refusal, Spots, clash, left_cell, placed, restless, settled
+from simfoundry.evaluate.resets.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
+from simfoundry.evaluate.rollouts.progress import judge_of
+from simfoundry.evaluate.tasks.task import Task
+from simfoundry.predicates import Judge
+from simfoundry.scene.state import SceneState
+from simfoundry.worlds import open_world
+from simfoundry.worlds.base import World
+
+TRIES, TRIES_ELSEWHERE = 20, 5
+"""How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""
+
+HOPELESS = 6
+"""So many tries that fail for another reason than two objects' cells being too close are enough."""
+
+Progress = Callable[[int, int], None]
+"""Hears how many starts are there, and how many there will be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state``, at rest."""
+
+    index: int
+    seed: int
+    cells: Mapping[str, Cell]
+    state: SceneState
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hex digits that name the state."""
+        text = json.dumps(state_to_json(self.state), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class StartError(SimfoundryError):
+    """No start can be found; the message names the object and its cell, and says why."""
+
+
+def starts(
+    task: Task, n: int = 25, seed: int = 0, cache: Cache | None = None, progress: Progress | None = None
+) -> tuple[Start, ...]:
+    """The first ``n`` starts of a task. After as many as a grid has cells, all cells are dealt anew.
+
+    ``cache`` keeps them by the content of the scene and the task, so that they are settled once. Raises
+    :class:`StartError` where one cannot be found.
+    """
+    along_x, along_y = task.reset.grid
+    size = along_x * along_y
+    key = key_of_starts(task, seed) if cache is not None else ""
+    found: list[Start] = []
+    with _Setting(task, seed) as setting:
+        for block in range(-(-n // size)):
+            wanted = min(size, n - block * size)
+            done = _Block.of(task, seed, block, read_block(cache, f"{key}/{block}") if cache is not None else None)
+            known = len(done.starts)
+            while len(done.starts) < wanted:
+                done.starts.append(setting.next(done))
+                if progress is not None:
+                    progress(len(found) + len(done.starts), n)
+            if cache is not None and len(done.starts) > known:
+                write_block(cache, f"{key}/{block}", done.cells, [s.state for s in done.starts])
+            found += done.starts[:wanted]
+    return tuple(found)
+
+
+@dataclass
+class _Block:
+    """The starts of one deal so far, and which cells each object has in all of them."""
+
+    first: int
+    cells: dict[str, list[Cell]]
+    starts: list[Start] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, task: Task, seed: int, block: int, known: Known | None) -> _Block:
+        first = block * task.reset.grid[0] * task.reset.grid[1]
+        if known is None:
+            return cls(first, deal(task.reset, seed, block))
+        made = cls(first, known[0])
+        made.starts = [made.start(k, seed, state) for k, state in enumerate(known[1])]
+        return made
+
+    def at(self, k: int) -> Mapping[str, Cell]:
+        """The cells of the k-th start of the deal."""
+        return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
+
+    @property
+    def size(self) -> int:
+        """How many starts the deal is for."""
+        return max((len(cells) for cells in self.cells.values()), default=0)
+
+    def start(self, k: int, seed: int, state: SceneState) -> Start:
+        """The k-th start of the deal."""
+        return Start(self.first + k, seed, self.at(k), state)
+
+    def exchange(self, name: str, k: int, other: int) -> None:
+        """Let an object change its cells of two starts."""
+        cells = self.cells[name]
+        cells[k], cells[other] = cells[other], cells[k]
+
+
+class _Setting:
+    """A task in a world that is opened when the first start must be found."""
+
+    def __init__(self, task: Task, seed: int) -> None:
+        self.task, self.seed = task, seed
+        self._world: World | None = None
+        self._judge: Judge | None = None
+
+    def __enter__(self) -> _Setting:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._world is not None:
+            self._world.close()
+
+    def next(self, block: _Block) -> Start:
+        """The next start of a deal; its cells may be exchanged with those of later ones."""
+        k = len(block.starts)
+        rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
+        result = self._attempts(block.at(k), rngs, TRIES)
+        if isinstance(result, SceneState):
+            return block.start(k, self.seed, result)
+        cells, refused = block.at(k), _commonest(result)
+        for later in range(k + 1, block.size if refused.other else 0):
+            block.exchange(refused.object, k, later)
+            again = self._attempts(block.at(k), rngs, TRIES_ELSEWHERE)
+            if isinstance(again, SceneState):
+                return block.start(k, self.seed, again)
+            block.exchange(refused.object, k, later)
+        raise StartError(_complaint(self.task, block.first + k, refused, cells, result))
+
+    def _attempts(
+        self, cells: Mapping[str, Cell], rngs: Mapping[str, np.random.Generator], tries: int
+    ) -> SceneState | list[Refusal]:
+        """A state with the objects somewhere in their cells, or why there was none in so many tries."""
+        regions, grid = self.task.reset.objects, self.task.reset.grid
+        refusals: list[Refusal] = []
+        while len(refusals) < tries and sum(not r.other for r in refusals) < HOPELESS:
+            spots = {name: sample(regions[name], grid, cell, rngs[name]) for name, cell in cells.items()}
+            result = self._attempt(spots, cells)
+            if isinstance(result, SceneState):
+                return result
+            refusals.append(result)
+            if not spots:  # nothing would change
+                break
+        return refusals
+
+    def _attempt(self, spots: Spots, cells: Mapping[str, Cell]) -> SceneState | Refusal:
+        world, judge = self._opened()
+        state = placed(self.task, spots)
+        if (refusal := clash(self.task, world, spots, state)) is not None:
+            return refusal
+        result = settled(self.task, world, state)
+        if isinstance(result, Refusal):
+            return result
+        refusal = left_cell(self.task, cells, result) or restless(self.task, world, result)
+        if refusal is not None:
+            return refusal
+        verdict = judge(self.task.goal, result)
+        if verdict.value:
+            return Refusal(
+                next(iter(cells), ""), "the goal is true already", f"the goal is true already: {verdict.why}"
+            )
+        return result
+
+    def _opened(self) -> tuple[World, Judge]:
+        if self._world is None or self._judge is None:
+            self._world, self._judge = open_world(self.task.scene, "mujoco"), judge_of(self.task.scene)
+        return self._world, self._judge
+
+
+def _commonest(refusals: list[Refusal]) -> Refusal:
+    """The first refusal of the kind that there are most of."""
+    kind = Counter((r.object, r.kind) for r in refusals).most_common(1)[0][0]
+    return next(r for r in refusals if (r.object, r.kind) == kind)
+
+
+def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, Cell], refusals: list[Refusal]) -> str:
+    """Which object, which cell, and why, with the numbers of the commonest reasons."""
+    blamed = refused.object
+    examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
+    counts = Counter(refusal.kind for refusal in refusals).most_common(3)
+    reasons = "; ".join(f"{count} times {examples[kind]}" for kind, count in counts)
+    step = f", step `{task.step}`" if task.step else ""
+    if blamed not in cells:
+        return f"task `{task.name}`{step}: start {index} cannot be taken: {reasons}"
+    (low_x, high_x), (low_y, high_y) = bounds(task.reset.objects[blamed], task.reset.grid, cells[blamed])
+    elsewhere = ", nor in one of those left" if refused.other else ""
+    where = f"x {low_x:.3f} to {high_x:.3f} m, y {low_y:.3f} to {high_y:.3f} m"
+    return (
+        f"task `{task.name}`{step}: start {index}: no place for `{blamed}` in cell {cells[blamed]} ({where}) in "
+        f"{len(refusals)} tries{elsewhere}: {reasons}; move its region under `reset`, or make it smaller"
+    )

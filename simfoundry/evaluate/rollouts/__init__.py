@@ -1,0 +1,1 @@
+"""Rollouts: control, observations, progress towards the goal, videos."""

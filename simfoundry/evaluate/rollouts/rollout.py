@@ -1,0 +1,272 @@
+"""One rollout: a policy acts in a task from a start until the goal has held, or nothing more can come of it."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+
+import numpy as np
+
+from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
+from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
+from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
+from simfoundry.evaluate.rollouts.progress import Progress, judge_of
+from simfoundry.evaluate.tasks.task import Task, need_robots
+from simfoundry.geometry.frames import Array
+from simfoundry.predicates import Judge
+from simfoundry.scene.object_shapes import world_bounds
+from simfoundry.scene.state import SceneState
+from simfoundry.spec.models.expressions import parse_call, texts
+from simfoundry.worlds.base import World
+from simfoundry.worlds.robot import WorldRobot
+
+FALLEN = 0.3
+"""What is this far [m] below everything that the task began with has fallen off it."""
+
+
+class End(StrEnum):
+    """Why a rollout ended."""
+
+    SUCCESS = "success"
+    HORIZON = "horizon"
+    FELL = "fell"
+    DIVERGED = "diverged"
+    INVALID = "invalid answer"
+    """The policy answered with an error or with something that is not actions: the rollout has failed."""
+    NO_ANSWER = "no answer"
+    """The policy could not be asked, or the connection was lost: there is no result, and the rollout is missing."""
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Where the time went [s]."""
+
+    total: float
+    physics: float
+    render: float
+    policy: float
+    judge: float
+
+
+@dataclass(frozen=True)
+class Video:
+    """Pictures to keep of a rollout: of ``cameras``, after the first of every ``every`` control steps."""
+
+    cameras: Mapping[str, ImageSize]
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """What came of a rollout.
+
+    ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
+    it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
+    carried out, shape (steps, numbers of an action); ``digest`` names the whole trajectory, to the last bit. ``chunks``
+    is how often the policy was asked; ``final`` the state at the end; ``frames`` are by camera.
+    """
+
+    task: str
+    step: str
+    policy: str
+    index: int
+    seed: int
+    success: bool
+    steps: int
+    subtasks: Mapping[str, int | None]
+    end: End
+    reason: str
+    actions: Array
+    digest: str
+    chunks: int
+    timings: Timings
+    final: SceneState
+    frames: Mapping[str, tuple[Image, ...]] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def rollout(
+    task: Task, start: Start, policy: Policy, world: World, judge: Judge | None = None, video: Video | None = None
+) -> Rollout:
+    """Let a policy act from a start in a world of the task's scene.
+
+    The actions of an answer are carried out one after another, and then the policy is asked again; pictures are
+    rendered for its eyes, and for ``video``, only. ``judge`` spares preparing one for each rollout. A policy that
+    answers with something else than actions has failed, one that does not answer leaves no result. Raises
+    :class:`SimfoundryError` where robots or cameras are missing.
+    """
+    need_robots(task)
+    check_cameras(task.scene, policy.cameras, f"policy `{policy.name}`")
+    if video is not None:
+        check_cameras(task.scene, video.cameras, "the video")
+    run = _Run(task, start, policy, world, judge or judge_of(task.scene), video)
+    return run.result(*run.play())
+
+
+class _Clock:
+    """Adds up the time of the parts of a rollout."""
+
+    def __init__(self) -> None:
+        self.spent = dict.fromkeys(("physics", "render", "policy", "judge"), 0.0)
+        self.begun = time.perf_counter()
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.spent[part] += time.perf_counter() - begun
+
+    def timings(self) -> Timings:
+        return Timings(total=time.perf_counter() - self.begun, **self.spent)
+
+
+class _Run:
+    """A rollout on its way."""
+
+    def __init__(
+        self, task: Task, start: Start, policy: Policy, world: World, judge: Judge, video: Video | None
+    ) -> None:
+        self.task, self.start, self.policy, self.world, self.video = task, start, policy, world, video
+        self.clock = _Clock()
+        with self.clock("physics"):
+            world.reset(start.state)
+            self.state = world.state()
+        self.robots: dict[str, WorldRobot] = {name: world.robot(name) for name in task.robots}
+        self.controller = Controller(self.robots, policy.action_space, task.control_hz)
+        with self.clock("judge"):
+            self.progress = Progress(task, judge, self.state)
+        self.floor = _floor(task)
+        self.judged = _judged(task)
+        self.actions: list[Array] = []
+        self.chunks = 0
+        self.frames: dict[str, list[Image]] = {name: [] for name in (video.cameras if video is not None else ())}
+        self.hash = hashlib.sha256()
+        self._note()
+
+    def play(self) -> tuple[End, str]:
+        """Act until the end; returns why it came, and the details of a failure."""
+        try:
+            with self.clock("policy"):
+                self.policy.reset(self.task.instruction, self.start.seed + self.start.index)
+            while len(self.actions) < self.task.horizon:
+                ended = self._carry_out(self._ask()[: self.task.horizon - len(self.actions)])
+                if ended is not None:
+                    return ended
+        except InvalidAnswerError as error:
+            return End.INVALID, str(error)
+        except PolicyError as error:
+            return End.NO_ANSWER, str(error)
+        return End.HORIZON, f"not done after {self.task.horizon} control steps"
+
+    def _carry_out(self, actions: Array) -> tuple[End, str] | None:
+        """Carry out the actions of one answer, then judge what they did; why one was the last, if one was.
+
+        The policy does not see what comes of its actions before the last of them, so that the states can be judged
+        together; what was done after the goal had held is taken back from the record.
+        """
+        first, states, ended = len(self.actions), list[SceneState](), None
+        marks = []
+        for action in actions:
+            ended = self._act(action)
+            if ended is not None and ended[0] is End.DIVERGED:
+                break
+            states.append(self.state)
+            marks.append((self.hash.copy(), {name: len(frames) for name, frames in self.frames.items()}))
+            if ended is not None:
+                break
+        with self.clock("judge"):
+            last = self.progress.see_all(first + 1, states) if states else None
+        if last is None:
+            return ended
+        self.actions = self.actions[: first + last + 1]
+        self.state = states[last]
+        self.hash, frames = marks[last]
+        self.frames = {name: pictures[: frames[name]] for name, pictures in self.frames.items()}
+        return End.SUCCESS, ""
+
+    def _ask(self) -> Array:
+        with self.clock("render"):
+            images = pictures(self.world, self.policy.cameras)
+        observation = Observation(
+            time=len(self.actions) / self.task.control_hz,
+            instruction=self.task.instruction,
+            robots=readings(self.world, self.robots),
+            images=images,
+            state=self.state,
+        )
+        self.chunks += 1
+        with self.clock("policy"):
+            return checked(self.policy.infer(observation), self.robots)
+
+    def _act(self, action: Array) -> tuple[End, str] | None:
+        """Carry out one action; why it was the last, if it was."""
+        step = len(self.actions)
+        self.actions.append(action)
+        with self.clock("physics"):
+            self.controller.apply(action)
+            self.world.step(physics_steps(step, self.task.control_hz, self.world.timestep))
+            trouble = self.world.trouble()
+            if trouble:
+                return End.DIVERGED, trouble
+            self.state = self.world.state()
+        self._note()
+        self._film()
+        for name in self.judged:
+            below = self.floor - float(self.state.poses[name].p[2])
+            if below > 0:
+                return End.FELL, f"`{name}` fell to {below + FALLEN:.2f} m below everything that the task began with"
+        return None
+
+    def _note(self) -> None:
+        """Add the state to the digest of the trajectory, to the last bit."""
+        state = self.state
+        numbers = [np.concatenate([pose.p, pose.q]) for pose in (*state.poses.values(), *state.motions.values())]
+        robots = [[*robot.positions().values(), robot.gripper()] for robot in self.robots.values()]
+        parts = [*numbers, np.array(list(state.joints.values())), *map(np.array, robots), *self.actions[-1:]]
+        self.hash.update(np.concatenate(parts).tobytes())
+
+    def _film(self) -> None:
+        if self.video is not None and (len(self.actions) - 1) % self.video.every == 0:
+            with self.clock("render"):
+                for name, picture in pictures(self.world, self.video.cameras).items():
+                    self.frames[name].append(picture)
+
+    def result(self, end: End, reason: str) -> Rollout:
+        """All that came of it."""
+        actions = np.array(self.actions).reshape(len(self.actions), action_size(self.robots))
+        return Rollout(
+            task=self.task.name,
+            step=self.task.step,
+            policy=self.policy.name,
+            index=self.start.index,
+            seed=self.start.seed,
+            success=end is End.SUCCESS,
+            steps=len(self.actions),
+            subtasks=MappingProxyType(dict(self.progress.subtasks)),
+            end=end,
+            reason=reason,
+            actions=actions,
+            digest=self.hash.hexdigest()[:16],
+            chunks=self.chunks,
+            timings=self.clock.timings(),
+            final=self.state,
+            frames=MappingProxyType({name: tuple(frames) for name, frames in self.frames.items()}),
+        )
+
+
+def _floor(task: Task) -> float:
+    """The height [m] below which something has fallen off the scene."""
+    return min((float(world_bounds(o, o.X_WO)[0][2]) for o in task.scene.objects), default=0.0) - FALLEN
+
+
+def _judged(task: Task) -> tuple[str, ...]:
+    """The free objects that the goal speaks of: once one has fallen off the scene, nothing more can come of it."""
+    named = {argument.partition(".")[0] for text, _ in texts(task.goal) for argument in parse_call(text).args}
+    return tuple(item.name for item in task.scene.objects if item.name in named and not item.fixed)

@@ -1,0 +1,1 @@
+"""Statistics of rollouts: records, success rates, comparisons, correlation with real robots."""
