@@ -17,8 +17,8 @@ from simfoundry.cli.worlds import WorldName
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from simfoundry.evaluate.entries import Entry
-    from simfoundry.evaluate.run import Outcome, Plan
+    from simfoundry.evaluate.entries import TaskEntry
+    from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
 
 
 SENTENCES = 10
@@ -91,11 +91,11 @@ def command(
     Exit code 1 where rollouts are missing, or where a rate is below --require.
     """
     from simfoundry.evaluate.entries import contenders
-    from simfoundry.evaluate.run import Plan, prepare, run
+    from simfoundry.evaluate.run import EvaluationPlan, prepare, run
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
         raise CannotError("--from, --step and --subtasks exclude each other")
-    plan = Plan(
+    plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
         contenders=tuple(contenders(policies)),
@@ -111,7 +111,7 @@ def command(
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
         won: dict[str, list[int]] = {}
 
-        def seen(outcome: Outcome, done: int, of: int) -> None:
+        def seen(outcome: RolloutOutcome, done: int, of: int) -> None:
             label = outcome.job.contender.label
             label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
             tally = won.setdefault(label, [0, 0])
@@ -137,17 +137,17 @@ def _can_film(worlds: Sequence[str]) -> bool:
     return False
 
 
-def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
-    from simfoundry.evaluate.entries import Entry, Part
+def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[TaskEntry]:
+    from simfoundry.evaluate.entries import TaskEntry, TaskPart
 
     for path in _documents(tasks):
         if onward is not None or alone is not None:
-            yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
+            yield TaskEntry(path, TaskPart.ONWARD if onward is not None else TaskPart.ALONE, onward or alone or "")
             continue
-        yield Entry(path)
+        yield TaskEntry(path)
         if subtasks:
-            steps = Entry(path).load().subtasks.values()
-            yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
+            steps = TaskEntry(path).load().subtasks.values()
+            yield from (TaskEntry(path, TaskPart.ALONE, step.name) for step in steps if step.starts_itself)
 
 
 def _documents(tasks: Sequence[Path]) -> Iterator[Path]:
@@ -167,7 +167,7 @@ def _interruptible(out: Path) -> Iterator[None]:
         sys.exit(130)
 
 
-def _report(plan: Plan, troubles: list[str], require: float | None, as_json: bool) -> int:
+def _report(plan: EvaluationPlan, troubles: list[str], require: float | None, as_json: bool) -> int:
     import json
 
     from simfoundry.evaluate.run import pending
