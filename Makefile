@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format goldens schemas proofs lock hooks pictures clean
+.PHONY: help demo test lint format goldens schemas docs proofs lock hooks pictures clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{printf "%-16s %s\n", $$1, $$2}'
@@ -45,6 +45,10 @@ schemas: $(READY) ## Write schemas/ and the generated pages of docs/
 	$(BIN)/python -m simfoundry.spec.generated
 	$(BIN)/python -m simfoundry.targets.generated
 
+docs: $(READY) ## Build the documentation site into build/site; a warning is an error
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 pictures: $(READY) ## Render the pictures of specs/README.md anew
 	$(BIN)/python specs/render_pictures.py
 
@@ -62,7 +66,7 @@ proofs: $(READY) ## Long runs that measure what is promised: minutes, and some n
 lock: ## Resolve the dependencies of pyproject.toml anew, for every Python, into constraints.txt
 	@$(PYTHON) -m venv build/lock
 	@build/lock/bin/python -m pip install --quiet --disable-pip-version-check uv
-	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --no-annotate \
+	@build/lock/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --extra dev --extra docs --no-annotate \
 	  --no-emit-index-url --no-emit-find-links --custom-compile-command 'make lock' --output-file constraints.txt pyproject.toml
 
 hooks: $(READY) ## Run the checks at each commit

@@ -5,6 +5,7 @@ Importing this package loads no simulator, no USD and no mesh library; each publ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from simfoundry.api.build import Build as Build
     from simfoundry.api.entries import UnknownNameError as UnknownNameError
+    from simfoundry.api.evaluation import Evaluation as Evaluation
     from simfoundry.api.scene_document import SceneDocument as SceneDocument
     from simfoundry.api.task_document import TaskDocument as TaskDocument
     from simfoundry.errors import SimfoundryError as SimfoundryError
@@ -21,6 +23,7 @@ __version__ = "0.1.0"
 
 _MODULES = {
     "Build": "api.build",
+    "Evaluation": "api.evaluation",
     "SceneDocument": "api.scene_document",
     "SimfoundryError": "errors",
     "SpecError": "spec.diagnostics",
@@ -31,12 +34,14 @@ _MODULES = {
 
 __all__ = [
     "Build",
+    "Evaluation",
     "SceneDocument",
     "SimfoundryError",
     "SpecError",
     "TaskDocument",
     "UnknownNameError",
     "__version__",
+    "evaluate",
     "load",
     "load_task",
 ]
@@ -57,6 +62,36 @@ def load_task(path: str | Path) -> TaskDocument:
     from simfoundry.api.task_document import TaskDocument
 
     return TaskDocument.load(path)
+
+
+def evaluate(
+    tasks: str | Path | Sequence[str | Path],
+    policies: str | Sequence[str],
+    *,
+    out: str | Path = "build/eval",
+    rollouts: int = 25,
+    seed: int = 0,
+    engine: str = "mujoco",
+    video: bool = False,
+    jobs: int = 1,
+) -> Evaluation:
+    """Evaluate policies on tasks, each from the same starts: ``evaluate("stack.task.yaml", "expert", rollouts=3)``.
+
+    A policy is named as on the command line: ``random``, ``expert``, ``python:module:Class``, ``openpi:host:port?...``.
+    Rollouts that are in ``out`` already are not run again, so that a run that was stopped goes on where it was.
+    """
+    from simfoundry.api.evaluation import evaluate_tasks
+
+    return evaluate_tasks(
+        [tasks] if isinstance(tasks, str | Path) else tasks,
+        [policies] if isinstance(policies, str) else policies,
+        out=out,
+        rollouts=rollouts,
+        seed=seed,
+        engine=engine,
+        video=video,
+        jobs=jobs,
+    )
 
 
 def __getattr__(name: str) -> object:

@@ -27,7 +27,7 @@ from simfoundry.spec.yaml.text import parse
 from tests.conftest import of_the_checkout
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 HEAVY = PYPROJECT["tool"]["ruff"]["lint"]["flake8-tidy-imports"]["banned-module-level-imports"]
 
@@ -72,7 +72,7 @@ def test_documents_in_the_pages_are_without_findings(page: Path, tmp_path: Path)
 
 def test_the_pages_show_documents_of_every_kind() -> None:
     kinds = {str(d["simfoundry"]) for d in documents(ROOT / "README.md")}
-    assert kinds == {"scene/1", "capture/1"}
+    assert kinds == {"scene/1"}
     assert {d["simfoundry"] for d in documents(ROOT / "docs" / "reference.md")} == set(KINDS)
 
 

@@ -34,11 +34,13 @@ class EditableDocument(DocumentEntry):
         assert isinstance(loaded.spec, self._model)
         super().__init__(self, ())
         self._file = loaded.path
-        self._source = loaded.document.text if loaded.document is not None else to_yaml(loaded.spec)
+        text = loaded.document.text if loaded.document is not None else ""
+        self._source = text or to_yaml(loaded.spec)  # a stage carries its document in another form
         self._before: dict[str, Any] = to_data(loaded.spec)
         self._data: dict[str, Any] = copied(self._before)
         self._loaded = loaded
         self._imported_from: Path | None = None
+        self._mesh_folder: Path | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -107,20 +109,20 @@ class EditableDocument(DocumentEntry):
         self._loaded = loaded
         return target
 
-    def mark_imported(self, source: Path) -> None:
-        """Remember that the document, and the files that it names, lie in a folder that goes with it."""
-        self._imported_from = source
+    def mark_imported(self, source: Path, mesh_folder: Path | None = None) -> None:
+        """Remember where the document comes from, and the folder that is copied along with it when it is saved."""
+        self._imported_from, self._mesh_folder = source, mesh_folder
 
     def _take_files(self, target: Path) -> None:
         """Copy the folder of meshes of an imported document beside a new place of it."""
         import shutil
 
-        if self._imported_from is None:
+        folder = self._mesh_folder
+        if folder is None:
             raise SimfoundryError(
                 f"{target} cannot be written: the document names files relative to {self.path.resolve().parent}; "
                 "save it there"
             )
-        folder = self.path.parent / f"{self.path.name.split('.')[0]}_files"
         if (target.parent / folder.name).exists():
             raise OutputError(f"{target.parent / folder.name} exists; save into another folder")
         shutil.copytree(folder, target.parent / folder.name)

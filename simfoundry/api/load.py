@@ -26,13 +26,15 @@ def _imported(path: Path) -> SceneDocument:
 
         loaded = load_usd(path, {})  # a stage that was compiled from a document carries it
         if loaded.spec is not None:
-            return SceneDocument(loaded)
+            document = SceneDocument(loaded)
+            document.mark_imported(path)
+            return document
     if not path.is_file():
         raise SimfoundryError(f"there is no file {path}")
     folder = tempfile.TemporaryDirectory(prefix="simfoundry_")
     report = import_file(path, Path(folder.name) / f"{path.stem}.scene.yaml")
     assert report.out is not None
     document = SceneDocument.load(report.out)
-    document.mark_imported(path)
+    document.mark_imported(path, Path(folder.name) / f"{path.stem}_files")
     weakref.finalize(document, folder.cleanup)
     return document

@@ -44,9 +44,9 @@ class MeshFacts:
     """A mesh in the units of its file, z up.
 
     ``size`` is the longest side of its bounds; ``triangles`` counts them, ``gaps`` the edges with a face on one side
-    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull, of which ``hull`` has at most
-    64 corners, and none where the mesh is flat. ``moments`` and ``hull_moments`` are the centres of mass and the
-    inertias about them, of density 1.
+    only; ``volume`` and ``hull_volume`` are those of the surface and of its convex hull. ``hull`` has at most 64
+    corners and the triangles ``hull_faces``, and none where the mesh is flat. ``moments`` and ``hull_moments`` are
+    the centres of mass and the inertias about them, of density 1.
     """
 
     size: float
@@ -55,6 +55,7 @@ class MeshFacts:
     volume: float
     hull_volume: float
     hull: tuple[Vec, ...]
+    hull_faces: tuple[tuple[int, int, int], ...] = ()
     moments: Moments = ZERO_MOMENTS
     hull_moments: Moments = ZERO_MOMENTS
 
@@ -138,8 +139,9 @@ def _read(stored: bytes) -> MeshFacts | None:
         data = json.loads(stored)
         hull = tuple((float(x), float(y), float(z)) for x, y, z in data["hull"])
         numbers = (float(data["size"]), int(data["triangles"]), int(data["gaps"]))
+        faces = tuple((int(a), int(b), int(c)) for a, b, c in data["hull_faces"])
         moments = (tuple(map(float, data[name])) for name in ("moments", "hull_moments"))
-        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, *moments)
+        return MeshFacts(*numbers, float(data["volume"]), float(data["hull_volume"]), hull, faces, *moments)
     except (ValueError, TypeError, KeyError):
         return None
 
@@ -160,14 +162,17 @@ def measure(path: Path) -> MeshFacts:
     triangles, gaps = len(joined), open_edges(faces)
     own = mass.mesh(vertices, faces) if len(faces) else None
     corners: tuple[Vec, ...] = ()
+    hull_faces: tuple[tuple[int, int, int], ...] = ()
     full = None
     try:
         full = mass.mesh(*hull(vertices, limit=len(vertices)))
-        corners = tuple((float(x), float(y), float(z)) for x, y, z in hull(vertices)[0])
+        points, sides = hull(vertices)
+        corners = tuple((float(x), float(y), float(z)) for x, y, z in points)
+        hull_faces = tuple((int(a), int(b), int(c)) for a, b, c in sides)
     except MeshError:
         pass  # flat or a point: it has no hull, and the finding is that of its volume
     volumes = (abs(own.volume) if own is not None else 0.0, full.volume if full is not None else 0.0)
-    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, _moments(own), _moments(full))
+    return MeshFacts(extent(parts), triangles, gaps, *volumes, corners, hull_faces, _moments(own), _moments(full))
 
 
 def _moments(solid: Solid | None) -> Moments:

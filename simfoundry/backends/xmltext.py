@@ -1,4 +1,4 @@
-"""Elements to indented XML text: attributes and children only, as URDF and MJCF have it."""
+"""Elements to indented XML text, for URDF and MJCF: attributes, text, children and comments."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ DECLARATION = b"<?xml version='1.0' encoding='utf-8'?>\n"
 _MARKUP = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;"}
 _WHITE = {"\t": "&#09;", "\n": "&#10;", "\r": "&#13;"}
 _ESCAPES = [(_MARKUP | _WHITE).get(chr(k), chr(k)) for k in range(128)]
-"""By character what stands for it; with a row for those that stay, ``translate`` is twice as fast."""
+"""The text of each ASCII character; with an entry for those that stay, ``translate`` is twice as fast."""
 
 
 def xml_text(root: ET.Element) -> bytes:
-    """The text of a tree, two spaces a level, its attributes in their order; a tenth of the time of ElementTree's."""
+    """Return the text of a tree, two spaces a level, attributes in their order; a tenth of the time of ElementTree's.
+
+    The text of an element is written unless it is white; text between elements is not.
+    """
     lines: list[str] = []
     _append(lines, root, "")
     lines.append("")
@@ -27,11 +30,16 @@ def _escaped(value: str) -> str:
 
 
 def _append(lines: list[str], element: ET.Element, indent: str) -> None:
-    attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])
-    if len(element) == 0:
-        lines.append(f"{indent}<{element.tag}{attributes} />")
+    if element.tag is ET.Comment:
+        lines.append(f"{indent}<!-- {(element.text or '').replace('--', '- -')} -->")
         return
-    lines.append(f"{indent}<{element.tag}{attributes}>")
+    attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])
+    text = "" if element.text is None or element.text.isspace() else _escaped(element.text)
+    if len(element) == 0:
+        lines.append(f"{indent}<{element.tag}{attributes} />" if not text else
+                     f"{indent}<{element.tag}{attributes}>{text}</{element.tag}>")  # fmt: skip
+        return
+    lines.append(f"{indent}<{element.tag}{attributes}>{text}")
     for child in element:
         _append(lines, child, indent + "  ")
     lines.append(f"{indent}</{element.tag}>")

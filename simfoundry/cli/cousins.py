@@ -75,7 +75,7 @@ def command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
     from simfoundry.cousins.recipe.variant_pool import ASSETS
-    from simfoundry.cousins.run.candidates import FUNCTION, Setup, prepared, see_possible
+    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, Setup
     from simfoundry.cousins.run.run import Plan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
@@ -95,12 +95,12 @@ def command(
         try:
             plan = Plan(folder, count or read.spec.count, read.about(), shard)
             begin(plan)
-            shared = prepared(setup)
-            see_possible(shared)
+            sampler = CandidateSampler.load(setup)
+            sampler.require_possible()
         except ImpossibleError as error:
             return _impossible(error, as_json)
         made = counts(read.spec.object, folder / ASSETS / "objects")
-        plan = replace(plan, most=shared.stock.most, variants=made)
+        plan = replace(plan, most=sampler.pool.most, variants=made)
 
         def heard(ledger: Ledger) -> None:
             from simfoundry.cousins.run.report import told

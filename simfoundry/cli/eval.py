@@ -17,8 +17,9 @@ from simfoundry.cli.worlds import WorldName
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from simfoundry.api.evaluation import Evaluation
     from simfoundry.evaluate.entries import TaskEntry
-    from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
+    from simfoundry.evaluate.run import EvaluationPlan
 
 
 SENTENCES = 10
@@ -90,8 +91,9 @@ def command(
 
     Exit code 1 where rollouts are missing, or where a rate is below --require.
     """
+    from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
-    from simfoundry.evaluate.run import EvaluationPlan, prepare, run
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
         raise CannotError("--from, --step and --subtasks exclude each other")
@@ -106,25 +108,10 @@ def command(
         cameras=cameras or None,
         video=_can_film(worlds) if video is None else video,
     )
-    troubles: list[str] = []
     with progress_bar(as_json) as progress, _interruptible(out):
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
-        won: dict[str, list[int]] = {}
-
-        def seen(outcome: RolloutOutcome, done: int, of: int) -> None:
-            label = outcome.job.contender.label
-            label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
-            tally = won.setdefault(label, [0, 0])
-            if outcome.answered:
-                tally[0] += outcome.record["success"]
-                tally[1] += 1
-            if outcome.trouble:
-                verdict = "counts as failed" if outcome.answered else "is missing"
-                troubles.append(f"{label}, rollout {outcome.job.index} {verdict}: {outcome.trouble}")
-            progress(f"{label} {tally[0]}/{tally[1]}", done / of)
-
-        run(plan, seen, jobs)
-    return _report(plan, troubles, require, as_json)
+        evaluation = run_plan(plan, jobs, progress)
+    return _print_report(plan, evaluation, require, as_json)
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
@@ -167,25 +154,16 @@ def _interruptible(out: Path) -> Iterator[None]:
         sys.exit(130)
 
 
-def _report(plan: EvaluationPlan, troubles: list[str], require: float | None, as_json: bool) -> int:
-    import json
+def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+    from simfoundry.evaluate.statistics.results import cells
 
-    from simfoundry.evaluate.run import pending
-    from simfoundry.evaluate.statistics.records import read_all
-    from simfoundry.evaluate.statistics.results import cells, results
-    from simfoundry.reports.evaluation import page
-    from simfoundry.runtime.files import write_atomically
-
-    records = [record for _, record in read_all(plan.folder)]
-    found = results(records)
-    write_atomically(plan.folder / "results.json", (json.dumps(found, indent=1, ensure_ascii=False) + "\n").encode())
-    write_atomically(plan.folder / "report.html", page(records).encode())
-    missing = len(pending(plan))
-    low = [c for c in cells(records) if require is not None and c.success.of and c.success.share < require]
+    missing, troubles = evaluation.missing, evaluation.troubles
+    low = [c for c in cells(evaluation.records) if require is not None and c.success.of and c.success.share < require]
     if as_json:
-        print_json({**found, "missing": missing, "troubles": troubles, "report": str(plan.folder / "report.html")})
+        extra = {"missing": missing, "troubles": list(troubles), "report": str(evaluation.report)}
+        print_json({**evaluation.results, **extra})
     else:
-        _print(records)
+        _print(evaluation.records)
         for trouble in troubles[:SENTENCES]:
             click.echo(trouble, err=True)
         if len(troubles) > SENTENCES:
@@ -195,7 +173,7 @@ def _report(plan: EvaluationPlan, troubles: list[str], require: float | None, as
         for cell in low:
             where = f"{cell.policy} in {cell.engine}" if len(plan.engines) > 1 else cell.policy
             click.echo(f"{cell.title} with {where}: {cell.success.share:.0%} is below {require:.0%}", err=True)
-        click.echo(f"{plan.folder / 'report.html'}")
+        click.echo(f"{evaluation.report}")
     return FINDINGS if missing or low else DONE
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.cache import Cache
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.expert.grasps import down, grasps, jaws
@@ -39,7 +39,7 @@ from simfoundry.runtime.outputs import ensure_folder_replaceable
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.scene.object_shapes import solid, world_bounds
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.scene.robots import lower_robot
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.models.robot import RobotSpec

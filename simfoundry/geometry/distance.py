@@ -11,6 +11,7 @@ from simfoundry.geometry.box_distance import BoxField, box_field
 from simfoundry.geometry.exact_distance import LIFT, UP, Candidates
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
+from simfoundry.geometry.part_bounds import Bounds, distance_bounds
 from simfoundry.geometry.poses import Index, Poses, rotate
 
 
@@ -64,6 +65,42 @@ def box_support(pair: LinkPair, limit: float, steepest: float) -> tuple[Array, A
     return apart, np.where(stands, up, -1.0).astype(np.float64), open_
 
 
+def decide_distances(pair: LinkPair, threshold: float, found: Array, open_: Index) -> Index:
+    """Write bounds of the distances [m] that are still open into ``found``, (n,); return the states still open then."""
+    left = []
+    for k in open_.tolist():
+        bounds = _part_bounds(pair, k, threshold)
+        if bounds.upper <= threshold:
+            found[k] = bounds.upper
+        elif bounds.lower > threshold:
+            found[k] = bounds.lower
+        else:
+            left.append(k)
+    return np.array(left, dtype=np.int64)
+
+
+def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, up: Array, open_: Index) -> Index:
+    """The same for :func:`box_support`: ``apart`` and ``up``, (n,) each, where parts stand on each other or are far."""
+    left = []
+    for k in open_.tolist():
+        bounds = _part_bounds(pair, k, limit)
+        if bounds.lower > limit:
+            apart[k] = bounds.lower
+            continue
+        rise = (_part_bounds(pair, k, limit + LIFT, LIFT).lower - bounds.upper) / LIFT
+        if bounds.upper <= limit and rise >= steepest:
+            apart[k], up[k] = bounds.upper, rise
+        else:
+            left.append(k)
+    return np.array(left, dtype=np.int64)
+
+
+def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Bounds:
+    """Bounds of the distance in the k-th state, where the first link is raised [m]."""
+    X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
+    return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
+
+
 class FromBox(NamedTuple):
     """The hull of one link of a pair in the frame of the other, which is one box, in n states.
 
@@ -98,9 +135,10 @@ def from_box(pair: LinkPair) -> FromBox | None:
         return None
     X_BA = X_WB.inverse() @ X_WA
     p, turned = X_BA.p.astype(np.float32), X_BA.R.transpose(0, 2, 1).astype(np.float32)
-    points = one.points.astype(np.float32) @ turned + p[:, None]
+    corners, radii = one.support(len(p))
+    points = corners.astype(np.float32) @ turned + p[:, None]
     up = sign * X_WB.R[:, 2].astype(np.float32) @ field.axes
-    local, radius = field.local(points), one.radius.astype(np.float32)
+    local, radius = field.local(points), radii.astype(np.float32)
     low, high = (local - radius[:, None]).min(axis=1), (local + radius[:, None]).max(axis=1)
     return FromBox(field, local, radius, low, high, np.asarray(up, dtype=np.float32))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls, hulls_of
@@ -18,14 +19,16 @@ TURNED[3:] /= np.sqrt(2)
 TURNED.setflags(write=False)
 """The axes along which a thing is boxed: its own, and those turned by 45 degrees about z; shape (5, 3)."""
 
+FEW = 16
+"""So many states are measured one by one; for more it pays to prepare what they share."""
+
 
 @dataclass(frozen=True, eq=False)
 class Form:
     """The shapes of a rigid body in its frame, and their convex parts.
 
     Where it is not ``solid`` it touches nothing: its shapes are only seen.
-    ``points`` [m], shape (m, 3), with a ``radius`` each, shape (m,), have the same hull as the parts. ``low`` and
-    ``high`` [m] are the ends along :data:`TURNED`, shape (5,).
+    ``low`` and ``high`` [m] are the ends along :data:`TURNED`, shape (5,).
     """
 
     shapes: tuple[tuple[Geometry, Pose], ...]
@@ -39,26 +42,26 @@ class Form:
         return cls(shapes, solid, hulls_of((geometry, pose, 0) for geometry, pose in shapes))
 
     @cached_property
-    def _support(self) -> tuple[Array, Array]:
+    def _corners(self) -> tuple[Array, Array]:
         points, radius = self.parts.corners, self.parts.radius[self.parts.part]
+        if len(self.parts.radius) == 1 or not (radius == 0).any():
+            return points, radius
         sharp = radius == 0
-        kept = _corners(points[sharp])
+        kept = _hull_corners(points[sharp])
         return np.concatenate([kept, points[~sharp]]), np.concatenate([np.zeros(len(kept)), radius[~sharp]])
 
-    @property
-    def points(self) -> Array:
-        """Corners of its hull, and centres of its balls [m], (m, 3)."""
-        return self._support[0]
+    def support(self, states: int) -> tuple[Array, Array]:
+        """Return points [m], (m, 3), and radii [m], (m,), of balls whose hull is that of the parts.
 
-    @property
-    def radius(self) -> Array:
-        """Of the ball at each point [m], (m,)."""
-        return self._support[1]
+        Only for many states it is worth while to leave out the corners within the hull.
+        """
+        return self._corners if states > FEW else (self.parts.corners, self.parts.radius[self.parts.part])
 
     @cached_property
     def _span(self) -> tuple[Array, Array]:
-        along = self.points @ TURNED.T
-        return (along - self.radius[:, None]).min(axis=0), (along + self.radius[:, None]).max(axis=0)
+        points, radius = self.support(1)
+        along = points @ TURNED.T
+        return (along - radius[:, None]).min(axis=0), (along + radius[:, None]).max(axis=0)
 
     @property
     def low(self) -> Array:
@@ -74,7 +77,8 @@ class Form:
     def ball(self) -> tuple[Array, float]:
         """A ball around it: centre [m], shape (3,), and radius [m]."""
         middle = (self.low[:3] + self.high[:3]) / 2
-        return middle, float((np.linalg.norm(self.points - middle, axis=1) + self.radius).max())
+        points, radius = self.support(1)
+        return middle, float((np.linalg.norm(points - middle, axis=1) + radius).max())
 
     @cached_property
     def digest(self) -> bytes:
@@ -94,8 +98,40 @@ class Form:
         low, high, middle, size = zip(*rows, strict=True)
         return np.array(low), np.array(high), np.array(middle), np.array(size)
 
+    def part_shape(self, number: int) -> tuple[Array, Array, Array]:
+        """Return the corners [m], the unit normals of the faces and the unit directions of the edges of a part."""
+        if number not in self._part_shapes:
+            parts = self.parts
+            own = parts.part == number
+            normals, edges = np.zeros((0, 3)), np.zeros((0, 3))
+            if len(parts.triangles):
+                normals = parts.normals[own[parts.triangles[:, 0]]]
+                normals = _distinct(normals[np.abs(normals).sum(axis=1) > 0.5])  # one without area has none
+            if len(parts.edges):
+                ends = parts.edges[own[parts.edges[:, 0]]]
+                edges = parts.corners[ends[:, 1]] - parts.corners[ends[:, 0]]
+                edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+                edges = _distinct(edges * np.where(_is_backward(edges), -1.0, 1.0)[:, None])
+            self._part_shapes[number] = parts.corners[own], normals, edges
+        return self._part_shapes[number]
 
-def _corners(points: Array) -> Array:
+    @cached_property
+    def _part_shapes(self) -> dict[int, tuple[Array, Array, Array]]:
+        return {}
+
+
+def _distinct(ways: Array) -> Array:
+    return np.unique(np.round(ways, 9) + 0.0, axis=0)
+
+
+def _is_backward(ways: Array) -> NDArray[np.bool_]:
+    """Whether the first coordinate that is not zero is negative: of two opposite directions one is."""
+    rounded = np.round(ways, 9)
+    first = (rounded != 0).argmax(axis=1)
+    return np.asarray(rounded[np.arange(len(ways)), first] < 0)
+
+
+def _hull_corners(points: Array) -> Array:
     """The corners of the hull of points, in their order; all of them where they have no volume."""
     from scipy.spatial import ConvexHull, QhullError
 

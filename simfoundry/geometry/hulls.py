@@ -53,13 +53,23 @@ class Hulls:
         along, radius = self.corners @ axis, self.radius[self.part]
         return float((along - radius).min()), float((along + radius).max())
 
+    def bounds(self) -> tuple[Array, Array]:
+        """The low and high corner [m] of the box around all parts along the axes of the world, shape (3,) each."""
+        radius = self.radius[self.part][:, None]
+        return (self.corners - radius).min(axis=0), (self.corners + radius).max(axis=0)
+
     def middle(self, rotation: Array) -> Array:
         """The centre [m] of the box around all parts along the columns of ``rotation``, shape (3,)."""
         return np.asarray(rotation @ [sum(self.extent(rotation[:, k])) / 2 for k in range(3)])
 
     def size(self) -> Array:
         """Extents along the axes of the world [m], shape (3,)."""
-        return np.array([high - low for low, high in map(self.extent, np.eye(3))])
+        low, high = self.bounds()
+        return np.asarray(high - low)
+
+    def posed(self, X_AB: Pose) -> Hulls:
+        """The same parts in another frame."""
+        return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
 
     def moved(self, offset: Array) -> Hulls:
         """The same parts elsewhere."""

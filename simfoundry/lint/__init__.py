@@ -1,1 +1,1 @@
-"""Lints: what a document may say, and what yet will not work; judged on a sketch, without a simulator."""
+"""Lints: what the language allows and yet will not work, one file a finding, judged on the lowered scene."""

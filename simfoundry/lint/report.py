@@ -1,4 +1,4 @@
-"""Findings of lints: where they point, and lengths as people say them."""
+"""Findings of lints: warnings at a place of a document."""
 
 from __future__ import annotations
 

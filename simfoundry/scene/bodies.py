@@ -124,7 +124,7 @@ class BodyBuilder:
         stored = self.cache.get(file_key(path, scale, self.body.collision)) if self.cache is not None else None
         found = unpack_colliders(stored) if stored is not None else None
         if found is None:
-            found = Colliders((hull(np.array(summary.hull) * scale),))
+            found = Colliders(((np.array(summary.hull) * scale, np.array(summary.hull_faces, dtype=np.int32)),))
             self.is_approximate |= self.body.collision != "hull" and not summary.is_nearly_convex
         self._add_colliders(name, found, X_LG, part)
 
@@ -205,10 +205,14 @@ class BodyBuilder:
         friction = material.friction if self.body.friction is None else self.body.friction
         restitution = material.restitution if self.body.restitution is None else self.body.restitution
         spinning, rolling = material.torsional_friction, material.rolling_friction
-        self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling))
+        label = self._material_name(part) or ""
+        self.colliders.append(Collider(name, geometry, friction, restitution, X_LG, spinning, rolling, label))
+
+    def _material_name(self, part: PartSpec | None) -> str | None:
+        return part.material if part is not None and part.material is not None else self.body.material
 
     def _material(self, part: PartSpec | None) -> Material:
-        name = part.material if part is not None and part.material is not None else self.body.material
+        name = self._material_name(part)
         return Material() if name is None else self.materials[name]
 
     def _rgba(self, part: PartSpec | None, default: tuple[float, float, float, float] | None) -> Array:

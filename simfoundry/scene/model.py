@@ -41,7 +41,7 @@ class Collider:
     ``friction`` is the Coulomb coefficient of the surface; a pair slides at the geometric mean of its two
     (:func:`pair_friction`). ``restitution`` in [0, 1] combines the same way. ``torsional_friction`` and
     ``rolling_friction`` [m] are the greatest torques against spinning and rolling over the normal force; a pair has the
-    larger of its two.
+    larger of its two. ``material`` names the material of the surface, empty where the spec gives none.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Collider:
     X_LG: Pose = IDENTITY
     torsional_friction: float = 0.0
     rolling_friction: float = 0.0
+    material: str = ""
 
 
 @dataclass(frozen=True, eq=False)

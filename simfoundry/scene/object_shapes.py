@@ -49,6 +49,21 @@ def solid(
     )
 
 
+def link_bounds(item: SceneObject, part: str = "") -> list[tuple[Array, Array]]:
+    """The low and high corner [m] of the box in the world around each link that has a shape.
+
+    ``part`` chooses the link of that name, or the one that the joint of that name moves.
+    """
+    moved = {joint.name: joint.child for joint in item.joints}
+    links = [link for link in item.links if link.name == moved.get(part, part)] or list(item.links)
+    poses = link_poses(item)
+    return [
+        hulls_of((piece.geometry, item.X_WO @ poses[link.name] @ piece.X_LG, 0) for piece in shown).bounds()
+        for link in links
+        if (shown := link.colliders or link.visuals)
+    ]
+
+
 def bounds(item: SceneObject) -> tuple[Array, Array]:
     """Lowest and highest corner [m] of an object in its own frame, over colliders (visuals where there are none)."""
     poses = link_poses(item)

@@ -93,7 +93,7 @@ class ObjectLowering:
             asset = self.loaded.used(item.asset)
             assert asset is not None and isinstance(asset.spec, AssetSpec)
             category = item.category or asset.spec.category or asset.spec.name
-            links, joints = self._articulated(asset, asset.spec, item, name)
+            links, joints = self.articulated(asset, asset.spec, item, name)
             silent = asset.spec.no_contact
         else:
             links = self._rigid(item, spec, place, name)
@@ -116,7 +116,7 @@ class ObjectLowering:
                 builder.add_visual("visual", self.loaded.file(item.visual), item.scale)
         return self._built(builder, None, self.loaded, place, item.fixed, before, owner)
 
-    def _articulated(
+    def articulated(
         self, asset: Loaded, spec: AssetSpec, item: ObjectSpec, owner: str
     ) -> tuple[list[Link], tuple[Joint, ...]]:
         """The links of an asset document in topological order, and its joints at the positions the object asks for."""

@@ -116,3 +116,8 @@ class Robot:
         arm = {model.joints.get(name, name): position for name, position in self.positions.items()}
         opened = {n: pair[0] for n, pair in model.gripper.joints.items()} if model.gripper is not None else {}
         return opened | arm
+
+
+def mujoco_model(robot: Robot) -> NativeModel | None:
+    """The model of a robot that MuJoCo reads best, if there is one."""
+    return robot.best(ModelFormat.MJCF, ModelFormat.URDF)

@@ -16,6 +16,19 @@ PythonName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_.]*
 READ_BACK = "read_back"
 """The tolerance of every quantity that has none of its own."""
 
+QUANTITIES = (
+    *("mass", "com", "inertia", "position", "rotation", "bounds", "gravity"),
+    *("friction", "restitution", "torsional_friction", "rolling_friction"),
+    *("axis", "limits", "damping", "joint_friction", "armature", "joint_position", "law", "drive", "effort"),
+)
+"""The quantities that `simfoundry verify` reads back."""
+
+BEHAVIOURS = (
+    *("free_fall", "slip_angle", "period", "decay", "restitution", "limit", "friction_holds", "friction_slips"),
+    *("damped_friction", "drive", "mimic", "no_contact", "settled_mm", "settled_deg"),
+)
+"""The behaviours that `simfoundry verify` measures."""
+
 
 class Gap(Model):
     """A feature that the simulator does not keep, beyond what its backend leaves out."""

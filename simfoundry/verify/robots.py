@@ -10,10 +10,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robot import ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import ModelFormat, NativeModel, Robot, mujoco_model
 from simfoundry.verify.readback import JointReadback, Numbers, WorldReadback, numbers, pose_numbers
 
 _READS = {"mjcf": (ModelFormat.MJCF, ModelFormat.URDF), "usd": (ModelFormat.USD, ModelFormat.MJCF, ModelFormat.URDF)}

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.geometry.frames import Pose
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.worlds.robot import unknown_joint
 
 if TYPE_CHECKING:

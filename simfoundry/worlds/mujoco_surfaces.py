@@ -16,22 +16,11 @@ class OwnSurface(NamedTuple):
     rolling: float
 
 
-def own_surfaces(model: mujoco.MjModel, body: str, geoms: list[int]) -> list[OwnSurface]:
-    """The surfaces of the collision ``geoms`` of a body, in their order.
-
-    Where geoms are written as the contacts that they decide on, a custom number of the file says what is their own.
-    """
-    for k in range(model.nnumeric):
-        if model.numeric(k).name == f"{body}:surface":
-            start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
-            rows = model.numeric_data[start : start + size].reshape(-1, 4).tolist()
-            own = [OwnSurface(friction, spinning, rolling) for friction, _, spinning, rolling in rows]
-            return own * len(geoms) if len(own) == 1 else own
-    return [_surface(model, geom) for geom in geoms]
-
-
-def _surface(model: mujoco.MjModel, geom: int) -> OwnSurface:
-    """What a geom says of spinning and rolling counts in contacts of as many dimensions only."""
-    sliding, spinning, rolling = (float(value) for value in model.geom_friction[geom])
-    dimensions = int(model.geom_condim[geom])
-    return OwnSurface(sliding, spinning * (dimensions > 3), rolling * (dimensions > 4))
+def own_surfaces(model: mujoco.MjModel, geoms: list[int]) -> list[OwnSurface]:
+    """Return the surfaces of collision geoms; what they resist beyond sliding counts in contacts of more dimensions."""
+    dimensions = [int(model.geom_condim[geom]) for geom in geoms]
+    rows = [model.geom_friction[geom].tolist() for geom in geoms]
+    return [
+        OwnSurface(sliding, spinning * (count > 3), rolling * (count > 4))
+        for count, (sliding, spinning, rolling) in zip(dimensions, rows, strict=True)
+    ]

@@ -11,12 +11,13 @@ import numpy as np
 
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
+from simfoundry.backends.mjcf.contact_rules import exact_model
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
+from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
 from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state
@@ -43,9 +44,7 @@ class MujocoWorld(Judging):
             raise MissingEngineError("MuJoCo is not installed; install with `pip install mujoco`") from error
         self._mujoco = mujoco
         self.scene = scene
-        files = compile_mjcf(scene).files
-        assets = {path: data for path, data in files.items() if path.startswith("assets/")}
-        self.model: mujoco.MjModel = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
+        self.model: mujoco.MjModel = exact_model(compile_mjcf(scene).files)
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self._bodies = {item.name: self.model.body(item.name).id for item in scene.objects}
         parts = [tree for item in scene.objects for tree in trees(item)]
@@ -206,7 +205,7 @@ class MujocoWorld(Judging):
         return facts
 
     def _link_facts(self, body: int, geoms: list[int]) -> LinkFacts:
-        surfaces = own_surfaces(self.model, self.model.body(body).name, geoms)
+        surfaces = own_surfaces(self.model, geoms)
         axes = Pose.of(q=self.model.body_iquat[body]).rotation
         return LinkFacts(
             mass=float(self.model.body_mass[body]),

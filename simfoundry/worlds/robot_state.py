@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.robot_models.robot_object import joint_names
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robot import Gripper, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import Gripper, ModelFormat, NativeModel, Robot, mujoco_model
 from simfoundry.scene.state import SceneState
 
 

@@ -1,41 +1,72 @@
-"""Load this world: ``load()`` returns a MuJoCo model and its data; ``python load.py`` opens the viewer."""
+"""Load this world: ``load()`` returns a MuJoCo model and its data; ``python load.py`` opens the viewer.
+
+``load()`` makes all contacts what their two surfaces mean together, from the numbers in ``scene.xml`` as it is now.
+After an edit of a friction, ``python load.py --contacts`` writes ``contacts.xml`` anew, for programs that open
+``scene.xml`` themselves.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import mujoco
 
 HERE = Path(__file__).resolve().parent
 
 
+def read_rules() -> ModuleType:
+    """Return the module ``contact_rules.py`` beside this one, whichever folder Python was started in."""
+    spec = importlib.util.spec_from_file_location("contact_rules", HERE / "contact_rules.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 def load() -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Return the model, and its data in the initial state of the scene."""
-    model = mujoco.MjModel.from_xml_path(str(HERE / "scene.xml"))
+    rules = read_rules()
+    spec = rules.read_scene(HERE)
+    if (HERE / rules.CONTACTS_FILE).is_file():
+        rules.make_exact(spec)
+    model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("initial").id)
     mujoco.mj_forward(model, data)
     return model, data
 
 
+def write_contacts() -> None:
+    """Write the pairs of contacts anew, from the numbers in ``scene.xml``."""
+    rules = read_rules()
+    spec = rules.read_scene(HERE)
+    text = rules.contacts_text(rules.read_geoms(spec)[0], rules.excluded_bodies(spec))
+    (HERE / rules.CONTACTS_FILE).write_text(text, encoding="utf-8")
+    print(f"wrote {HERE / rules.CONTACTS_FILE}")
+
+
 def has_display() -> bool:
-    """Whether a window can open here."""
+    """Return true if a window can open here."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def main() -> None:
-    """Open the viewer, or say what was loaded where there is no display."""
+    """Open the viewer, or print what was loaded where there is no display."""
+    if "--contacts" in sys.argv[1:]:
+        write_contacts()
+        return
     model, data = load()
     if has_display():
         import mujoco.viewer
 
         mujoco.viewer.launch(model, data)
     else:
-        names = [model.body(k).name for k in range(1, model.nbody)]
-        bodies = sum(":" not in name for name in names)  # any other says how a body touches some things
-        print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints, {model.ngeom} geoms")
+        bodies = sum(":" not in model.body(k).name for k in range(1, model.nbody))  # without those of proxy geoms
+        print(f"loaded {HERE / 'scene.xml'}: {bodies} bodies, {model.njnt} joints")
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-PROXY = ":touch"
-"""How the name of a body or geom goes on after that of the link or collider that it is a part of."""
+from simfoundry.backends.mjcf.contact_rules import PROXY
 
 
 class Resistance(NamedTuple):
@@ -29,15 +28,14 @@ AMBIGUOUS = Resistance(float("inf"), float("inf"), float("inf"))
 
 
 class Meetings:
-    """The geoms that touch, by body and collider; ``colliders`` gives each collider's geoms, those of its twins too."""
+    """The geoms that touch, by body and collider; ``colliders`` gives each collider's geoms, its proxies too."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model = model
         self.colliders: dict[int, dict[str, list[int]]] = {}
-        names = [model.body(k).name for k in range(model.nbody)]
         for geom in np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0)).tolist():
             body = int(model.geom_bodyid[geom])
-            link = int(model.body_parentid[body]) if PROXY in names[body] else body
+            link = int(model.body_parentid[body]) if PROXY in model.body(body).name else body
             collider = model.geom(geom).name.partition(PROXY)[0] or f"#{geom}"
             self.colliders.setdefault(link, {}).setdefault(collider, []).append(geom)
         self._excluded = {int(k) for k in model.exclude_signature}

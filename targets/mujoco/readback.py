@@ -11,6 +11,7 @@ from types import ModuleType
 import mujoco
 import numpy as np
 
+from simfoundry.backends.mjcf.contact_rules import PROXY
 from simfoundry.geometry.frames import Pose
 from simfoundry.runtime.plugins import import_file
 from simfoundry.verify.readback import (
@@ -30,7 +31,7 @@ from simfoundry.verify.readback import (
 )
 
 _contacts = import_file(Path(__file__).with_name("contacts.py"))
-PROXY, Meetings, Resistance = _contacts.PROXY, _contacts.Meetings, _contacts.Resistance
+Meetings, Resistance = _contacts.Meetings, _contacts.Resistance
 
 _JOINT, _GEOM = mujoco.mjtJoint, mujoco.mjtGeom
 _TYPES = {int(_JOINT.mjJNT_SLIDE): "prismatic", int(_JOINT.mjJNT_HINGE): "revolute", int(_JOINT.mjJNT_BALL): "ball"}
@@ -101,8 +102,8 @@ class MujocoSession:
     def _link(self, name: str, body: int) -> LinkReadback:
         model = self.model
         axes = Pose.of(q=model.body_iquat[body]).rotation
-        felt, said = self._felt(body), self._own(name)
-        own = said * len(felt) if len(said) == 1 else said or [self._meetings.surface(geom) for geom in felt]
+        felt = self._felt(body)
+        own = [self._meetings.surface(geom) for geom in felt]
         return LinkReadback(
             pose=self._pose(body),
             mass=float(model.body_mass[body]),
@@ -176,16 +177,6 @@ class MujocoSession:
 
     def _felt(self, body: int) -> list[int]:
         return [geoms[0] for geoms in self._meetings.colliders.get(body, {}).values()]
-
-    def _own(self, link: str) -> list[Resistance]:
-        """The surfaces of colliders where the file says them apart from its geoms."""
-        model = self.model
-        for k in range(model.nnumeric):
-            if model.numeric(k).name == f"{link}:surface":
-                start, size = int(model.numeric_adr[k]), int(model.numeric_size[k])
-                rows = model.numeric_data[start : start + size].reshape(-1, 4)
-                return [Resistance(*row) for row in rows[:, [0, 2, 3]].tolist()]
-        return []
 
     def _contacts(self, links: Mapping[str, LinkReadback]) -> tuple[dict[str, LinkReadback], dict[str, float]]:
         """The links, and the friction of every two colliders that meet, unless both have it themselves.

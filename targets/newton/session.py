@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import newton
 import numpy as np
@@ -44,8 +44,7 @@ class Names:
     ``collider`` gives the link and the collider's name, or None for what is only seen; ``joint`` None for those that
     the importer adds. ``static`` are poses of links that Newton merged into the world. ``own_damping`` is that of
     joints which is not their motor's, by joint; None where what comes with a motor is in custom attributes of MuJoCo,
-    as are resistances that count only in contacts of more dimensions. ``own_friction`` is that of the colliders of a
-    link by name, where its shapes have that of the contacts which they decide on.
+    as are resistances that count only in contacts of more dimensions.
     """
 
     link: Callable[[str], str]
@@ -53,7 +52,6 @@ class Names:
     joint: Callable[[str], str | None]
     static: Mapping[str, Pose]
     own_damping: Mapping[str, float] | None = None
-    own_friction: Mapping[str, Mapping[str | None, float]] = field(default_factory=dict)
 
 
 class NewtonSession:
@@ -163,8 +161,6 @@ class NewtonSession:
             resists = (float(spinning[k]), float(rolling[k])) if told else (None, None)
             facts = ColliderReadback(name, kind, bounds, float(mu[k]), float(restitution[k]), *resists)
             found.setdefault(link, []).append(facts)
-        for link, own in self.names.own_friction.items():
-            found[link] = [replace(shape, friction=own[shape.name]) for shape in found.get(link, [])]
         return found
 
     def _bounds(self, shape: int, kind: str, scale: np.ndarray, X_LG: Pose) -> Numbers:

@@ -16,7 +16,7 @@ from simfoundry.backends import BACKENDS, compile_scene
 from simfoundry.backends.artifact import Artifact
 from simfoundry.backends.features import Fidelity
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.restitution import damping_ratio, rebound
+from simfoundry.backends.mjcf.contact_rules import damping_ratio, rebound
 from simfoundry.backends.names import InvalidSceneError
 from simfoundry.geometry.frames import IDENTITY
 from simfoundry.geometry.shapes import Cylinder, Mesh, Sphere
@@ -28,12 +28,15 @@ from tests.scenes import all_scenes, box, cabinet, full_scene, pose, primitives_
 
 
 def load(artifact: Artifact) -> Any:
-    assets = {path: data for path, data in artifact.files.items() if path.startswith("assets/")}
+    assets = {path: data for path, data in artifact.files.items() if path.startswith(("assets/", "contacts.xml"))}
     return mujoco.MjModel.from_xml_string(artifact.files["scene.xml"].decode(), assets)
 
 
 def pairs(artifact: Artifact) -> list[dict[str, str]]:
-    return [dict(e.attrib) for e in ET.fromstring(artifact.files["scene.xml"]).iter("pair")]
+    """The pairs of the file, each with the attributes of its class."""
+    root = ET.fromstring(artifact.files["contacts.xml"])
+    classes = {d.get("class"): d.find("pair") for d in root.iterfind("default/default")}
+    return [classes[e.get("class")].attrib | e.attrib for e in root.iterfind("contact/pair")]  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("scene", [*all_scenes().values(), mechanisms()], ids=[*all_scenes(), "mechanisms"])
@@ -94,13 +97,12 @@ def test_every_geom_keeps_its_shape_and_place() -> None:
     assert {int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("BOX", "SPHERE", "CYLINDER", "CAPSULE")} == kinds
 
 
-def test_what_is_seen_touches_nothing_and_what_touches_is_not_seen() -> None:
+def test_visual_geoms_collide_with_nothing() -> None:
     model = load(compile_mjcf(full_scene()))
     for geom in range(model.ngeom):
-        twin = ":touch" in model.geom(geom).name
-        seen = ":" in model.geom(geom).name and not twin
-        assert int(model.geom_group[geom]) == (2 if seen else 4 if twin else 3)
-        assert bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) != seen
+        visual = ":" in model.geom(geom).name
+        assert int(model.geom_group[geom]) in ((2,) if visual else (0, 3))
+        assert bool(model.geom_contype[geom] or model.geom_conaffinity[geom]) != visual
 
 
 def test_textures_and_their_coordinates_arrive() -> None:

@@ -1,28 +1,30 @@
-"""Contacts in MJCF: whatever way they are written, each is what its two surfaces mean together."""
+"""Contacts in MJCF: each is what its two surfaces mean together, in the files and in memory."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
+from simfoundry.backends.losses import Size
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.contacts import contacts_of
-from simfoundry.backends.mjcf.foreign_geoms import Guests
-from simfoundry.backends.mjcf.restitution import solref
-from simfoundry.backends.mjcf.surfaces import Surface, felt, meant
+from simfoundry.backends.mjcf.contact_rules import MAX_PAIRS, PROXY, Surface, desired_contact, exact_model, solref
+from simfoundry.backends.mjcf.contacts import object_geoms
 from simfoundry.runtime.plugins import import_file
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
-from tests.scenes import box, full_scene, pose, scene_of, solid
+from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid
 
 HULLS = 6
 
@@ -59,15 +61,42 @@ def expected(scene: Scene) -> Iterator[tuple[str, str, Surface]]:
     """Every two colliders that can meet, with what their contact should feel like."""
     silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in silent_pairs(o)}
     silent |= {frozenset(pair) for pair in scene.no_contact}
-    geoms = [geom for item in scene.objects for geom in felt(item)]
+    geoms = [geom for item in scene.objects for geom in object_geoms(item)]
     for a, b in product(geoms, geoms):
-        if a.link < b.link and not (a.static and b.static) and frozenset((a.link, b.link)) not in silent:
-            yield a.geom, b.geom, meant(a.surface, b.surface)
+        if a.body < b.body and not (a.static and b.static) and frozenset((a.body, b.body)) not in silent:
+            yield a.name, b.name, desired_contact(a.surface, b.surface)
+
+
+def load_files(scene: Scene) -> mujoco.MjModel:
+    return load(compile_mjcf(scene))
 
 
 @pytest.mark.parametrize("scene", [crowd(1, 3), crowd(4, 2), crowd(5, 1), crowd(34, 1), full_scene(), mechanisms()])
-def test_each_contact_is_what_its_surfaces_mean(scene: Scene) -> None:
-    model = load(compile_mjcf(scene))
+def in_memory(scene: Scene) -> mujoco.MjModel:
+    return exact_model(compile_mjcf(scene).files)
+
+
+SCENES = {
+    "one": crowd(1, 3),
+    "four": crowd(4, 2),
+    "five": crowd(5, 1),
+    "full": full_scene(),
+    "mechanisms": mechanisms(),
+}
+
+
+@pytest.mark.parametrize("read", [load_files, in_memory])
+@pytest.mark.parametrize("name", SCENES)
+def test_each_contact_is_what_its_surfaces_mean(name: str, read: Callable[[Scene], mujoco.MjModel]) -> None:
+    check_contacts(SCENES[name], read(SCENES[name]))
+
+
+def test_more_surfaces_than_masks_have_bits_are_exact_in_memory() -> None:
+    scene = crowd(34, 1)
+    check_contacts(scene, in_memory(scene))
+
+
+def check_contacts(scene: Scene, model: mujoco.MjModel) -> None:
     found = {frozenset((a, b)): met for a, b, met in Meetings(model).contacts()}
     wanted = {frozenset((a, b)): surface for a, b, surface in expected(scene)}
     assert found.keys() == wanted.keys()
@@ -76,13 +105,13 @@ def test_each_contact_is_what_its_surfaces_mean(scene: Scene) -> None:
         assert found[names] == pytest.approx(right, rel=1e-9), names
 
 
-def test_mujoco_itself_makes_the_contacts_that_are_meant() -> None:
+def test_mujoco_itself_makes_the_desired_contacts() -> None:
     """All things of a crowd in one place: friction, damping and dimensions are those of MuJoCo's own contacts."""
     scene = crowd(5, 2)
-    model = load(compile_mjcf(scene))
+    model = in_memory(scene)
     data = mujoco.MjData(model)
     for k in range(model.nbody):
-        model.body_pos[k] = (0, 0, 0) if ":" in model.body(k).name else (0.001 * k, 0, 0)
+        model.body_pos[k] = (0, 0, 0) if PROXY in model.body(k).name else (0.001 * k, 0, 0)
     for joint in range(model.njnt):
         data.qpos[model.jnt_qposadr[joint] : model.jnt_qposadr[joint] + 7] = [0.001 * joint, 0, 0, 1, 0, 0, 0]
     mujoco.mj_forward(model, data)
@@ -104,45 +133,179 @@ def test_mujoco_itself_makes_the_contacts_that_are_meant() -> None:
     assert links == {frozenset(name.partition(".")[0] for name in pair) for pair in wanted}
 
 
-def test_tables_need_no_pairs_and_things_of_few_surfaces_hardly_any() -> None:
-    assert load(compile_mjcf(crowd(1, 5))).npair == 0
-    assert load(compile_mjcf(crowd(2, 1))).npair == 0
-    model = load(compile_mjcf(crowd(4, 1)))
-    assert 0 < model.npair <= 3 * HULLS**2  # of six kinds of contact, three are decided by priority
+def test_every_geom_of_the_files_has_its_own_numbers() -> None:
+    scene = crowd(5, 2)
+    model = load_files(scene)
+    for item in scene.objects:
+        for geom in object_geoms(item):
+            assert model.geom(geom.name).friction[0] == pytest.approx(geom.surface.friction, rel=1e-11)
+    assert not model.geom_priority.any() and model.nbody == 1 + sum(len(item.links) for item in scene.objects)
 
 
-def guest(friction: float, priority: int = 0, masks: tuple[int, int] = (1, 1), soft: bool = True) -> Guests:
-    return Guests(
-        np.array([masks]), np.array([priority]), np.array([3]), np.array([[friction, 0.005, 0.0001]]), np.array([soft])
+def test_unlike_geoms_have_few_pairs_in_memory() -> None:
+    scene = crowd(4, 2)
+    model = in_memory(scene)
+    colliders = sum(1 for item in scene.objects for _ in object_geoms(item))
+    assert model.npair < 1000 and sum(PROXY in model.geom(k).name for k in range(model.ngeom)) < 3 * colliders
+    assert load_files(scene).npair > 1000
+
+
+def test_a_scene_of_many_pairs_has_those_of_its_tables_and_says_which_it_has_not() -> None:
+    scene = crowd(4, 6)
+    artifact = compile_mjcf(scene)
+    assert artifact.files["contacts.xml"].count(b"<pair class") <= MAX_PAIRS
+    (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
+    assert loss.element == "" and loss.size is not None and 0 < loss.size.value < 0.2
+    assert loss.reason.startswith("load.py makes all contacts exact; opened without it, ")
+    model = load_files(scene)
+    tables = {frozenset(names) for names in pairs_of(model) if "table.part_0" in names}
+    assert len(tables) == 4 * 6 * HULLS  # each hull of each thing
+    assert not [loss for loss in compile_mjcf(crowd(4, 1)).losses if loss.feature == "friction"]
+    check_contacts(scene, in_memory(scene))
+
+
+def pairs_of(model: mujoco.MjModel) -> list[tuple[str, str]]:
+    ends = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    return [(model.geom(a).name, model.geom(b).name) for a, b in ends]
+
+
+def test_native_contacts_have_no_pairs_and_say_what_that_costs() -> None:
+    scene = scene_of(
+        solid("a", box(1, 1, 1), pose(0, 0, 0), friction=0.3), solid("b", box(1, 1, 1), pose(2, 0, 0), friction=0.7)
     )
+    artifact = compile_mjcf(scene, contacts="native")
+    assert "contacts.xml" not in artifact.files and b"include" not in artifact.files["scene.xml"]
+    (loss,) = [loss for loss in artifact.losses if loss.feature == "friction"]
+    assert loss.reason == "MuJoCo takes the larger friction of a pair: 0.7 for 0.3 and 0.7, where the scene has 0.458."
+    assert loss.size == Size(0.242, "1")
+    with pytest.raises(ValueError, match="contacts are `exact` or `native`, not `both`"):
+        compile_mjcf(scene, contacts="both")
 
 
-def test_what_a_robot_touches_stays_as_mujoco_has_it() -> None:
-    """A geom of a robot is the larger friction of the two or its own; surfaces that this would change stay as is."""
-    scene = crowd(7, 1)
-    slippery = contacts_of(scene, guest(0.3))
-    for surface, way in slippery.ways.items():
-        assert (way.priority, way.surface) == (0, surface) or surface.friction <= 0.3
-    rough = contacts_of(scene, guest(1.0))
-    decided = [(surface, way) for surface, way in rough.ways.items() if way.priority]
-    assert decided and all(way.priority < 0 and not surface.restitution and not surface.rolling
-                           for surface, way in decided)  # fmt: skip
-    assert contacts_of(scene, guest(0.1, priority=1)).ways == contacts_of(scene, Guests()).ways
-    assert all(way.priority == 0 for way in contacts_of(scene, guest(0.1, priority=-1)).ways.values())
-    assert all(way.priority == 0 for way in contacts_of(scene, guest(1.0, soft=False)).ways.values())
+# Edits by hand. ----------------------------------------------------------------------------------------------------
 
 
-def test_masks_are_none_that_a_robot_has() -> None:
-    scene = crowd(4, 1)
-    plan = contacts_of(scene, guest(1.0, masks=(0b101, 0b11)))
-    assert plan.twins
-    used = plan.shared | sum(plan.bits.values())
-    assert not used & 0b111
-    assert contacts_of(scene, guest(1.0, masks=(0b100, 1))).twins == {}  # it would not be heard by the tables
+def edited(scene: Scene, folder: Path, *changes: tuple[str, str], contacts: str = "exact") -> Path:
+    compile_mjcf(scene, contacts=contacts).write(folder)
+    text = (folder / "scene.xml").read_text()
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    (folder / "scene.xml").write_text(text)
+    return folder
+
+
+def loaded(folder: Path) -> mujoco.MjModel:
+    return import_file(folder / "load.py").load()[0]  # type: ignore[no-any-return]
+
+
+def opened(folder: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+
+
+@pytest.fixture
+def desk() -> Scene:
+    """A cup of ceramic and a block of rubber on a wooden desk, and a drawer."""
+    cup = with_material(solid("cup", box(0.1, 0.1, 0.1), pose(0, 0, 0.05), friction=0.35), "ceramic")
+    block = with_material(solid("block", box(0.1, 0.1, 0.1), pose(0.3, 0, 0.05), friction=0.9), "rubber")
+    top = with_material(solid("desk", box(2, 2, 0.1), pose(0, 0, -0.05), friction=0.5, fixed=True), "wood")
+    return scene_of(top, cup, block, cabinet())
+
+
+def with_material(item: SceneObject, name: str) -> SceneObject:
+    colliders = tuple(replace(c, material=name) for c in item.root.colliders)
+    return replace(item, links=(replace(item.root, colliders=colliders), *item.links[1:]))
+
+
+@pytest.mark.parametrize("read", [loaded, opened])
+def test_mass_pose_and_joint_can_be_edited_by_hand(
+    desk: Scene, tmp_path: Path, read: Callable[[Path], mujoco.MjModel]
+) -> None:
+    text = compile_mjcf(desk).files["scene.xml"].decode()
+    mass = next(line for line in text.split('<body name="block"')[1].splitlines() if "<inertial" in line)
+    limit = next(line for line in text.splitlines() if 'name="cabinet.slide"' in line)
+    folder = edited(
+        desk,
+        tmp_path / "build",
+        (text[text.index('<body name="block"') :].split("\n")[0], '<body name="block" pos="0.4 0 0.05">'),
+        (limit, limit.replace('damping="', 'damping="1')),
+    )
+    scene = folder / "scene.xml"
+    head, tail = scene.read_text().split('<body name="block"')
+    scene.write_text(
+        head + '<body name="block"' + tail.replace(mass, '<inertial pos="0 0 0" mass="7" diaginertia="1 1 1" />', 1)
+    )
+    model = read(folder)
+    assert model.body("block").mass[0] == 7 and model.body("block").pos.tolist() == [0.4, 0, 0.05]
+    before = load_files(desk).dof_damping[load_files(desk).joint("cabinet.slide").dofadr[0]]
+    assert np.ravel(model.dof_damping[model.joint("cabinet.slide").dofadr[0]])[0] > np.ravel(before)[0]
+
+
+def friction(model: mujoco.MjModel, a: str, b: str) -> float:
+    (found,) = (met.friction for one, other, met in Meetings(model).contacts() if {one, other} == {a, b})
+    return found
+
+
+CERAMIC = ('<geom friction="0.35" />', '<geom friction="0.2" />')
+
+
+def test_a_friction_edited_by_hand_counts_through_load(desk: Scene, tmp_path: Path) -> None:
+    folder = edited(desk, tmp_path / "build", CERAMIC)
+    assert friction(loaded(folder), "desk.shape", "cup.shape") == pytest.approx(math.sqrt(0.2 * 0.5))
+    assert friction(loaded(folder), "block.shape", "cup.shape") == pytest.approx(math.sqrt(0.2 * 0.9))
+    assert friction(loaded(folder), "block.shape", "desk.shape") == pytest.approx(math.sqrt(0.5 * 0.9))
+
+
+def test_contacts_are_written_anew_for_whoever_opens_the_scene(desk: Scene, tmp_path: Path) -> None:
+    folder = edited(desk, tmp_path / "build", CERAMIC)
+    assert friction(opened(folder), "desk.shape", "cup.shape") == pytest.approx(math.sqrt(0.35 * 0.5))
+    subprocess.run([sys.executable, folder / "load.py", "--contacts"], check=True, cwd=tmp_path, capture_output=True)
+    assert friction(opened(folder), "desk.shape", "cup.shape") == pytest.approx(math.sqrt(0.2 * 0.5))
+    same = tmp_path / "same"
+    compile_mjcf(desk).write(same)
+    before = (same / "contacts.xml").read_text()
+    subprocess.run([sys.executable, same / "load.py", "--contacts"], check=True, cwd=tmp_path, capture_output=True)
+    assert (same / "contacts.xml").read_text() == before
+
+
+@pytest.mark.parametrize("read", [loaded, opened])
+def test_a_friction_edited_by_hand_counts_under_native_contacts(
+    desk: Scene, tmp_path: Path, read: Callable[[Path], mujoco.MjModel]
+) -> None:
+    folder = edited(
+        desk, tmp_path / "build", ('<geom friction="0.35" />', '<geom friction="0.8" />'), contacts="native"
+    )
+    assert friction(read(folder), "desk.shape", "cup.shape") == 0.8
+
+
+def test_the_friction_of_one_geom_can_be_edited(desk: Scene, tmp_path: Path) -> None:
+    text = compile_mjcf(desk).files["scene.xml"].decode()
+    line = next(line for line in text.splitlines() if 'name="cup.shape"' in line)
+    folder = edited(desk, tmp_path / "build", (line, line.replace("<geom ", '<geom friction="0.1" ')))
+    assert friction(loaded(folder), "desk.shape", "cup.shape") == pytest.approx(math.sqrt(0.1 * 0.5))
+
+
+def test_the_contacts_of_a_robot_stay_as_mujoco_makes_them() -> None:
+    """Geoms of a robot meet all others and no proxy; their masks are not taken."""
+    text = compile_mjcf(crowd(4, 1)).files["scene.xml"].decode()
+    hand = '<geom name="arm.hand" size="0.1" friction="0.2" contype="{}" conaffinity="{}" />'
+    arm = f'<body name="arm">{hand}</body></worldbody>'
+    text = text.replace("<custom>", '<custom><text name="simfoundry:robots" data="arm" />')
+    for contype, conaffinity in ((1, 1), (5, 3)):
+        with_arm = text.replace("</worldbody>", arm.format(contype, conaffinity))
+        model = exact_model({"scene.xml": with_arm.encode()})
+        proxies = np.array([PROXY in model.geom(k).name for k in range(model.ngeom)])
+        hand = model.geom("arm.hand").id
+        met = (model.geom_contype & model.geom_conaffinity[hand]) | (model.geom_contype[hand] & model.geom_conaffinity)
+        own = np.array([model.geom(f"{name}.part_0").id for name in ("thing_0_0", "thing_3_0", "table", "floor")])
+        assert proxies.any() and met[own].all() and not met[proxies].any()
+        assert model.geom("arm.hand").friction[0] == 0.2
+    deaf = exact_model({"scene.xml": text.replace("</worldbody>", arm.format(4, 1)).encode()})
+    assert not any(PROXY in deaf.geom(k).name for k in range(deaf.ngeom)) and deaf.npair
 
 
 def test_a_box_slides_where_its_two_surfaces_say() -> None:
-    """With twins, as decomposed things have them: 26.10 degrees for 0.3 on 0.8, where the larger would be 38.7."""
+    """With proxies, as decomposed objects have them: 26.10 degrees for 0.3 on 0.8, where the larger would be 38.7."""
     mu = math.sqrt(0.3 * 0.8)
     assert slides(math.atan(mu) + math.radians(1))
     assert not slides(math.atan(mu) - math.radians(1))
@@ -162,8 +325,8 @@ def slides(angle: float) -> bool:
         )),),
     )  # fmt: skip
     gravity = 9.81 * np.array([math.sin(angle), 0, -math.cos(angle)])
-    model = load(compile_mjcf(replace(scene_of(table, thing), gravity=gravity)))
-    assert any(":touch" in model.body(k).name for k in range(model.nbody))
+    model = in_memory(replace(scene_of(table, thing), gravity=gravity))
+    assert any(PROXY in model.geom(k).name for k in range(model.ngeom))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_step(model, data, 500)

@@ -18,10 +18,8 @@ from simfoundry.render.gl import Engine, choose_engine
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")
 
-import simfoundry.evaluate.gym  # noqa: E402 - registers it
 from simfoundry.evaluate.env import TaskEnv  # noqa: E402
-
-ENV = simfoundry.evaluate.gym.ENV_ID
+from simfoundry.evaluate.gym import ENV_ID as ENV  # noqa: E402 - registers it
 
 
 @pytest.fixture(scope="module")

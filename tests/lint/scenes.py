@@ -5,8 +5,8 @@ from __future__ import annotations
 import textwrap
 from pathlib import Path
 
+from simfoundry.lint.draft import DraftScene, drafted
 from simfoundry.lint.run import lint
-from simfoundry.lint.sketch import Sketch, sketch
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.load import load
 
@@ -27,7 +27,7 @@ def written(folder: Path, objects: str, more: str = "", name: str = "desk.scene.
 def findings(path: Path) -> list[Diagnostic]:
     """What the lints find in a document without errors."""
     loaded = load(path)
-    assert loaded.errors == []
+    assert loaded.errors == [], loaded.errors
     return list(lint(loaded))
 
 
@@ -41,11 +41,11 @@ def codes(path: Path) -> list[str]:
     return [d.code for d in findings(path)]
 
 
-def drawn(path: Path) -> Sketch:
-    """The sketch of a scene."""
+def draft(path: Path) -> DraftScene:
+    """The scene as lints judge it."""
     loaded = load(path)
-    assert loaded.errors == []
-    return sketch(loaded)
+    assert loaded.errors == [], loaded.errors
+    return drafted(loaded)
 
 
 def task(folder: Path, goal: str, more: str = "", name: str = "task.task.yaml") -> Path:

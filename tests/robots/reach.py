@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
 from simfoundry.worlds.base import World
 
 DOWN = Pose.of(q=(0.0, 1.0, 0.0, 0.0))

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import simfoundry
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.grasps import jaws
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import mujoco_model
 from simfoundry.spec.models.robot_file import find_robot
 from simfoundry.worlds import open_world
 from tests.robots.reach import grasp_and_lift

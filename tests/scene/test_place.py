@@ -353,9 +353,8 @@ def test_what_is_refused_uncut_fits_no_cut_container_either(tmp_path: Path) -> N
     for k in range(40):
         size = np.round(rng.uniform(0.02, [0.3, 0.12, 0.12]), 3).tolist()
         at = np.round(rng.uniform(-0.03, 0.03, 2), 3).tolist()
-        thing = (
-            f"stick: {{shape: {{box: {size}}}, mass: 0.1, place: {{inside: bowl, at: {at}, rpy_deg: [0, {9 * k}, 0]}}}}"
-        )
+        place = f"{{inside: bowl, local_xy: {at}, rpy_deg: [0, {9 * k}, 0]}}"
+        thing = f"stick: {{shape: {{box: {size}}}, mass: 0.1, place: {place}}}"
         head = "simfoundry: scene/1\nname: fit\nobjects:\n"
         (tmp_path / "cut.scene.yaml").write_text(
             f"{head}  bowl: {{shape: {{lathe: {{profile: {BOWL_PROFILE}}}}}, mass: 0.1}}\n  {thing}\n"

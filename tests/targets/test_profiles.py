@@ -6,7 +6,6 @@ import ast
 import importlib.util
 import json
 import os
-import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -47,6 +46,9 @@ restores: {restitution: the loader sets it}
 gaps:
   mass: {fidelity: dropped, kind: never, reason: everything weighs nothing}
 """
+
+
+ENGINE = "engine: {modules: {json: json}, install: nothing, note: no solver}\ngaps:\n"
 
 
 def profile(tmp_path: Path, text: str = MINE) -> Path:
@@ -205,6 +207,15 @@ def test_an_unknown_target_names_the_nearest(tmp_path: Path) -> None:
         ("  mass:", "  maas:", "SF201", 11, "no feature is called `maas`"),
         ("kind: never", "kind: maybe", "SF106", 11, "not valid here"),
         ("name: my_sim", "name: your_sim", "SF106", 2, "its file `my_sim.yaml`"),
+        (
+            "gaps:\n",
+            "behaviours: {slip_angel: {low: 0, high: 1, reason: steep}}\ngaps:\n",
+            "SF201",
+            10,
+            "no behaviour is",
+        ),
+        ("gaps:\n", "tolerances: {read_back: {value: 1, reason: none}}\ngaps:\n", "SF107", 10, "no tolerance is used"),
+        ("gaps:\n", ENGINE, "SF203", 10, "there is no file `readback.py`"),
         ("backend: mjcf", "backend: mjcf\nback_end: usd", "SF101", 5, "unknown key `back_end`"),
         ("description: A simulator of my own.", "", "SF102", 1, "`description` is missing"),
     ],
@@ -218,6 +229,21 @@ def test_a_wrong_profile_is_told_where_and_what(
     (finding,) = caught.value.diagnostics
     assert (finding.code, finding.line, finding.file) == (code, line, str(path))
     assert words in finding.message
+
+
+def test_a_tolerance_of_an_unknown_quantity_is_told(tmp_path: Path) -> None:
+    folder = tmp_path / "my_sim"
+    folder.mkdir()
+    (folder / "readback.py").touch()
+    tolerances = "tolerances: {inertia: {value: 1, reason: none}, inertai: {value: 1, reason: none}}\n"
+    text = MINE.replace("loader: my_load.py\n", "").replace("gaps:\n", f"{tolerances}{ENGINE}")
+    (folder / "profile.yaml").write_text(text)
+    with pytest.raises(SpecError) as caught:
+        find_target(str(folder))
+    (finding,) = caught.value.diagnostics
+    assert (
+        (finding.code, finding.line) == ("SF201", 9) and "`inertai`" in finding.message and "`inertia`" in finding.hint
+    )
 
 
 def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
@@ -250,21 +276,6 @@ def test_the_wheel_has_the_profiles(tmp_path: Path) -> None:
     files = [p for p in (ROOT / "targets").rglob("*") if p.suffix in (".yaml", ".py")]
     assert len(files) > 30
     assert {f"simfoundry/shipped/{p.relative_to(ROOT).as_posix()}" for p in files} <= names
-
-
-def test_the_profile_of_the_page_holds(tmp_path: Path) -> None:
-    shown = re.search(
-        r"^```yaml\n(# targets/.*?)^```", (ROOT / "docs/extend/target.md").read_text(), re.DOTALL | re.MULTILINE
-    )
-    assert shown is not None
-    folder = tmp_path / "my_sim"
-    folder.mkdir()
-    (folder / "profile.yaml").write_text(shown[1])
-    (folder / "readback.py").write_text("")
-    target = find_target(str(folder))
-    losses = {loss.path: loss.reason for loss in compile_target(full_scene(), target).losses}
-    assert "gravity" not in losses and losses["restitution"] == "it has soft contacts (never)"
-    assert losses["friction"].startswith("my_sim takes the average of a pair")
 
 
 def test_physics_and_poses_speak_of_the_same_files(tmp_path: Path) -> None:

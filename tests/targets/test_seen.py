@@ -144,6 +144,7 @@ def test_a_splat_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None
 def test_a_background_mesh_is_seen_and_touches_nothing_in_mujoco(room: Scene) -> None:
     files = compile_scene(room, "mjcf").files
     assets = {path: data for path, data in files.items() if path.startswith("assets/")}
+    assets["contacts.xml"] = files["contacts.xml"]
     model = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)
     geom = model.geom(":background:mesh")
     assert (geom.bodyid[0], geom.contype[0], geom.conaffinity[0]) == (0, 0, 0)

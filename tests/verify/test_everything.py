@@ -103,7 +103,7 @@ def they_touch(build: Path) -> None:
 
 
 def it_rolls(build: Path) -> None:
-    replaced(build / "scene.xml", 'friction="0.387298334621 0.002 0.001"', 'friction="0.387298334621 0.002 0.002"')
+    replaced(build / "scene.xml", 'friction="0.3 0.002 0.001"', 'friction="0.3 0.002 0.002"')
 
 
 def stage_ratio(build: Path) -> None:

@@ -12,12 +12,15 @@ import pytest
 
 from simfoundry.backends.losses import drop
 from simfoundry.scene.model import Scene
-from simfoundry.verify.compare import compare
-from simfoundry.verify.engines import find_engine
+from simfoundry.targets import profile
+from simfoundry.targets.profile import QUANTITIES
+from simfoundry.verify.behaviours import BEHAVIOURS
+from simfoundry.verify.compare import FLOORS, compare
+from simfoundry.verify.engines import VerifyEngine, all_engines, find_engine
 from simfoundry.verify.expected import expected_readback
 from simfoundry.verify.process import EngineJob, ask
 from simfoundry.verify.readback import WorldReadback
-from simfoundry.verify.run import SceneBuilds, built
+from simfoundry.verify.run import ProofStatus, SceneBuilds, built, judge_result
 from tests.scenes import full_scene
 
 HERE = Path(sys.executable)
@@ -99,14 +102,11 @@ def wider_limit(folder: Path) -> None:
 
 
 def slippery(folder: Path) -> None:
-    replaced(folder / "scene.xml", 'friction="0.1 0.005 0.0001"', 'friction="0.11 0.005 0.0001"')
+    replaced(folder / "scene.xml", 'friction="0.1"', 'friction="0.11"')
 
 
-def slippery_pair(folder: Path) -> None:
-    text = (folder / "scene.xml").read_text(encoding="utf-8")
-    start = text.index("<pair ")
-    end = text.index("/>", start)
-    (folder / "scene.xml").write_text(text[:start] + text[end + 2 :], encoding="utf-8")
+def native_contacts(folder: Path) -> None:
+    (folder / "contacts.xml").unlink()
 
 
 def renamed(folder: Path) -> None:
@@ -125,7 +125,7 @@ def drag(folder: Path) -> None:
 
 def other_shape(folder: Path) -> None:
     text = (folder / "scene.xml").read_text(encoding="utf-8")
-    can = text[text.index('<geom class="collider" name="can.shape"') :]
+    can = text[text.index('name="can.shape"') :]
     replaced(folder / "scene.xml", can, can.replace('type="cylinder"', 'type="capsule"', 1))
 
 
@@ -154,7 +154,7 @@ FALSE: dict[str, tuple[str, Falsify, str, str]] = {
     "mass": ("mujoco", heavier, "wedge", "mass"),
     "limit": ("mujoco", wider_limit, "cabinet.slide", "limits"),
     "friction": ("mujoco", slippery, "puck.shape", "friction"),
-    "pair": ("mujoco", slippery_pair, " and ", "friction"),
+    "pair": ("mujoco", native_contacts, " and ", "friction"),
     "name": ("mujoco", renamed, "duck", "link"),
     "pose": ("mujoco", shifted, "table", "position"),
     "damping": ("mujoco", drag, "cabinet.slide", "damping"),
@@ -209,3 +209,31 @@ def test_nothing_is_passed_over_in_silence(scene: Scene) -> None:
         ("fan.rotor", "link"),
         ("ghost", "link"),
     ]
+
+
+def test_profiles_know_the_quantities_and_the_behaviours() -> None:
+    """Their names are checked where verify is not loaded."""
+    assert {name.replace(" ", "_") for name in FLOORS} == set(QUANTITIES)
+    assert {behaviour.name for behaviour in BEHAVIOURS} == set(profile.BEHAVIOURS)
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity"), [(e.name, q) for e in all_engines() for q in e.target.profile.tolerances]
+)
+def test_each_tolerance_of_a_profile_is_what_verify_compares_with(name: str, quantity: str, scene: Scene) -> None:
+    """With 1e-30 in its place what passed is a mismatch."""
+    engine = find_engine(name)
+    tolerance = profile.Tolerance(value=1e-30, reason="nothing is as exact")
+    tolerances = {**engine.target.profile.tolerances, quantity: tolerance}
+    spec = engine.target.profile.model_copy(update={"tolerances": tolerances})
+    strict = VerifyEngine(dataclasses.replace(engine.target, profile=spec))
+    if quantity in profile.BEHAVIOURS:
+        behaviour = next(b for b in BEHAVIOURS if b.name == quantity)
+        verdicts = [judge_result(behaviour, e, behaviour.expected + 1e-6).verdict for e in (engine, strict)]
+        assert verdicts == [ProofStatus.OK, ProofStatus.MISMATCH]
+        return
+    wanted = expected_readback(scene, engine.target.backend)
+    links = {n: dataclasses.replace(link, mass=(link.mass or 0.0) * (1 + 1e-9)) for n, link in wanted.links.items()}
+    told = dataclasses.replace(wanted, links=links)
+    assert compare(scene, told, engine, ()).mismatches == ()
+    assert "mass" in {d.quantity for d in compare(scene, told, strict, ()).mismatches}

@@ -6,9 +6,8 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.mjcf.contacts import Contacts, twin_body
+from simfoundry.backends.mjcf.contacts import VISUAL, MaterialClasses
 from simfoundry.backends.mjcf.meshes import Assets
-from simfoundry.backends.mjcf.surfaces import surface_of
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.meshfile import has_texture
@@ -23,15 +22,15 @@ _JOINT_TYPES = {
 }
 
 
-def add_object(world: ET.Element, item: SceneObject, assets: Assets, contacts: Contacts) -> list[float]:
+def add_object(world: ET.Element, item: SceneObject, assets: Assets, materials: MaterialClasses) -> list[float]:
     """Add an object's bodies to the world; returns its initial ``qpos`` in MuJoCo's depth-first order.
 
-    ``contacts`` are those of the scene.
+    ``materials`` are the classes of the scene.
     """
-    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, contacts)]
+    return [value for tree in trees(item) for value in _add_tree(world, tree, assets, materials)]
 
 
-def _add_tree(world: ET.Element, tree: Tree, assets: Assets, contacts: Contacts) -> list[float]:
+def _add_tree(world: ET.Element, tree: Tree, assets: Assets, materials: MaterialClasses) -> list[float]:
     """Add one tree of links; MuJoCo knows free joints in the world only, so each tree is a body there."""
     item = tree.owner
     body = ET.SubElement(world, "body", {"name": tree.name} | pose_attributes(tree.X_WT))
@@ -39,7 +38,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, contacts: Contacts)
     if not tree.fixed:
         ET.SubElement(body, "freejoint", name=free_joint_name(tree))
         qpos = [*tree.X_WT.p, *tree.X_WT.q]
-    _fill_body(body, item, tree.root, assets, contacts)
+    _fill_body(body, item, tree.root, assets, materials)
     links = {link.name: link for link in tree.links}
     joints_by_parent: dict[str, list[Joint]] = {}
     for joint in tree.joints:
@@ -48,7 +47,7 @@ def _add_tree(world: ET.Element, tree: Tree, assets: Assets, contacts: Contacts)
     while pending:  # depth first, children in the order of the joints
         parent, joint = pending.pop()
         child = _add_child(parent, item, joint)
-        _fill_body(child, item, links[joint.child], assets, contacts)
+        _fill_body(child, item, links[joint.child], assets, materials)
         if joint.type is JointType.BALL:
             qpos.extend(joint.motion.q)
         elif joint.has_axis:
@@ -87,43 +86,46 @@ def _add_child(parent: ET.Element, item: SceneObject, joint: Joint) -> ET.Elemen
     return body
 
 
-def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, contacts: Contacts) -> None:
+def _fill_body(body: ET.Element, item: SceneObject, link: Link, assets: Assets, materials: MaterialClasses) -> None:
     """The mass properties and geoms of a link."""
     moments, q = link.principal
     inertial = {"pos": numbers(link.com), "mass": number(link.mass), "diaginertia": numbers(moments)}
     ET.SubElement(body, "inertial", inertial | _turn(q))
     name = item.qualified(link.name)
-    for visual in link.visuals:
-        _add_visual(body, f"{name}:{visual.name}", visual, assets)
-    for collider in link.colliders:
-        _add_collider(body, name, collider, assets, contacts)
+    _add_geoms(body, name, link, assets, materials)
 
 
 def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> None:
-    attributes = {"class": "visual", "name": name} | pose_attributes(visual.X_LG)
-    attributes |= _shape(visual.geometry, assets, collides=False)
+    attributes = {"class": VISUAL, "name": name} | pose_attributes(visual.X_LG)
+    attributes |= _shape(visual.geometry, assets, name)
     if isinstance(visual.geometry, Mesh) and visual.geometry.texture is not None and has_texture(visual.geometry):
-        attributes["material"] = assets.material(visual.geometry.texture, visual.rgba)
+        attributes["material"] = assets.material(visual.geometry.texture, visual.rgba, name)
     else:
         attributes["rgba"] = numbers(visual.rgba)
     ET.SubElement(body, "geom", attributes)
 
 
-def _add_collider(body: ET.Element, link: str, collider: Collider, assets: Assets, contacts: Contacts) -> None:
-    """A collision geom, and its twins in bodies of their own: a body's geoms slow down all that come near it."""
-    name, surface = f"{link}.{collider.name}", surface_of(collider)
-    shape = pose_attributes(collider.X_LG) | _shape(collider.geometry, assets, collides=True)
-    ET.SubElement(body, "geom", {"class": "collider", "name": name} | shape | contacts.own(surface, link))
-    for twin in contacts.twins_of(surface, link):
-        inside = twin_body(link, twin.mask)
-        holder = next((b for b in body.iterfind("body") if b.get("name") == inside), None)
-        holder = ET.SubElement(body, "body", name=inside) if holder is None else holder
-        label = inside.removeprefix(link)
-        ET.SubElement(holder, "geom", {"class": "collider", "name": name + label} | shape | contacts.twin(twin))
+def _add_geoms(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
+    """Add the geoms of a link; a primitive that is both visual and collider is one geom, in the default group 0."""
+    both: dict[str, Visual] = {v.name: v for v in link.visuals if not isinstance(v.geometry, Mesh)}
+    shapes = {c.name: _placed_shape(c, assets, f"{name}_collision") for c in link.colliders}
+    both = {n: v for n, v in both.items() if n in shapes and shapes[n] == _placed_shape(v, assets, name)}
+    for visual in link.visuals:
+        if visual.name not in both:
+            _add_visual(body, f"{name}:{visual.name}", visual, assets)
+    for collider in link.colliders:
+        attributes = materials.attributes(collider) | {"name": f"{name}.{collider.name}"} | shapes[collider.name]
+        if collider.name in both:
+            attributes |= {"group": "0", "rgba": numbers(both[collider.name].rgba)}
+        ET.SubElement(body, "geom", attributes)
 
 
-def _shape(geometry: Geometry, assets: Assets, collides: bool) -> dict[str, str]:
-    """Type and size of a geom; MuJoCo takes half extents and half heights."""
+def _placed_shape(part: Visual | Collider, assets: Assets, name: str) -> dict[str, str]:
+    return pose_attributes(part.X_LG) | _shape(part.geometry, assets, name, isinstance(part, Collider))
+
+
+def _shape(geometry: Geometry, assets: Assets, name: str, collides: bool = False) -> dict[str, str]:
+    """Return type and size of a geom, in half extents and half heights; ``name`` is that of its mesh, if it is new."""
     match geometry:
         case Box(size=size):
             return {"type": "box", "size": numbers(size / 2)}
@@ -134,7 +136,7 @@ def _shape(geometry: Geometry, assets: Assets, collides: bool) -> dict[str, str]
         case Capsule(radius=radius, height=height):
             return {"type": "capsule", "size": numbers([radius, height / 2])}
         case Mesh():
-            return {"type": "mesh", "mesh": assets.mesh(geometry, collides)}
+            return {"type": "mesh", "mesh": assets.mesh(geometry, name, collides)}
 
 
 def pose_attributes(pose: Pose) -> dict[str, str]:

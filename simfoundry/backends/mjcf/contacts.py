@@ -1,168 +1,130 @@
-"""Which MuJoCo geoms touch, and how, so that each contact is what its two surfaces mean together.
-
-MuJoCo takes the larger friction of two geoms where the scene means the geometric mean. What makes that right:
-
-- Two alike are right by MuJoCo's own rule.
-- What can never move gets a twin for each contact that its surface makes: a geom at the same place in a body of its
-  own, ``table:touch1``, which feels as that contact does and decides alone. Masks let it meet only what it is for.
-- Of two that move, the priority of one may decide: see :mod:`simfoundry.backends.mjcf.priorities`.
-- An explicit ``<pair>`` for each two geoms, where these are few or nothing else is left. MuJoCo tests them in each
-  step, hull by hull, even where their bodies are far apart: 14 ns each then, and 0.7 us near a table.
-"""
+"""Materials as MJCF classes, and the contacts of a scene: pairs that collide, pairs that do not, and their losses."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import combinations, product
+from collections.abc import Iterator, Sequence
 
-from simfoundry.backends.mjcf.foreign_geoms import Guests
-from simfoundry.backends.mjcf.priorities import WORTH, ways
-from simfoundry.backends.mjcf.surfaces import (
-    Felt,
+from simfoundry.backends.artifact import number, numbers
+from simfoundry.backends.losses import Loss, approximate
+from simfoundry.backends.mjcf.contact_rules import (
+    ContactGeom,
+    Excluded,
     Surface,
-    Way,
-    alike,
-    felt,
-    geom_attributes,
-    happens,
-    meant,
-    pair_attributes,
-    resists,
+    UnlikeGroup,
+    contact_dimensions,
+    solref,
+    unlike_groups,
+    written_groups,
 )
-from simfoundry.scene.model import Scene
+from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
 from simfoundry.scene.touching import silent_pairs
 
-Groups = Mapping[Surface, Sequence[Felt]]
+COLLISION, VISUAL = "collision", "visual"
+"""The classes of geoms that collide, of which each material is a child, and of those that do not."""
 
-_OPEN = 1
-"""The bit of masks that everything has which touches anything, geoms that are not ours included."""
-
-
-@dataclass(frozen=True)
-class Twin:
-    """How what does not move touches some of what moves: ``contact`` is what it feels like, ``mask`` whom it meets."""
-
-    contact: Surface
-    mask: int
+_RESERVED = ("main", COLLISION, VISUAL)
 
 
-@dataclass
-class Contacts:
-    """How the geoms of a scene are written, and which pairs need more than that.
+class MaterialClasses:
+    """The class of each material; a geom whose surface is not its material's adds its own numbers."""
 
-    ``ways`` are the surfaces of what can move; ``twins`` by surface those of what cannot, whose own geoms then meet
-    what is in ``native`` only; ``bits`` what the masks call each surface of what moves; ``shared`` the bit with which
-    the moving meet each other, 0 where no masks are needed. ``pairs`` are groups of geoms with the contacts they make.
+    def __init__(self, scene: Scene) -> None:
+        self._surfaces: dict[str, Surface] = {}
+        for item in scene.objects:
+            for link in item.links:
+                for collider in link.colliders:
+                    if collider.material:
+                        self._surfaces.setdefault(_class_name(collider.material), surface_of(collider))
+
+    def add_defaults(self, collision: ET.Element) -> None:
+        """Add the classes below that of all geoms that collide."""
+        for name, surface in self._surfaces.items():
+            ET.SubElement(ET.SubElement(collision, "default", {"class": name}), "geom", surface_attributes(surface))
+
+    def attributes(self, collider: Collider) -> dict[str, str]:
+        """Return the class of a collider, and its surface where the class has another."""
+        surface, name = surface_of(collider), _class_name(collider.material)
+        own = self._surfaces.get(name)
+        if own is None:
+            return {"class": COLLISION} | surface_attributes(surface)
+        return {"class": name} | ({} if own == surface else surface_attributes(surface, own))
+
+
+def _class_name(material: str) -> str:
+    return f"{material}_material" if material in _RESERVED else material or COLLISION
+
+
+def surface_of(collider: Collider) -> Surface:
+    """Return the surface of a collider."""
+    return Surface(collider.friction, collider.restitution, collider.torsional_friction, collider.rolling_friction)
+
+
+def surface_attributes(surface: Surface, inherited: Surface | None = None) -> dict[str, str]:
+    """Return the attributes of a geom with a surface, in a class with an ``inherited`` one.
+
+    Its restitution is its ``user`` number, which MuJoCo keeps and does not use; ``solref`` is what comes nearest to it.
     """
-
-    groups: Groups
-    static: frozenset[str]
-    resisting: bool
-    ways: Mapping[Surface, Way]
-    shared: int = 0
-    bits: dict[Surface, int] = field(default_factory=dict)
-    twins: dict[Surface, list[Twin]] = field(default_factory=dict)
-    native: dict[Surface, int] = field(default_factory=dict)
-    pairs: list[tuple[Sequence[Felt], Sequence[Felt], Surface]] = field(default_factory=list)
-
-    def own(self, surface: Surface, link: str) -> dict[str, str]:
-        """Attributes of the geom of a surface of a link, which is called by its qualified name."""
-        if link in self.static:
-            masks = {"contype": str(self.native[surface]), "conaffinity": str(_OPEN)} if surface in self.native else {}
-            return masks | geom_attributes(surface, self.resisting)
-        way = self.ways[surface]
-        met = _OPEN | self.shared | self.bits.get(surface, 0)
-        masks = {"contype": str(self.shared), "conaffinity": str(met)} if self.shared else {}
-        priority = {"priority": str(way.priority)} if way.priority else {}
-        return masks | priority | geom_attributes(way.surface, self.resisting)
-
-    def twins_of(self, surface: Surface, link: str) -> list[Twin]:
-        """The twins of each geom of a surface of a link."""
-        return self.twins.get(surface, []) if link in self.static else []
-
-    def twin(self, twin: Twin) -> dict[str, str]:
-        """Attributes of a twin, which decides over whatever it meets."""
-        masks = {"contype": str(twin.mask), "conaffinity": "0", "priority": "1", "group": "4"}
-        return masks | geom_attributes(twin.contact, self.resisting)
-
-    def changed(self, collider_surface: Surface, link: str) -> bool:
-        """Whether a geom is written as another surface than its own."""
-        return link not in self.static and not alike(self.ways[collider_surface].surface, collider_surface)
+    spinning, rolling = surface.spinning, surface.rolling
+    resists = spinning or rolling or (inherited is not None and (inherited.spinning or inherited.rolling))
+    attributes = {"friction": numbers([surface.friction, spinning, rolling]) if resists else number(surface.friction)}
+    if resists:
+        attributes["condim"] = str(contact_dimensions(surface))
+    if surface.restitution > 0 or (inherited is not None and inherited.restitution > 0):
+        attributes |= {"solref": numbers(solref(surface.restitution)), "user": number(surface.restitution)}
+    return attributes
 
 
-def twin_body(link: str, mask: int) -> str:
-    """The name of the body of those twins of a link that have a mask; only our names have colons."""
-    return f"{link}:touch{mask}"
+def resists_rolling(scene: Scene) -> bool:
+    """Return true if any contact of the scene resists spinning or rolling."""
+    colliders = (collider for item in scene.objects for link in item.links for collider in link.colliders)
+    return any(collider.torsional_friction or collider.rolling_friction for collider in colliders)
 
 
-def contacts_of(scene: Scene, guests: Guests) -> Contacts:
-    """How to write the contacts of a scene, among geoms that are not of the scene itself: its robots'."""
-    moving: dict[Surface, list[Felt]] = {}
-    fixed: dict[Surface, list[Felt]] = {}
-    for item in scene.objects:
-        for geom in felt(item):
-            (fixed if geom.static else moving).setdefault(geom.surface, []).append(geom)
-    static = frozenset(geom.link for group in fixed.values() for geom in group)
-    decided = ways(moving, [s for s in moving if not guests.decide_over(s)])
-    plan = Contacts(moving, static, resists(scene), decided)
-    for a, b in combinations(moving, 2):
-        if not happens(decided[a], decided[b], meant(a, b)):
-            plan.pairs.append((moving[a], moving[b], meant(a, b)))
-    for surface, group in moving.items():
-        if not happens(decided[surface], decided[surface], surface):
-            plan.pairs.append((group, group, surface))
-    _add_twins(plan, fixed, guests.free_bits())
-    return plan
+def contact_geoms(scene: Scene) -> list[ContactGeom]:
+    """Return the collision geoms of a scene, in the order of its links."""
+    return [geom for item in scene.objects for geom in object_geoms(item)]
 
 
-def _add_twins(plan: Contacts, fixed: Groups, free: Sequence[int]) -> None:
-    """Twins for what does not move, with the ``free`` bits of masks; pairs for few, and for what no bits are left."""
-    told = dict(zip(sorted(plan.groups, key=lambda s: -len(plan.groups[s])), free[1:], strict=False))
-    for a, standing in fixed.items():
-        unlike = [b for b in plan.groups if not happens(Way(0, a), plan.ways[b], meant(a, b))]
-        twinned = len(standing) * sum(len(plan.groups[b]) for b in unlike) >= WORTH and bool(told)
-        masks: dict[Surface, int] = {}
-        for b in plan.groups if twinned else unlike:
-            if twinned and b in told:
-                if b in unlike:
-                    masks[meant(a, b)] = masks.get(meant(a, b), 0) | told[b]
-            else:
-                plan.pairs.append((standing, plan.groups[b], meant(a, b)))
-        if twinned:
-            plan.native[a] = sum(bit for b, bit in told.items() if b not in unlike)
-            plan.twins[a] = [Twin(contact, mask) for contact, mask in masks.items()]
-    if plan.twins:
-        plan.shared, plan.bits = free[0], told
+def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
+    """Yield the collision geoms of an object, in the order of its links."""
+    static_links = {item.root.name} if item.fixed else set()
+    by_child = {joint.child: joint for joint in item.joints}
+    for link in item.links:
+        joint = by_child.get(link.name)
+        if joint is not None and joint.type is JointType.FIXED and joint.parent in static_links:
+            static_links.add(link.name)
+        body, static = item.qualified(link.name), link.name in static_links
+        for collider in link.colliders:
+            name, material = f"{body}.{collider.name}", _class_name(collider.material)
+            yield ContactGeom(name, body, static, surface_of(collider), material)
 
 
-def add_contacts(root: ET.Element, scene: Scene, plan: Contacts) -> None:
-    """Add ``<contact>``: links that do not touch, and the pairs that need an entry of their own."""
-    contact = ET.SubElement(root, "contact")
-    silent = [(o.qualified(a), o.qualified(b)) for o in scene.objects for a, b in silent_pairs(o)]
-    silent += scene.no_contact
-    bodies = _bodies(scene, plan) if silent else {}
-    for a, b in silent:
-        for one, other in product(bodies.get(a, [a]), bodies.get(b, [b])):
-            if other == b or one == a:  # of what is fixed, nothing meets
-                ET.SubElement(contact, "exclude", body1=one, body2=other)
-    unheard = {frozenset(pair) for pair in silent}
-    for group_a, group_b, surface in plan.pairs:
-        attributes = pair_attributes(surface)
-        for this, that in combinations(group_a, 2) if group_a is group_b else product(group_a, group_b):
-            if this.link == that.link:
-                continue
-            if not unheard or frozenset((this.link, that.link)) not in unheard:
-                ET.SubElement(contact, "pair", {"geom1": this.geom, "geom2": that.geom} | attributes)
+def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
+    """Return the pairs of bodies that do not collide; joints, not contacts, hold a drawer in its cabinet."""
+    own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in silent_pairs(item)]
+    return [*own, *scene.no_contact]
 
 
-def _bodies(scene: Scene, plan: Contacts) -> dict[str, list[str]]:
-    """By link with twins, the bodies that its geoms are in."""
-    out: dict[str, list[str]] = {}
-    for geom in (geom for item in scene.objects for geom in felt(item)):
-        for twin in plan.twins_of(geom.surface, geom.link):
-            names = out.setdefault(geom.link, [geom.link])
-            if twin_body(geom.link, twin.mask) not in names:
-                names.append(twin_body(geom.link, twin.mask))
-    return out
+def excluded_set(pairs: Sequence[tuple[str, str]]) -> Excluded:
+    """Return pairs of bodies in either order."""
+    return frozenset(map(frozenset, pairs))
+
+
+def contact_losses(geoms: Sequence[ContactGeom], exact: bool) -> Iterator[Loss]:
+    """Yield the loss of friction where the files leave contacts to MuJoCo's own rule, with the pair farthest off."""
+    groups = written_groups(geoms)[1] if exact else unlike_groups(geoms)
+    worst = max(groups, key=_native_error, default=None)
+    if worst is None or not _native_error(worst):
+        return
+    a, b = (geoms[0].surface.friction for geoms in (worst.one, worst.other))
+    rule = f"MuJoCo takes the larger friction of a pair: {max(a, b):.3g} for {a:.3g} and {b:.3g}"
+    reason = f"{rule}, where the scene has {worst.contact.friction:.3g}."
+    if exact:
+        count = sum(len(group.one) * len(group.other) for group in groups)
+        reason = f"load.py makes all contacts exact; opened without it, {count} pairs of moving geoms are not: {reason}"
+    yield approximate("friction", "", reason, _native_error(worst))
+
+
+def _native_error(group: UnlikeGroup) -> float:
+    return max(group.one[0].surface.friction, group.other[0].surface.friction) - group.contact.friction

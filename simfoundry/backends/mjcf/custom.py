@@ -1,13 +1,11 @@
-"""What MuJoCo has no place for, as custom texts and numbers: ``simfoundry import`` gives them back.
+"""What MJCF has no place for, as custom texts and numbers: ``simfoundry import`` gives it back.
 
 A name with a colon is ours: no name of a scene has one. ``cabinet:root`` names the root link, ``cabinet.grip:joint``
 the fixed joint that carries a link, ``cabinet.lid:parent`` the link below which a free joint counts its motion and
 ``cabinet.lid:zero`` where it is zero (position [m], quaternion wxyz); ``cabinet.door:closed`` the limit, `lower` or
-`upper`, at which a joint is closed; ``cup:restitution`` what is too
-little for a contact to be damped to, for all colliders of a link or for each in turn; ``cup:surface`` friction,
-restitution, and resistance against spinning and rolling [m], likewise, where geoms are written as the contact that they
-decide on; ``sky:dome`` the colour of a dome light times its intensity; ``arm:robot`` the fields of a robot in JSON, and
-``wrist:mount`` which of its frames a camera rides on, where that is a site ``arm.hand``.
+`upper`, at which a joint is closed; ``sky:dome`` the color of a dome light times its intensity; ``arm:robot`` the
+fields of a robot in JSON, and ``wrist:mount`` which of its frames a camera rides on, where that is a site ``arm.hand``.
+``simfoundry:robots`` names the bodies of all robots, whose contacts are their own.
 """
 
 from __future__ import annotations
@@ -16,17 +14,16 @@ import json
 import xml.etree.ElementTree as ET
 
 from simfoundry.backends.artifact import numbers
-from simfoundry.backends.mjcf.contacts import Contacts
-from simfoundry.backends.mjcf.restitution import CRITICAL_REBOUND
-from simfoundry.backends.mjcf.surfaces import surface_of
-from simfoundry.backends.robot_models.mujoco_robot import document_fields, mujoco_model
-from simfoundry.scene.model import JointType, LightType, Link, Scene, SceneObject
+from simfoundry.backends.mjcf.contact_rules import ROBOTS
+from simfoundry.backends.robot_models.mujoco_robot import document_fields
+from simfoundry.scene.model import JointType, LightType, Scene, SceneObject
+from simfoundry.scene.robot import mujoco_model
 
 MARK = "simfoundry:scene"
 """The text that a file of ours starts with; its data is the version of what stands here."""
 
 
-def add_texts(root: ET.Element, scene: Scene, contacts: Contacts) -> None:
+def add_texts(root: ET.Element, scene: Scene) -> None:
     """Add ``<custom>``: categories, labels, the stated relations, and the names that MJCF has no elements for."""
     custom = ET.SubElement(root, "custom")
     _text(custom, MARK, "1")
@@ -36,8 +33,6 @@ def add_texts(root: ET.Element, scene: Scene, contacts: Contacts) -> None:
         if item.labels:
             _text(custom, f"{item.name}.labels", " ".join(item.labels))
         _names(custom, item)
-        for link in item.links:
-            _surfaces(custom, item.qualified(link.name), link, contacts)
     if scene.relations:
         _text(custom, "relations", "; ".join(str(r) for r in scene.relations))
     _robots(custom, scene)
@@ -60,23 +55,15 @@ def _names(custom: ET.Element, item: SceneObject) -> None:
 
 
 def _robots(custom: ET.Element, scene: Scene) -> None:
-    known = {robot.name: words for robot in scene.robots if mujoco_model(robot) and (words := document_fields(robot))}
-    for name, words in known.items():
-        _text(custom, f"{name}:robot", json.dumps(words))
+    written = [robot for robot in scene.robots if mujoco_model(robot)]
+    if written:
+        _text(custom, ROBOTS, " ".join(robot.name for robot in written))
+    known = {robot.name: fields for robot in written if (fields := document_fields(robot))}
+    for name, fields in known.items():
+        _text(custom, f"{name}:robot", json.dumps(fields))
     for mounted in scene.mounted:
         if mounted.carrier in known and mounted.link:
             _text(custom, f"{mounted.camera.name}:mount", mounted.link)
-
-
-def _surfaces(custom: ET.Element, name: str, link: Link, contacts: Contacts) -> None:
-    """What the geoms of a link do not say of themselves."""
-    own = [surface_of(collider) for collider in link.colliders]
-    if any(contacts.changed(surface, name) for surface in own):
-        rows = own[:1] if len(set(own)) == 1 else own
-        _numeric(custom, f"{name}:surface", numbers([value for surface in rows for value in surface]))
-    elif any(0 < surface.restitution <= CRITICAL_REBOUND for surface in own):
-        values = [surface.restitution for surface in own]
-        _numeric(custom, f"{name}:restitution", numbers(values[:1] if len(set(values)) == 1 else values))
 
 
 def _text(custom: ET.Element, name: str, data: str) -> None:

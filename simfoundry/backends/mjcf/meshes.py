@@ -1,4 +1,4 @@
-"""The assets of an MJCF file: meshes, textures and materials, each once however often it is used."""
+"""The assets of an MJCF file: meshes, textures and materials, each once, named after the first geom that uses it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from simfoundry.backends.artifact import numbers
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.shapes import Mesh
-from simfoundry.scene.meshfile import obj_bytes, texture_name
+from simfoundry.scene.meshfile import obj_bytes
 
 
 class Assets:
@@ -16,34 +16,40 @@ class Assets:
     def __init__(self, element: ET.Element) -> None:
         self.files: dict[str, bytes] = {}
         self._element = element
-        self._names: set[str] = set()
+        self._counts: dict[str, int] = {}
+        self._names: dict[object, str] = {}
+        self._taken: set[str] = set()
 
-    def mesh(self, mesh: Mesh, collides: bool) -> str:
-        """Name of the mesh asset that holds ``mesh``."""
-        digest = mesh.digest
-        # Seen meshes may be open or flat, of which MuJoCo can weigh only the surface; it needs no inertia of either.
-        name, inertia = (f"collider_{digest}", "convex") if collides else (f"visual_{digest}", "shell")
-        if self._is_new(name):
-            file = f"{digest}.obj"
-            ET.SubElement(self._element, "mesh", name=name, file=file, inertia=inertia)
-            if file not in self.files:
-                self.files[file] = obj_bytes(mesh)
-        return name
+    def mesh(self, mesh: Mesh, wish: str, collides: bool) -> str:
+        """Return the name of the mesh asset that holds ``mesh``; a new one is called like ``wish``."""
+        key = (mesh.digest, collides)
+        if key not in self._names:
+            name = self._names[key] = self._new_name(wish, numbered=collides)
+            file = self._names.get((mesh.digest, not collides), name)
+            # Visual meshes may be open or flat, of which MuJoCo can weigh only the surface; it needs neither.
+            inertia = "convex" if collides else "shell"
+            ET.SubElement(self._element, "mesh", name=name, file=f"{file}.obj", inertia=inertia)
+            self.files.setdefault(f"{file}.obj", obj_bytes(mesh))
+        return self._names[key]
 
-    def material(self, png: bytes, rgba: Array) -> str:
-        """Name of the material that shows a texture multiplied by a colour."""
-        file = texture_name(png)
-        texture = f"texture_{file.removesuffix('.png')}"
-        if self._is_new(texture):
-            ET.SubElement(self._element, "texture", name=texture, type="2d", file=file)
-            self.files[file] = png
+    def material(self, png: bytes, rgba: Array, wish: str) -> str:
+        """Return the name of the material that shows a texture multiplied by a color."""
         tint = numbers(rgba)
-        name = f"material_{file.removesuffix('.png')}_{tint.replace(' ', '_')}"
-        if self._is_new(name):
-            ET.SubElement(self._element, "material", name=name, texture=texture, rgba=tint)
-        return name
+        if (png, tint) not in self._names:
+            if png not in self._names:
+                texture = self._names[png] = self._new_name(f"{wish}_texture")
+                ET.SubElement(self._element, "texture", name=texture, type="2d", file=f"{texture}.png")
+                self.files[f"{texture}.png"] = png
+            name = self._names[png, tint] = self._new_name(f"{wish}_material")
+            ET.SubElement(self._element, "material", name=name, texture=self._names[png], rgba=tint)
+        return self._names[png, tint]
 
-    def _is_new(self, name: str) -> bool:
-        new = name not in self._names
-        self._names.add(name)
-        return new
+    def _new_name(self, wish: str, numbered: bool = False) -> str:
+        """Return ``wish`` as a file name, with a number behind it if it is taken, or always if it is ``numbered``."""
+        plain = wish.replace(".", "_").replace(":", "_").strip("_")
+        while True:
+            k = self._counts[plain] = self._counts.get(plain, -1) + 1
+            name = f"{plain}_{k}" if k or numbered else plain
+            if name not in self._taken:
+                self._taken.add(name)
+                return name

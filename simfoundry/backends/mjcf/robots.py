@@ -15,16 +15,9 @@ from simfoundry.backends.losses import Loss, approximate
 from simfoundry.backends.mjcf.bodies import pose_attributes
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.backends.mjcf.surroundings import add_camera
-from simfoundry.backends.robot_models.mujoco_robot import (
-    MujocoRobot,
-    RobotModelError,
-    body_name,
-    mujoco_model,
-    read_robot,
-    xml,
-)
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, body_name, read_robot, xml
 from simfoundry.scene.model import Scene
-from simfoundry.scene.robot import ModelFormat, Robot
+from simfoundry.scene.robot import ModelFormat, Robot, mujoco_model
 
 _SECTIONS = ("extension", "asset", "contact", "deformable", "tendon", "equality", "actuator", "sensor")
 """What a robot's file adds to the scene's beside bodies and defaults."""

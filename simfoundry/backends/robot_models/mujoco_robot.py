@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.scene.robot import FILES_ONLY, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import FILES_ONLY, NativeModel, Robot
 from simfoundry.scene.robot_files import urdf_mesh, urdf_meshes
 
 if TYPE_CHECKING:
@@ -242,11 +242,6 @@ def body_name(read: MujocoRobot, frame: str) -> str:
 def root_name(read: MujocoRobot) -> str:
     """The first body of the robot, by its name in the target."""
     return str(read.spec.bodies[1].name)
-
-
-def mujoco_model(robot: Robot) -> NativeModel | None:
-    """The model of a robot that MuJoCo reads best, if there is one."""
-    return robot.best(ModelFormat.MJCF, ModelFormat.URDF)
 
 
 def document_fields(robot: Robot) -> dict[str, object] | None:

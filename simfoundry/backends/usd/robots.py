@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from simfoundry.backends.artifact import rounded
 from simfoundry.backends.losses import Loss, approximate, drop
-from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import RobotModelError, read_robot
 from simfoundry.backends.usd.bodies import Scopes, content_prim, define_object
 from simfoundry.backends.usd.cameras import define_camera
 from simfoundry.backends.usd.prims import Prim, apply_schemas, attribute, define, place, relate
 from simfoundry.geometry.frames import Pose
 from simfoundry.scene.model import MountedCamera, Scene, SceneObject
-from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot
+from simfoundry.scene.robot import LinkFrame, ModelFormat, NativeModel, Robot, mujoco_model
 from simfoundry.scene.robot_files import model_files
 
 if TYPE_CHECKING:

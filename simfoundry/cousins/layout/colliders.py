@@ -24,7 +24,7 @@ class Solids:
         import mujoco
 
         bare = tuple(replace(o, links=tuple(map(_bare, o.links)), variants=(), no_contact=()) for o in items)
-        files = compile_mjcf(Scene("solids", frozen_array([0.0, 0.0, 0.0]), bare)).files
+        files = compile_mjcf(Scene("solids", frozen_array([0.0, 0.0, 0.0]), bare), contacts="native").files
         assets = {path: data for path, data in files.items() if path.startswith("assets/")}
         self._distance = mujoco.mj_geomDistance
         self._model = mujoco.MjModel.from_xml_string(files["scene.xml"].decode(), assets)

@@ -21,6 +21,7 @@ from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.object_shapes import solid
+from simfoundry.scene.poses import pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
@@ -287,14 +288,12 @@ class TaskContext:
 
 def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
     """The robots of a scene's document, whether or not their models are here."""
-    from simfoundry.lint.frames import frame_of
-
     found = []
     for name, robot in spec.robots.items():
         known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
         reach = robot.reach or (known.reach if known is not None else None)
         opening = robot.opening or (known.opening if known is not None else None)
-        x, y, _ = frame_of(robot.pose).p
+        x, y, _ = pose(robot.pose).p.tolist()
         found.append(
             Hand(
                 name, (x, y), reach, opening, payload or (known.payload if known is not None else None) or PAYLOAD, kind

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, read_robot
 from simfoundry.geometry.frames import Array, Pose, to_xyzw  # noqa: F401
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
 
 if TYPE_CHECKING:
     import mujoco

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, mujoco_model, read_robot
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.geometry.crossings import Solid, Span, bounds, crossings
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.scene.robot import Gripper, Robot
+from simfoundry.scene.robot import Gripper, Robot, mujoco_model
 
 if TYPE_CHECKING:
     import mujoco

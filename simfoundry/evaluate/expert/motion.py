@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.evaluate.expert.arm import Arm
 from simfoundry.evaluate.expert.grasps import Jaws, finger_positions
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.model import Scene
+from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import trees
 from simfoundry.worlds.mujoco_world import MujocoWorld

@@ -2,14 +2,8 @@
 
 from __future__ import annotations
 
-from simfoundry.backends.robot_models.mujoco_robot import (
-    MujocoRobot,
-    RobotModelError,
-    body_name,
-    mujoco_model,
-    read_robot,
-)
-from simfoundry.scene.robot import Robot
+from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, RobotModelError, body_name, read_robot
+from simfoundry.scene.robot import Robot, mujoco_model
 
 _FORM = "docs/robots.md, *Models of your own*, has the form"
 

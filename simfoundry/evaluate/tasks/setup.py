@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from simfoundry.assets.cache import Cache
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene
+from simfoundry.spec.change.start import with_starts
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.expressions import parse_call
@@ -65,20 +66,15 @@ def lowered(setup: TaskSetup) -> Scene:
 
 def started(setup: TaskSetup) -> SceneSpec:
     """The scene's document with what the starts change; relations that they undo are gone."""
-    objects = dict(setup.scene_spec.objects)
+    spec = with_starts(setup.scene_spec, (start for _, start in setup.starts()))
     moved, turned = set[str](), set[str]()
     for _, start in setup.starts():
         moved |= {*start.place, *start.pose}
         turned |= {*start.joints}
-        for name, place in start.place.items():
-            objects[name] = objects[name].model_copy(update={"place": place})
-        for name, pose in start.pose.items():
-            objects[name] = objects[name].model_copy(update={"place": None, "pose": pose})
-        for name, joints in start.joints.items():
-            objects[name] = objects[name].model_copy(update={"joints": {**objects[name].joints, **joints}})
+    objects = spec.objects
     kept = [text for text in setup.scene_spec.relations if not _is_undone(text, moved, turned)]
     stood = [f"OnTop({name}, {_carrier(objects[name])})" for name in sorted(moved) if _carrier(objects[name])]
-    return setup.scene_spec.model_copy(update={"objects": objects, "relations": (*kept, *stood)})
+    return spec.model_copy(update={"relations": (*kept, *stood)})
 
 
 def carried_by(setup: TaskSetup) -> dict[str, str]:

@@ -7,41 +7,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from simfoundry.backends.mjcf.custom import MARK
 from simfoundry.frontends.compiled_robot import robot_draft
 from simfoundry.frontends.draft import (
     BodyDraft,
-    ContactDraft,
     JointDraft,
     LightDraft,
-    LinkDraft,
     LinkPath,
-    MeshDraft,
     ModelDraft,
-    PartDraft,
 )
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.mjcf.elements import read_camera
 from simfoundry.frontends.mjcf.source import MjcfSource
 from simfoundry.geometry.frames import Pose
 
-PROXY = ":touch"
-"""Suffix of bodies with proxy geoms, which only decide the contacts of a link with some others."""
-
 BACKGROUND = ":background:"
 """Prefix of the visual geoms of the background."""
 
 ROBOT, MOUNT = ":robot", ":mount"
 """Suffixes of the texts that hold the fields of a robot and the frame that carries a camera."""
-
-SAME_POSE = 1e-12
-"""Elements of transforms that differ by less are equal but for rounding."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +163,6 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
     for link in body.links.values():
         for part in link.parts:
             part.name = part.name.removeprefix(link.name)[1:] or part.name
-        _restore_contact(link, own.numbers.get(f"{link.name}:surface", ()))
-        _restore_restitution(link, own.numbers.get(f"{link.name}:restitution", ()))
-        link.parts = _united(link)
     names = {old: _link_name(old, owner, own) for old in body.links}
     joints = {}
     for joint in body.joints:
@@ -194,40 +179,6 @@ def _rename_links(body: BodyDraft, owner: str, own: CustomFields) -> None:
     body.root = names[body.root]
     # Pairs of its own links were added before or after the renaming, so either name may be there.
     body.no_contact = [(names.get(a, a), names.get(b, b)) for a, b in body.no_contact]
-
-
-def _restore_contact(link: LinkDraft, numbers: tuple[float, ...]) -> None:
-    """Contact parameters of geoms that hold those of the contacts which they decide."""
-    keys = [field.name for field in fields(ContactDraft)]
-    rows = list(zip(*[iter(numbers)] * len(keys), strict=False))
-    for part, row in zip(link.colliders, rows * len(link.colliders) if len(rows) == 1 else rows, strict=False):
-        for key, value in zip(keys, row, strict=True):
-            setattr(part.contact, key, value or (0.0 if key in ("friction", "restitution") else None))
-
-
-def _restore_restitution(link: LinkDraft, numbers: tuple[float, ...]) -> None:
-    """Restitutions that are too small for a contact of MuJoCo, so that its geoms do not hold them."""
-    values = numbers * len(link.colliders) if len(numbers) == 1 else numbers
-    for part, value in zip(link.colliders, values, strict=False):
-        part.contact.restitution = part.contact.restitution or value
-
-
-def _united(link: LinkDraft) -> list[PartDraft]:
-    """A visual and a collider of one name as one part, where they are one primitive."""
-    visuals = {part.name: part for part in link.parts if not part.collides}
-    out = list(visuals.values())
-    for part in link.colliders:
-        visual = visuals.get(part.name)
-        if visual is None or not _same_primitive(part, visual):
-            out.append(part)
-        else:
-            visual.use, visual.contact = "both", part.contact
-    return out
-
-
-def _same_primitive(a: PartDraft, b: PartDraft) -> bool:
-    same_pose = bool(np.allclose(a.X_LG.matrix, b.X_LG.matrix, rtol=0, atol=SAME_POSE))
-    return not isinstance(a.geometry, MeshDraft) and a.geometry == b.geometry and same_pose
 
 
 def _free_joint(body: BodyDraft, owner: str, own: CustomFields, poses: Mapping[str, Pose], name: str) -> JointDraft:

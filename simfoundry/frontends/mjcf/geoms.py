@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from simfoundry.assets.mesh import MeshPart
-from simfoundry.backends.mjcf.restitution import rebound
 from simfoundry.frontends.draft import MeshDraft, PartDraft, PrimitiveShape, Rgba
 from simfoundry.frontends.meshes import mesh_of_parts
 from simfoundry.frontends.mjcf.source import MjcfSource
@@ -88,8 +87,8 @@ class MjcfGeoms:
             contact.friction = sliding if dimensions > 1 else 0.0
             contact.torsional = spinning if dimensions >= 4 else None
             contact.rolling = rolling if dimensions >= 6 else None
-            if self.source.is_own and float(model.geom_solref[geom, 1]) < 1:
-                contact.restitution = rebound(float(model.geom_solref[geom, 1]))
+            if self.source.is_own and model.nuser_geom:
+                contact.restitution = float(model.geom_user[geom, 0])
         material = int(model.geom_matid[geom])
         if self.texture(material) >= 0 and not isinstance(part.geometry, MeshDraft):
             self.draft.dropped(f"texture of geom `{part.name}`", "only meshes have textures")

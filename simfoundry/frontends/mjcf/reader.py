@@ -15,7 +15,7 @@ from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.file_search import FileSearch, NotFoundError, missing_file
 from simfoundry.frontends.mass_repair import feather_link, repair_masses
 from simfoundry.frontends.meshes import mesh_of_parts
-from simfoundry.frontends.mjcf.compiled import BACKGROUND, PROXY, custom_fields, restore, take_robots
+from simfoundry.frontends.mjcf.compiled import BACKGROUND, custom_fields, restore, take_robots
 from simfoundry.frontends.mjcf.elements import add_elements
 from simfoundry.frontends.mjcf.geoms import MjcfGeoms
 from simfoundry.frontends.mjcf.source import MjcfSource
@@ -28,9 +28,9 @@ MAX_INCLUDES = 100
 
 _NUMBERS = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "geom_pos", "geom_quat",
-    "geom_size", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos", "mesh_quat",
-    "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring", "key_qpos",
-    "key_ctrl",
+    "geom_size", "geom_user", "geom_friction", "geom_rgba", "geom_solref", "mat_rgba", "mesh_vert", "mesh_pos",
+    "mesh_quat", "mesh_texcoord", "jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "qpos0", "qpos_spring",
+    "key_qpos", "key_ctrl",
     "dof_damping", "dof_frictionloss", "dof_armature", "actuator_gainprm", "actuator_biasprm", "actuator_forcerange",
     "actuator_gear", "cam_pos", "cam_quat", "cam_fovy", "cam_intrinsic", "cam_sensorsize", "light_pos", "light_dir",
     "light_diffuse", "light_cutoff",
@@ -169,8 +169,6 @@ class _MjcfReader:
         self.draft.gravity = (x, y, z)
         self.world()
         for body in range(1, model.nbody):
-            if self.own is not None and PROXY in self.names["body"][body]:
-                continue
             if model.body_parentid[body] == 0:
                 self.root(body)
             else:

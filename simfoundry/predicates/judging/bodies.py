@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model, read_robot
-from simfoundry.backends.robot_models.robot_object import RobotObject, as_object
 from simfoundry.errors import SimfoundryError
 from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.form import Form
@@ -15,11 +13,18 @@ from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.poses import Turn
 from simfoundry.geometry.shapes import Geometry
 from simfoundry.scene.model import Joint, Link, Scene, SceneObject
-from simfoundry.scene.robot import Robot
+from simfoundry.scene.robot import Robot, mujoco_model
+
+if TYPE_CHECKING:
+    from simfoundry.backends.robot_models.robot_object import RobotObject
 
 
 class PredicateError(SimfoundryError, ValueError):
     """A predicate that cannot be judged in this scene; the message says why and what there is instead."""
+
+
+class NoCavityError(PredicateError):
+    """Something is asked to be inside of what cannot hold anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +78,7 @@ class Bodies:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
-        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r))
+        self.robots = tuple(r.name for r in scene.robots if mujoco_model(r) is not None)
         self._bodies: dict[str, CollisionBody] = {}
         self._hollow: dict[Entity, tuple[int, ...]] = {}
 
@@ -120,13 +125,13 @@ class Bodies:
         return Entity(argument, owner, chosen, not part)
 
     def hollow_links(self, thing: Entity) -> tuple[int, ...]:
-        """The links of a thing that have a cavity, by index; raises :class:`PredicateError` if there is none."""
+        """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
         if thing not in self._hollow:
             forms = self[thing.owner].forms
             found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)
             self._hollow[thing] = found
         if not self._hollow[thing]:
-            raise PredicateError(
+            raise NoCavityError(
                 f"`{thing.name}` has no cavity, so nothing can be inside: its colliders enclose no hollow"
             )
         return self._hollow[thing]
@@ -156,10 +161,15 @@ class Bodies:
 
 
 def _robot_object(robot: Robot) -> RobotObject | None:
+    from simfoundry.backends.robot_models.mujoco_robot import read_robot
+    from simfoundry.backends.robot_models.robot_object import as_object
+
     native = mujoco_model(robot)
     return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 
 
+@lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
+    """The form of a link; scenes that share an object measure it once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None

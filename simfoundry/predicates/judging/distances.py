@@ -13,9 +13,12 @@ from simfoundry.geometry.distance import (
     box_bounds,
     box_support,
     candidates,
+    decide_distances,
+    decide_support,
     steepest_together,
 )
 from simfoundry.geometry.exact_distance import Exact
+from simfoundry.geometry.form import FEW
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index
 from simfoundry.predicates.judging.bodies import Bodies, Entity
@@ -25,18 +28,20 @@ from simfoundry.predicates.judging.view import Balls, View
 FAR = 0.05
 """Distances beyond this [m] are bounds: no farther than the truth."""
 
-FEW = 16
-"""Of so many states the distance is always measured."""
-
 FLATTEST = math.cos(math.radians(80.0))
 """A wall that pushes up by less than this cosine does not help to hold a thing."""
 
 
 class Distances:
-    """Distances between the bodies of one scene."""
+    """Distances between the bodies of one scene.
 
-    def __init__(self, bodies: Bodies) -> None:
+    With ``bounds_first`` thresholds are decided by bounds also in few states, and MuJoCo is loaded only where these do
+    not tell; the verdicts are the same, the numbers behind them are not measured.
+    """
+
+    def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self._bodies = bodies
+        self._bounds_first = bounds_first
 
     @cached_property
     def _exact(self) -> Exact:
@@ -49,7 +54,7 @@ class Distances:
         with a ``threshold`` [m] only the side of it is exact: below it, the distance is no more than what is returned;
         above it, no less.
         """
-        limit = threshold if threshold is not None and view.n > FEW else None
+        limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
         balls, lowers = _balls_apart(view, a, b)
         beyond = (lowers >= FAR).all(axis=0)
         out: Array = lowers[:, beyond].min(axis=1, initial=np.inf)
@@ -77,7 +82,7 @@ class Distances:
         that of the steepest way in which they can. Of more than :data:`FEW` states only the sides of ``limit`` and of
         ``steepest`` are exact.
         """
-        many = view.n > FEW
+        many = view.n > FEW or self._bounds_first
         gap = np.full(view.n, np.inf) if many else self.between(view, a, b)
         cosine = np.full(view.n, -1.0)
         pushes: list[tuple[Index, Array, Array]] = []
@@ -91,6 +96,8 @@ class Distances:
                 continue
             pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
             apart, up, open_ = box_support(pair, limit, steepest)
+            if self._bounds_first:
+                open_ = decide_support(pair, limit, steepest, apart, up, open_)
             if not many:
                 open_ = np.arange(len(close))
             if len(open_):
@@ -130,6 +137,8 @@ class Distances:
     def _decided(self, pair: LinkPair, threshold: float) -> Array:
         """On which side of a threshold the distances of two links are: bounds that are on the same side."""
         found, open_ = box_bounds(pair, threshold)
+        if self._bounds_first:
+            open_ = decide_distances(pair, threshold, found, open_)
         if len(open_):
             some = pair.at(open_)
             most = np.full(len(open_), np.nextafter(threshold, np.inf))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import mujoco_model
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
 from simfoundry.predicates.judging.bodies import Bodies, CollisionBody, Entity
@@ -15,7 +14,7 @@ from simfoundry.predicates.judging.distances import FAR, Distances
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
 from simfoundry.predicates.judging.view import View
-from simfoundry.scene.robot import Gripper
+from simfoundry.scene.robot import Gripper, mujoco_model
 
 STILL = 0.001
 """A link that the gripper moves by less than this [m] is no finger."""

@@ -36,11 +36,14 @@ class Judge:
     A condition is a text, ``"OnTop(cup, desk)"``, or several joined by ``all``, ``any`` and ``not``, as data or as the
     models of :mod:`simfoundry.spec.models.expressions`. Raises :class:`ExpressionError` for what is no condition and
     :class:`PredicateError` for what cannot be judged in this scene.
+
+    With ``bounds_first`` values are the same, but margins and explanations may name bounds instead of distances, and
+    MuJoCo is loaded only where bounds do not tell.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, bounds_first: bool = False) -> None:
         self.scene = scene
-        self._context = Context(Bodies(scene))
+        self._context = Context(Bodies(scene), bounds_first)
         self._calls: dict[str, tuple[Callable[..., None], list[Any]]] = {}
 
     def __call__(self, condition: Any, state: SceneState) -> Verdict:

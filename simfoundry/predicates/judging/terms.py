@@ -24,9 +24,9 @@ Explain = Callable[[float, bool], str]
 class Context:
     """Measurements that are prepared once for a scene."""
 
-    def __init__(self, bodies: Bodies) -> None:
+    def __init__(self, bodies: Bodies, bounds_first: bool = False) -> None:
         self.bodies = bodies
-        self.distances = Distances(bodies)
+        self.distances = Distances(bodies, bounds_first)
 
     @cached_property
     def hands(self) -> dict[str, Fingers]:

@@ -136,9 +136,10 @@ class View:
             along = np.broadcast_to(axis, (self.n, 3))
             local = np.einsum("nji,nj->ni", X_WL.R, along)
             offset = np.einsum("ni,ni->n", X_WL.p, along)
-            reach = local @ form.points.T
-            low = np.minimum(low, offset + (reach - form.radius).min(axis=1))
-            high = np.maximum(high, offset + (reach + form.radius).max(axis=1))
+            points, radius = form.support(self.n)
+            reach = local @ points.T
+            low = np.minimum(low, offset + (reach - radius).min(axis=1))
+            high = np.maximum(high, offset + (reach + radius).max(axis=1))
         return low, high
 
     def heights(self, thing: Entity) -> tuple[Array, Array]:

@@ -1,0 +1,101 @@
+"""Rollouts of policies on tasks, and what they say together."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What an evaluation found: the records of its rollouts, in ``folder`` with ``results.json`` and ``report.html``.
+
+    ``missing`` counts the rollouts without a result; ``troubles`` are sentences about policies that misbehaved.
+    """
+
+    folder: Path
+    records: tuple[dict[str, Any], ...]
+    results: dict[str, Any]
+    missing: int
+    troubles: tuple[str, ...]
+
+    @property
+    def success(self) -> dict[tuple[str, str], float]:
+        """The rate of success by task and policy; those without a result are left out."""
+        from simfoundry.evaluate.statistics.results import cells
+
+        return {(cell.title, cell.policy): cell.success.share for cell in cells(self.records) if cell.success.of}
+
+    @property
+    def report(self) -> Path:
+        """The page with grids of starts, failures and videos."""
+        return self.folder / "report.html"
+
+
+def evaluate_tasks(
+    tasks: Iterable[str | Path],
+    policies: Iterable[str],
+    *,
+    out: str | Path,
+    rollouts: int,
+    seed: int,
+    engine: str,
+    video: bool,
+    jobs: int,
+) -> Evaluation:
+    """Run what is not there yet of an evaluation, and write its report."""
+    from simfoundry.evaluate.entries import TaskEntry, contenders
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
+
+    entries = tuple(TaskEntry(Path(task)) for task in tasks)
+    plan = EvaluationPlan(
+        Path(out), entries, tuple(contenders(tuple(policies))), rollouts, seed, (engine,), video=video
+    )
+    prepare(plan)
+    return run_plan(plan, jobs)
+
+
+def run_plan(
+    plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
+) -> Evaluation:
+    """Carry out a plan; ``progress`` hears the standing of a policy, and the share that is done."""
+    from simfoundry.evaluate.run import run
+
+    troubles: list[str] = []
+    won: dict[str, list[int]] = {}
+
+    def count(outcome: RolloutOutcome, done: int, of: int) -> None:
+        label = outcome.job.contender.label
+        label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
+        tally = won.setdefault(label, [0, 0])
+        if outcome.answered:
+            tally[0] += outcome.record["success"]
+            tally[1] += 1
+        if outcome.trouble:
+            verdict = "counts as failed" if outcome.answered else "is missing"
+            troubles.append(f"{label}, rollout {outcome.job.index} {verdict}: {outcome.trouble}")
+        progress(f"{label} {tally[0]}/{tally[1]}", done / of)
+
+    run(plan, count, jobs)
+    return _reported(plan, troubles)
+
+
+def _reported(plan: EvaluationPlan, troubles: Iterable[str]) -> Evaluation:
+    from simfoundry.evaluate.run import pending
+    from simfoundry.evaluate.statistics.records import read_all
+    from simfoundry.evaluate.statistics.results import results
+    from simfoundry.reports.evaluation import page
+    from simfoundry.runtime.files import write_atomically
+
+    records = tuple(record for _, record in read_all(plan.folder))
+    found = Evaluation(plan.folder, records, results(records), len(pending(plan)), tuple(troubles))
+    text = json.dumps(found.results, indent=1, ensure_ascii=False) + "\n"
+    write_atomically(plan.folder / "results.json", text.encode())
+    write_atomically(found.report, page(records).encode())
+    return found

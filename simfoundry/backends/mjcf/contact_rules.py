@@ -1,0 +1,422 @@
+"""Contacts of this world: each pair of surfaces slides at the geometric mean of their frictions.
+
+MuJoCo takes the larger friction of two geoms and averages their damping. Here a pair means more: the geometric mean of
+two frictions and of two restitutions, and the larger resistance against spinning and rolling. Every geom holds its own
+numbers only: ``friction``, and its restitution as ``user`` data, because MuJoCo has none. Surfaces that MuJoCo's rule
+combines wrongly are called unlike. They are made right in two ways:
+
+- :func:`contacts_text` writes ``contacts.xml``, which the scene includes: a ``<pair>`` for each two unlike geoms that
+  can meet, so that whoever opens the scene has them. MuJoCo tests each of them in every step, and a file of thousands
+  cannot be read: the groups between moving objects that go beyond :data:`MAX_PAIRS` are left to the other way.
+- :func:`make_exact` changes a specification in memory, which `load()` does. Where unlike geoms are many, one of the two
+  surfaces gets proxy geoms of the contact that they make: at the same place, invisible, with a priority that lets them
+  decide, and with masks so that they meet only the other surface. That steps faster than pairs.
+
+Contacts of geoms that are not the scene's, as a robot's, stay as MuJoCo makes them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from itertools import combinations, product
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    import mujoco
+
+CONTACTS_FILE = "contacts.xml"
+"""The file with the pairs, beside the scene that includes it."""
+
+EMPTY = "<mujoco>\n  <contact />\n</mujoco>\n"
+"""A :data:`CONTACTS_FILE` without pairs; MuJoCo refuses to include one without elements."""
+
+MAX_PAIRS = 3000
+"""Pairs that the file may hold: 200 kB of text, and 40 us a step where nothing is near."""
+
+MIN_STATIC_PAIRS, MIN_MOVING_PAIRS = 16, 150
+"""Fewer pairs than this cost less than proxy geoms. MuJoCo tests a pair in 14 ns where its geoms are far apart and in
+0.7 us near a table; proxy geoms that move have to be placed in each step. Measured by `tests/benchmarks/stepping.py`
+on `cluttered` and `clear_table`: with 16 to 300 for the moving, 150 steps fastest."""
+
+ROBOTS = "simfoundry:robots"
+"""The custom text that names the bodies of robots, whose contacts are their own."""
+
+PROXY = ":proxy"
+"""The start of the suffix that proxy geoms and their bodies have behind the names of those they stand for; names of a
+scene have no colon."""
+
+_CONTACT_TIME = 0.02
+"""Time constant of a contact [s]: MuJoCo's own default. At 0.008 a bowl that falls by 2 cm sinks 1.5 mm into a table,
+not 4, but below 0.012 a can on its side rolls away."""
+
+_MASK_BITS = 31
+"""Bits of a mask, without the sign."""
+
+
+class Surface(NamedTuple):
+    """Friction, restitution, and resistance against spinning and rolling [m]: of a collider, or of a contact."""
+
+    friction: float
+    restitution: float
+    spinning: float
+    rolling: float
+
+
+class ContactGeom(NamedTuple):
+    """A collision geom: its name, its body's name, true if it can never move, its surface, its class in the file."""
+
+    name: str
+    body: str
+    static: bool
+    surface: Surface
+    material: str
+
+
+class UnlikeGroup(NamedTuple):
+    """Geoms of two surfaces that MuJoCo combines wrongly, of which the first never moves or both do."""
+
+    one: Sequence[ContactGeom]
+    other: Sequence[ContactGeom]
+    contact: Surface
+
+
+Groups = Mapping[Surface, Sequence[ContactGeom]]
+Excluded = frozenset[frozenset[str]]
+"""Pairs of bodies that do not collide."""
+
+
+def desired_contact(a: Surface, b: Surface) -> Surface:
+    """Return the contact that two surfaces should make."""
+    if a == b:
+        return a
+    return Surface(
+        math.sqrt(a.friction * b.friction),
+        math.sqrt(a.restitution * b.restitution),
+        max(a.spinning, b.spinning),
+        max(a.rolling, b.rolling),
+    )
+
+
+def is_native(a: Surface, b: Surface) -> bool:
+    """Return true if MuJoCo makes the desired contact by its own rule, with geoms that hold their own numbers."""
+    contact = desired_contact(a, b)
+    if format_number(max(a.friction, b.friction)) != format_number(contact.friction):
+        return False
+    return solref(a.restitution) == solref(b.restitution) == solref(contact.restitution)
+
+
+def format_number(value: float) -> str:
+    """Return a number as the files have it: twelve significant digits."""
+    return f"{value:.12g}"
+
+
+def solref(restitution: float) -> tuple[float, float]:
+    """Return MuJoCo's time constant [s] and damping ratio of a contact that rebounds at ``restitution``.
+
+    The stiffness is that of MuJoCo's default contact; only the damping follows the restitution.
+    """
+    ratio = damping_ratio(restitution)
+    return _CONTACT_TIME / ratio, ratio
+
+
+@lru_cache(maxsize=256)
+def damping_ratio(restitution: float) -> float:
+    """Return the damping ratio of a spring and damper that only push and rebound at ``restitution``.
+
+    The bodies part when the force, not the depth, reaches zero (Schwager and Poeschel, Granular Matter 9, 2007), so
+    critical damping still rebounds at exp(-2): less than that is out of reach and gets ratio 1.
+    """
+    if restitution <= math.exp(-2):
+        return 1.0
+    low, high = 1e-3, 1.0
+    for _ in range(60):  # halvings down to the last bit of a double
+        middle = (low + high) / 2
+        low, high = (middle, high) if rebound(middle) > restitution else (low, middle)
+    return (low + high) / 2
+
+
+def rebound(ratio: float) -> float:
+    """Return the restitution of a spring and damper of a damping ratio below 1 that only push."""
+    root = math.sqrt(1 - ratio * ratio)
+    return math.exp(-ratio / root * math.atan2(2 * ratio * root, 2 * ratio * ratio - 1))
+
+
+def contact_dimensions(surface: Surface) -> int:
+    """Return MuJoCo's ``condim`` of a contact that resists sliding, and spinning or rolling as well."""
+    return 6 if surface.rolling else 4 if surface.spinning else 3
+
+
+def unlike_groups(geoms: Iterable[ContactGeom]) -> list[UnlikeGroup]:
+    """Return the groups of geoms that MuJoCo combines wrongly: those with static geoms first, then small ones first."""
+    moving, static = by_surface(geoms, static=False), by_surface(geoms, static=True)
+    found = [(static[a], moving[b]) for a, b in product(static, moving) if not is_native(a, b)]
+    found += [(moving[a], moving[b]) for a, b in combinations(moving, 2) if not is_native(a, b)]
+    found.sort(key=lambda pair: (not pair[0][0].static, len(pair[0]) * len(pair[1])))
+    return [UnlikeGroup(one, other, desired_contact(one[0].surface, other[0].surface)) for one, other in found]
+
+
+def by_surface(geoms: Iterable[ContactGeom], static: bool) -> dict[Surface, list[ContactGeom]]:
+    """Return the geoms that never move, or those that can, by surface."""
+    groups: dict[Surface, list[ContactGeom]] = {}
+    for geom in geoms:
+        if geom.static == static:
+            groups.setdefault(geom.surface, []).append(geom)
+    return groups
+
+
+def group_pairs(group: UnlikeGroup, excluded: Excluded) -> Iterator[tuple[ContactGeom, ContactGeom]]:
+    """Yield the pairs of named geoms of a group that can meet."""
+    for one, other in product(group.one, group.other):
+        if one.body != other.body and (not excluded or frozenset((one.body, other.body)) not in excluded):
+            yield one, other
+
+
+def written_groups(geoms: Sequence[ContactGeom]) -> tuple[list[UnlikeGroup], list[UnlikeGroup]]:
+    """Return the groups whose pairs stand in :data:`CONTACTS_FILE`, and those too large for it."""
+    kept: list[UnlikeGroup] = []
+    left: list[UnlikeGroup] = []
+    room = MAX_PAIRS
+    for group in unlike_groups(geoms):
+        count = len(group.one) * len(group.other)
+        (kept if count <= room else left).append(group)
+        room -= count if count <= room else 0
+    return kept, left
+
+
+def contacts_text(geoms: Sequence[ContactGeom], excluded: Excluded) -> str:
+    """Return the text of :data:`CONTACTS_FILE`: a class for each kind of contact, and the pairs of each."""
+    kept, left = written_groups(geoms)
+    classes: list[str] = []
+    lines: list[str] = []
+    names: set[str] = set()
+    for group in kept:
+        pairs = list(group_pairs(group, excluded))
+        if pairs:
+            name = _unused_name(f"{group.one[0].material}_on_{group.other[0].material}", names)
+            classes += [
+                f'    <default class="{name}">',
+                f"      <pair {_attributes(group.contact)} />",
+                "    </default>",
+            ]
+            lines += [f'    <pair class="{name}" geom1="{a.name}" geom2="{b.name}" />' for a, b in pairs]
+    if not lines and not left:
+        return EMPTY
+    about = [
+        "Contacts of unlike materials: the geometric mean of two frictions, where MuJoCo would take the larger one.",
+        "Generated from the numbers in scene.xml; after an edit of a friction, run load.py with its option `contacts`.",
+    ]
+    if left:
+        count = sum(len(group.one) * len(group.other) for group in left)
+        about.append(
+            f"{count} more pairs between moving objects are too many for a file: load.py makes them in memory."
+        )
+    head = ["<mujoco>", *(f"  <!-- {line} -->" for line in about)]
+    body = ["  <default>", *classes, "  </default>", "  <contact>", *lines, "  </contact>"] if lines else []
+    return "\n".join([*head, *body, "</mujoco>", ""])
+
+
+def _unused_name(wish: str, taken: set[str]) -> str:
+    name, k = wish, 2
+    while name in taken:
+        name, k = f"{wish}_{k}", k + 1
+    taken.add(name)
+    return name
+
+
+def pair_numbers(surface: Surface) -> tuple[int, list[float], tuple[float, float] | None]:
+    """Return ``condim``, ``friction`` and ``solref`` of a pair, which takes nothing from its geoms."""
+    mu, spinning, rolling = surface.friction, surface.spinning, surface.rolling
+    damping = solref(surface.restitution) if surface.restitution > 0 else None
+    return contact_dimensions(surface), [mu, mu, spinning, rolling, rolling], damping
+
+
+def _attributes(surface: Surface) -> str:
+    dimensions, friction, damping = pair_numbers(surface)
+    text = f'friction="{" ".join(map(format_number, friction))}"'
+    text += f' condim="{dimensions}"' if dimensions != 3 else ""
+    return text if damping is None else f'{text} solref="{" ".join(map(format_number, damping))}"'
+
+
+def read_scene(folder: Path) -> mujoco.MjSpec:
+    """Return the specification of the scene in a folder, without its :data:`CONTACTS_FILE`."""
+    import mujoco
+
+    text = (folder / "scene.xml").read_text(encoding="utf-8")
+    assets = {path.name: path.read_bytes() for path in (folder / "assets").glob("*")}
+    return mujoco.MjSpec.from_string(text, include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
+
+
+def exact_model(files: Mapping[str, bytes]) -> mujoco.MjModel:
+    """Return the model of the files of a build with exact contacts, as `load()` does."""
+    import mujoco
+
+    assets = {path.removeprefix("assets/"): data for path, data in files.items() if path.startswith("assets/")}
+    text = files["scene.xml"].decode()
+    spec = mujoco.MjSpec.from_string(text, include={CONTACTS_FILE: EMPTY.encode()}, assets=assets)
+    make_exact(spec)
+    return spec.compile()
+
+
+def read_geoms(spec: mujoco.MjSpec) -> tuple[list[ContactGeom], dict[str, mujoco.MjsGeom], list[mujoco.MjsGeom]]:
+    """Return the scene's geoms that collide, the geoms of the specification by name, and the geoms of robots."""
+    robots = {name for text in spec.texts if text.name == ROBOTS for name in text.data.split()}
+    ours: list[ContactGeom] = []
+    by_name: dict[str, mujoco.MjsGeom] = {}
+    foreign: list[mujoco.MjsGeom] = []
+    pending = [(spec.worldbody, True, False)]
+    while pending:
+        body, static, foreign_body = pending.pop()
+        for geom in body.geoms:
+            if not (geom.contype or geom.conaffinity):
+                continue
+            if foreign_body:
+                foreign.append(geom)
+                continue
+            if not geom.name:  # so that masks and pairs can refer to it
+                geom.name = f"{body.name}{PROXY}_of_{len(by_name)}"
+            surface = _surface(geom)
+            ours.append(ContactGeom(geom.name, body.name, static, surface, geom.classname.name))
+            by_name[geom.name] = geom
+        pending += [(b, static and not b.joints, foreign_body or b.name in robots) for b in reversed(body.bodies)]
+    return ours, by_name, foreign
+
+
+def _surface(geom: mujoco.MjsGeom) -> Surface:
+    """Return the surface of a geom; what it resists beyond sliding counts in contacts of as many dimensions only."""
+    sliding, spinning, rolling = (float(v) for v in geom.friction)
+    restitution = float(geom.userdata[0]) if len(geom.userdata) else 0.0
+    return Surface(sliding, restitution, spinning if geom.condim > 3 else 0.0, rolling if geom.condim > 4 else 0.0)
+
+
+def excluded_bodies(spec: mujoco.MjSpec) -> Excluded:
+    """Return the pairs of bodies that a specification excludes from contact."""
+    return frozenset(frozenset((pair.bodyname1, pair.bodyname2)) for pair in spec.excludes)
+
+
+def make_exact(spec: mujoco.MjSpec) -> None:
+    """Make each contact of a scene what its surfaces mean together, by pairs or proxy geoms, from its own numbers.
+
+    ``spec`` is the scene without :data:`CONTACTS_FILE`.
+    """
+    geoms, by_name, foreign = read_geoms(spec)
+    excluded = excluded_bodies(spec)
+    bits = _free_bits(foreign)
+    groups = unlike_groups(geoms)
+    moving = sorted(by_surface(geoms, static=False).items(), key=lambda entry: -len(entry[1]))
+    bit_of = dict(zip((surface for surface, _ in moving), bits, strict=False))
+    proxied: list[UnlikeGroup] = []
+    for group in groups:
+        if _needs_proxies(group, bit_of):
+            proxied.append(group)
+        else:
+            for one, other in group_pairs(group, excluded):
+                _add_pair(spec, one, other, group.contact)
+    if proxied:
+        _set_masks(geoms, by_name, bit_of, proxied)
+        _exclude_proxies(spec, _add_proxies(by_name, bit_of, proxied))
+
+
+def _free_bits(foreign: Iterable[mujoco.MjsGeom]) -> list[int]:
+    """Return the mask bits that no robot has; none where a robot's geom would not meet one of the first bit only."""
+    used = 1
+    for geom in foreign:
+        used |= geom.contype | geom.conaffinity
+        if geom.conaffinity & 1 and not geom.contype & 1:
+            return []
+    return [bit for bit in (1 << k for k in range(_MASK_BITS)) if not used & bit]
+
+
+def _needs_proxies(group: UnlikeGroup, bit_of: Mapping[Surface, int]) -> bool:
+    """Return true if a group is large, and both its surfaces have the bits that masks need."""
+    static = group.one[0].static
+    surfaces = [geoms[0].surface for geoms in (group.one, group.other) if not geoms[0].static]
+    fewest = MIN_STATIC_PAIRS if static else MIN_MOVING_PAIRS
+    return len(group.one) * len(group.other) >= fewest and all(surface in bit_of for surface in surfaces)
+
+
+def _set_masks(
+    geoms: Iterable[ContactGeom],
+    by_name: Mapping[str, mujoco.MjsGeom],
+    bit_of: Mapping[Surface, int],
+    proxied: Iterable[UnlikeGroup],
+) -> None:
+    """Let the geoms meet those of robots, and of the scene all but the surfaces for which there are proxies.
+
+    The affinity of a moving geom is the bit of its surface; its type has the bits of all surfaces that it meets itself.
+    One without a bit has the type of all: it meets everything, and pairs overrule that where it is wrong.
+    """
+    apart = {frozenset((group.one[0].surface, group.other[0].surface)) for group in proxied}
+    types: dict[tuple[Surface, bool], int] = {}
+    for geom in geoms:
+        key = (geom.surface, geom.static)
+        if key not in types:
+            met = [bit for other, bit in bit_of.items() if frozenset((geom.surface, other)) not in apart]
+            types[key] = sum(met) | (0 if geom.static or geom.surface in bit_of else 1)
+        mask = by_name[geom.name]
+        mask.contype, mask.conaffinity = types[key], 1 if geom.static else 1 | bit_of.get(geom.surface, 0)
+
+
+def _add_proxies(
+    by_name: Mapping[str, mujoco.MjsGeom], bit_of: Mapping[Surface, int], proxied: Iterable[UnlikeGroup]
+) -> dict[str, list[str]]:
+    """Give the geoms of the smaller side of each group proxies, one for all surfaces that make the same contact.
+
+    They are in bodies of their own, because MuJoCo passes over whole bodies by their masks. Returns these by the name
+    of the body that they are fixed to.
+    """
+    masks: dict[tuple[str, Surface], int] = {}
+    for group in proxied:
+        owners, met = (group.one, group.other)
+        if not owners[0].static and len(met) < len(owners):
+            owners, met = met, owners
+        for geom in owners:
+            masks[geom.name, group.contact] = masks.get((geom.name, group.contact), 0) | bit_of[met[0].surface]
+    holders: dict[tuple[str, int], mujoco.MjsBody] = {}
+    bodies: dict[str, list[str]] = {}
+    for (name, contact), mask in masks.items():
+        geom = by_name[name]
+        body = geom.parent.name
+        if (body, mask) not in holders:
+            bodies.setdefault(body, []).append(f"{body}{PROXY}{mask}")
+            holders[body, mask] = geom.parent.add_body(name=bodies[body][-1])
+        _add_proxy(holders[body, mask], geom, f"{name}{PROXY}{mask}", contact, mask)
+    return bodies
+
+
+def _add_proxy(holder: mujoco.MjsBody, geom: mujoco.MjsGeom, name: str, contact: Surface, mask: int) -> None:
+    """Add a geom of the same shape that decides over whatever it meets."""
+    dimensions, (mu, _, spinning, rolling, _), _ = pair_numbers(contact)
+    holder.add_geom(
+        geom.classname,
+        name=name,
+        group=4,
+        contype=mask,
+        conaffinity=0,
+        priority=1,
+        condim=dimensions,
+        friction=[mu, spinning, rolling],
+        solref=[*solref(contact.restitution)],
+        **{field: getattr(geom, field) for field in _SHAPE},
+    )
+
+
+def _exclude_proxies(spec: mujoco.MjSpec, bodies: Mapping[str, list[str]]) -> None:
+    """Exclude the bodies of proxies from what the bodies that they are fixed to are excluded from."""
+    for pair in list(spec.excludes):
+        a, b = pair.bodyname1, pair.bodyname2
+        for one, other in [*((proxy, b) for proxy in bodies.get(a, ())), *((a, proxy) for proxy in bodies.get(b, ()))]:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+
+
+_SHAPE = ("type", "size", "pos", "quat", "fromto", "meshname", "hfieldname", "solimp", "margin", "gap")
+"""The fields that make a geom meet others where it is."""
+
+
+def _add_pair(spec: mujoco.MjSpec, one: ContactGeom, other: ContactGeom, contact: Surface) -> None:
+    dimensions, friction, damping = pair_numbers(contact)
+    pair = spec.add_pair(geomname1=one.name, geomname2=other.name, condim=dimensions, friction=friction)
+    if damping is not None:
+        pair.solref = [*damping]

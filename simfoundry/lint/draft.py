@@ -1,0 +1,130 @@
+"""A scene as lints judge it: lowered by the same passes as for a compile, but in draft.
+
+A draft does not cut meshes into convex parts: it takes those that the cache has, else the hull. Of an object that is
+known by its hull only, and of what is placed on or in it, lints say what is certain all the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from simfoundry.assets.cache import Cache
+from simfoundry.geometry.frames import Array
+from simfoundry.geometry.hulls import Hulls
+from simfoundry.predicates.judging.bodies import Bodies, Entity
+from simfoundry.predicates.judging.distances import Distances
+from simfoundry.predicates.judging.states import StateBatch
+from simfoundry.predicates.judging.view import View
+from simfoundry.scene.lower import OBJECT_PASSES, Lowering, lower_cameras
+from simfoundry.scene.model import Camera, Scene, SceneObject
+from simfoundry.scene.object_shapes import hulls
+from simfoundry.scene.objects import ObjectLowering
+from simfoundry.spec.change.start import with_starts
+from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.asset import AssetSpec
+from simfoundry.spec.models.base import FARTHEST
+from simfoundry.spec.models.scene import ObjectSpec, SceneSpec
+from simfoundry.spec.models.task import Start, TaskSpec
+
+
+@dataclass(frozen=True, eq=False)
+class DraftScene:
+    """A scene in draft, without robots; ``spec`` is its document with what the start of a task changes.
+
+    ``approximate`` are the objects known by their hulls, ``unplaced`` those whose pose is uncertain.
+    """
+
+    spec: SceneSpec
+    scene: Scene
+    approximate: frozenset[str]
+    unplaced: frozenset[str]
+
+    @cached_property
+    def shapes(self) -> dict[str, Hulls]:
+        """The convex parts in the world of each object at a certain pose whose size can be reckoned with."""
+        found = {o.name: hulls(o) for o in self.scene.objects if o.name not in self.unplaced}
+        return {name: shape for name, shape in found.items() if len(shape.corners) and _is_usable(shape)}
+
+    @cached_property
+    def bounds(self) -> dict[str, tuple[Array, Array]]:
+        """The low and high corner [m] of the box around each of these, (3,) each."""
+        return {name: shape.bounds() for name, shape in self.shapes.items()}
+
+    @cached_property
+    def solids(self) -> list[SceneObject]:
+        """Those of these objects that touch others."""
+        items = (self.scene.by_name[name] for name in self.shapes)
+        return [item for item in items if any(link.colliders for link in item.links)]
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """The cameras at their poses in the world, but for those that a robot carries."""
+        from simfoundry.scene.kinematics import link_poses
+
+        found = {camera.name: camera for camera in self.scene.cameras}
+        for mounted in self.scene.mounted:
+            item = self.scene.by_name[mounted.carrier]
+            X_WL = item.X_WO @ link_poses(item)[mounted.link or item.root.name]
+            found[mounted.camera.name] = replace(mounted.camera, X_WC=X_WL @ mounted.camera.X_WC)
+        return {name: found[name] for name in self.spec.cameras if name in found}
+
+    def distance(self, a: str, b: str, threshold: float) -> float:
+        """A number [m] on the same side of a threshold as the signed distance of two objects."""
+        return float(self._distances.between(self._view, self._thing(a), self._thing(b), threshold)[0])
+
+    def overlap(self, a: str, b: str) -> float:
+        """The depth [m] by which two objects interpenetrate."""
+        measured = Distances(self._bodies)
+        return -float(measured.between(self._view, self._thing(a), self._thing(b))[0])
+
+    def _thing(self, name: str) -> Entity:
+        return self._bodies.thing(name)
+
+    @cached_property
+    def _bodies(self) -> Bodies:
+        return Bodies(self.scene)
+
+    @cached_property
+    def _view(self) -> View:
+        return View(self._bodies, StateBatch(1, {}))
+
+    @cached_property
+    def _distances(self) -> Distances:
+        return Distances(self._bodies, bounds_first=True)
+
+
+def _is_usable(shape: Hulls) -> bool:
+    return bool(np.abs(shape.corners).max() + shape.radius.max() < FARTHEST)
+
+
+def drafted_start(loaded: Loaded) -> DraftScene | None:
+    """The scene that a document is, or that a task starts in; None where that cannot be read.
+
+    Raises :class:`SpecError` with what lowering refuses.
+    """
+    if not isinstance(loaded.spec, TaskSpec):
+        return drafted(loaded)
+    scene = loaded.used(loaded.spec.scene)
+    return None if scene is None or not isinstance(scene.spec, SceneSpec) else drafted(scene, [loaded.spec.start])
+
+
+def drafted(loaded: Loaded, starts: Sequence[Start] = ()) -> DraftScene:
+    """The scene of a document with what starts change in it, the later on top; raises :class:`SpecError`."""
+    assert isinstance(loaded.spec, SceneSpec)
+    spec = with_starts(loaded.spec, starts)
+    lowering = Lowering(replace(loaded, spec=spec), Cache.default(), fetch=False, draft=True)
+    scene = lowering.run((*OBJECT_PASSES, lower_cameras))
+    return DraftScene(spec, scene, frozenset(lowering.approximate), frozenset(lowering.unplaced))
+
+
+def asset_faults(loaded: Loaded) -> Iterator[Diagnostic]:
+    """What lowering refuses in an asset document."""
+    assert isinstance(loaded.spec, AssetSpec)
+    work = ObjectLowering(loaded, Cache.default(), draft=True)
+    work.articulated(loaded, loaded.spec, ObjectSpec(asset=loaded.path.name), loaded.spec.name)
+    yield from work.findings

@@ -1,0 +1,74 @@
+"""The lints by name, and what each is given: a document of its kind, lowered in draft."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from simfoundry.runtime.plugins import Registry
+from simfoundry.spec.diagnostics import Diagnostic
+from simfoundry.spec.loaded import Loaded
+from simfoundry.spec.models.expressions import Call
+
+if TYPE_CHECKING:
+    from simfoundry.lint.draft import DraftScene
+    from simfoundry.lint.report import Path_
+    from simfoundry.spec.models.task import TaskSpec
+
+
+@dataclass(frozen=True)
+class Lint:
+    """A check of one kind of document (``scene/1``, ``asset/1``, ``task/1``): yields findings of one code."""
+
+    code: str
+    kinds: tuple[str, ...]
+    find: Callable[[Subject], Iterator[Diagnostic]]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A document without errors, and the scene that it is or that it starts in; None for an asset."""
+
+    loaded: Loaded
+    draft: DraftScene | None = None
+
+    @property
+    def scene(self) -> DraftScene:
+        """The scene, in draft."""
+        assert self.draft is not None
+        return self.draft
+
+    @property
+    def task(self) -> TaskSpec:
+        """The task that the document is."""
+        from simfoundry.spec.models.task import TaskSpec
+
+        assert isinstance(self.loaded.spec, TaskSpec)
+        return self.loaded.spec
+
+    @cached_property
+    def pending(self) -> list[tuple[Call, Path_]]:
+        """The predicates that the goals of a task ask for and that do not hold yet, each with its path."""
+        from simfoundry.lint.goals import pending
+
+        return pending(self)
+
+
+LINTS = Registry(
+    "simfoundry.lints",
+    {
+        "lost_texture": "simfoundry.lint.lost_texture:LINT",
+        "overlap": "simfoundry.lint.overlap:LINT",
+        "unsupported": "simfoundry.lint.unsupported:LINT",
+        "out_of_view": "simfoundry.lint.out_of_view:SCENE_LINT",
+        "broken_relation": "simfoundry.lint.broken_relation:LINT",
+        "true_at_start": "simfoundry.lint.true_at_start:LINT",
+        "too_wide": "simfoundry.lint.too_wide:LINT",
+        "out_of_reach": "simfoundry.lint.out_of_reach:LINT",
+        "start_out_of_view": "simfoundry.lint.out_of_view:TASK_LINT",
+    },
+    Lint,
+)
+"""The lints by name, in the order in which they look."""

@@ -1,0 +1,73 @@
+"""SF409: objects that no camera sees, even if nothing hides them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from itertools import product
+
+import numpy as np
+
+from simfoundry.geometry.frames import Array
+from simfoundry.lint.lints import Lint, Subject
+from simfoundry.lint.report import MOST, Path_, warning, where
+from simfoundry.scene.model import Camera
+from simfoundry.spec.diagnostics import Diagnostic
+
+
+def unseen(subject: Subject) -> Iterator[Diagnostic]:
+    """Find free objects of which no camera sees anything; cameras that a robot carries look elsewhere in time."""
+    free = [item.name for item in subject.scene.scene.objects if not item.fixed]
+    yield from _unseen(subject, free, lambda name: where(subject.loaded, name))
+
+
+def unseen_at_start(subject: Subject) -> Iterator[Diagnostic]:
+    """Find what the start of a task puts out of every camera's view."""
+    start = subject.task.start
+    moved: dict[str, Path_] = {n: ("start", key, n) for key in ("place", "pose") for n in getattr(start, key)}
+    yield from _unseen(subject, moved, moved.__getitem__)
+
+
+def _unseen(subject: Subject, names: Iterable[str], path_of: Callable[[str], Path_]) -> Iterator[Diagnostic]:
+    draft, cameras = subject.scene, subject.scene.cameras
+    if not cameras:
+        return
+    found = 0
+    for name in names:
+        if name not in draft.bounds or found >= MOST:
+            continue
+        low, high = draft.bounds[name]
+        if any(sees(camera, low, high) for camera in cameras.values()):
+            continue
+        found += 1
+        angle, nearest = min((off_axis(camera, (low + high) / 2), key) for key, camera in cameras.items())
+        message = f"`{name}` is out of the view of " + (f"`{nearest}`" if len(cameras) == 1 else "every camera")
+        seen = f"which sees {half_angle(cameras[nearest]):.0f} deg to the corners of its picture"
+        hint = f"it is {angle:.0f} deg off the axis of `{nearest}`, {seen}; move one of the two"
+        yield warning(subject.loaded, "SF409", path_of(name), message, hint)
+
+
+def sees(camera: Camera, low: Array, high: Array) -> bool:
+    """Whether any of a box may be in the picture: its corners do not all lie beyond one edge of it."""
+    x, y, z = camera.X_WC.inverse().apply(np.array(list(product(*zip(low, high, strict=True))))).T
+    x, y = camera.fx * x, camera.fy * y
+    right, bottom = camera.width - 0.5 - camera.cx, camera.height - 0.5 - camera.cy
+    inside = (z, x + (camera.cx + 0.5) * z, right * z - x, y + (camera.cy + 0.5) * z, bottom * z - y)
+    return not any((side < 0).all() for side in inside)
+
+
+def off_axis(camera: Camera, point: Array) -> float:
+    """The angle between the optical axis and a point in the world [deg]."""
+    x, y, z = camera.X_WC.inverse().apply(point)
+    return math.degrees(math.atan2(math.hypot(x, y), z))
+
+
+def half_angle(camera: Camera) -> float:
+    """The angle between the optical axis and the farthest corner of the picture [deg]."""
+    across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx) / camera.fx
+    down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy) / camera.fy
+    return math.degrees(math.atan(math.hypot(across, down)))
+
+
+SCENE_LINT = Lint("SF409", ("scene/1",), unseen)
+TASK_LINT = Lint("SF409", ("task/1",), unseen_at_start)

@@ -1,0 +1,103 @@
+"""SF411: free objects that nothing supports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from simfoundry.geometry.vertical_contact import heights
+from simfoundry.lint.draft import DraftScene
+from simfoundry.lint.lints import Lint, Subject
+from simfoundry.lint.overlap import DEEP
+from simfoundry.lint.report import MOST, warning, where
+from simfoundry.scene.lengths import length, number
+from simfoundry.scene.model import SceneObject
+from simfoundry.spec.diagnostics import Diagnostic
+
+HOVERING = 0.005
+"""What hangs lower than this over its support [m] comes down without a bounce that matters."""
+
+CLOSE = 5e-5
+"""By so much [m] the prisms stand out that cylinders are measured as."""
+
+MOST_MEASURED = 20_000
+"""Pairs of an object and what may support it that are measured for one scene, at a millisecond each: a wall of a
+thousand bricks has eight neighbours each."""
+
+
+def unsupported(subject: Subject) -> Iterator[Diagnostic]:
+    """Find free objects that would fall, in a scene where something is fixed and gravity points down."""
+    draft = subject.scene
+    gx, gy, gz = draft.spec.gravity
+    if gx or gy or gz >= 0 or not any(item.fixed for item in draft.solids):
+        return
+    items = draft.solids
+    low, high = (np.array([draft.bounds[item.name][k] for item in items]) for k in (0, 1))
+    found = measured = 0
+    for k, item in enumerate(items):
+        if item.fixed or draft.spec.objects[item.name].place is not None:
+            continue
+        near = ((low <= high[k] + HOVERING) & (low[k] - HOVERING <= high)).all(axis=1)
+        near[k] = False
+        below = sorted(np.flatnonzero(near).tolist(), key=lambda j: (abs(high[j, 2] - low[k, 2]), j))
+        measured += len(below)
+        if measured > MOST_MEASURED:
+            return
+        if any(supports(draft, items[j], item) for j in below) or _may_rest_on_unplaced(draft):
+            continue
+        yield _falling(subject, item)
+        found += 1
+        if found >= MOST:
+            return
+
+
+def supports(draft: DraftScene, support: SceneObject, item: SceneObject) -> bool:
+    """Whether an object meets another at once or on the first :data:`HOVERING` of its way down.
+
+    If one of them is known by its hull only, it is enough that their boxes are that near.
+    """
+    if draft.approximate & {support.name, item.name}:
+        return True
+    upper, lower = draft.shapes[item.name], draft.shapes[support.name]
+    touching = heights(upper, lower)
+    if ((touching >= -HOVERING - CLOSE) & (touching <= CLOSE)).any():
+        return True
+    if not (touching > CLOSE).any():
+        return False
+    # What is stuck in the other is not said to fall: that the two overlap is finding enough. A lid is no support.
+    leaving = -heights(upper.flipped(), lower.flipped())
+    rising = touching[touching > CLOSE] < -leaving[touching > CLOSE]
+    return bool(rising.any()) or draft.distance(item.name, support.name, -DEEP) < -DEEP
+
+
+def _may_rest_on_unplaced(draft: DraftScene) -> bool:
+    """Whether something free might rest on an object of which it is not certain where it is."""
+    return any(name in draft.unplaced for name in draft.scene.by_name)
+
+
+def _falling(subject: Subject, item: SceneObject) -> Diagnostic:
+    """The finding, with how far it falls, and onto what."""
+    draft = subject.scene
+    low, high = draft.bounds[item.name]
+    below: list[tuple[float, str]] = []
+    for other in sorted(draft.solids, key=lambda o: -float(draft.bounds[o.name][1][2])):
+        bottom, top = draft.bounds[other.name]
+        if below and top[2] - low[2] < max(below)[0]:
+            break  # nothing that ends lower can stop it earlier
+        if other is not item and bottom[2] < low[2] and (bottom <= high)[:2].all() and (low <= top)[:2].all():
+            raised = float(heights(draft.shapes[item.name], draft.shapes[other.name]).max())
+            if np.isfinite(raised) and raised < 0:
+                below.append((raised, other.name))
+    path = where(subject.loaded, item.name)
+    if not below:
+        message = f"nothing supports `{item.name}`, and there is nothing below it"
+        hint = "put it on something with `place`, or weld it to the world with `fixed: true`"
+        return warning(subject.loaded, "SF411", path, message, hint)
+    raised, name = max(below)
+    message = f"nothing supports `{item.name}`: it falls {length(-raised)} onto `{name}`"
+    hint = f"at z = {number(float(item.X_WO.p[2]) + raised)} it stands there; or write `place: {{on: {name}, ...}}`"
+    return warning(subject.loaded, "SF411", path, message, hint, (name,))
+
+
+LINT = Lint("SF411", ("scene/1",), unsupported)
