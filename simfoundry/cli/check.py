@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.cli.documents import documents
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, print_json_text, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, print_findings, print_json_text, progress_bar, subcommand
 from simfoundry.spec.check.report import FORMATS
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ MANY = 100
 """From so many documents on, a terminal shows how far the check is."""
 
 
-@click.command()
+@subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--format",
@@ -33,8 +33,6 @@ MANY = 100
     show_default=True,
     help="For people, scripts, code scanning, or annotations on GitHub.",
 )
-@json_option
-@reporting
 def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     """Check documents, or every document below folders (default: here).
 
