@@ -124,7 +124,7 @@ def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subta
             yield from (TaskEntry(path, TaskPart.ALONE, step.name) for step in steps if step.starts_itself)
 
 
-def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
     from simfoundry.evaluate.statistics.results import cells
 
     missing, troubles = evaluation.missing, evaluation.troubles
