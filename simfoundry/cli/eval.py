@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from simfoundry.api.evaluation import Evaluation
     from simfoundry.evaluate.entries import TaskEntry
+    from simfoundry.evaluate.run import EvaluationPlan
 
 
 SENTENCES = 10
