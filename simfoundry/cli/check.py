@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from simfoundry.cli.documents import documents
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_findings, print_json_text, progress_bar, reporting
+from simfoundry.cli.output import DONE, FINDINGS, print_findings, print_json_text, progress_bar, subcommand
 from simfoundry.spec.check.report import FORMATS
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ MANY = 100
 """From so many documents on, a terminal shows how far the check is."""
 
 
-@click.command()
+@subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--format",
@@ -35,8 +35,6 @@ MANY = 100
     help="For people, scripts, code scanning, or annotations on GitHub.",
 )
 @click.option("--lints/--no-lints", default=True, help="Whether to look at shapes too, or at the structure alone.")
-@json_option
-@reporting
 def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
     """Check documents, or every document below folders (default: here).
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, FILE
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 
 if TYPE_CHECKING:
     from simfoundry.frontends.draft import ImportOptions
@@ -39,8 +40,8 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
     return {name: item for name, _, item in pairs}
 
 
-@click.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand()
+@click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
     "-o",
     "--out",
@@ -52,11 +53,11 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
     help="The folder of a package that `package://NAME/…` means; may be given more than once.",
 )  # fmt: skip
 @click.option(
-    "--scene", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--scene", type=FILE,
     help="The scene document that a task, of the authors' release or in BDDL, is for.",
 )  # fmt: skip
 @click.option(
-    "--onto", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    "--onto", type=FILE,
     help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
 )  # fmt: skip
 @click.option(
@@ -70,8 +71,6 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
 )  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
-@json_option
-@reporting
 def command(
     files: tuple[Path, ...],
     out: Path | None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.errors import SimfoundryError
@@ -169,6 +169,8 @@ def _robot_object(robot: Robot) -> RobotObject | None:
     return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 
 
+@lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
+    """The form of a link; scenes that share an object measure it once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None
