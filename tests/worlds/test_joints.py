@@ -201,9 +201,7 @@ def test_a_drive_too_stiff_for_the_step_is_written_softer(engine: Engine, stiffn
     lowered = [loss.reason.split()[1] for loss in losses]
     assert "stiffness" in lowered if stiffness > 1e6 else lowered == ["damping"] * (target == "pybullet")
     if stiffness > 1e6:
-        assert "125000 stands for 10000000" in lost["chain.slide_0.drive.stiffness"].replace(
-            "1.25e+05", "125000"
-        ).replace("1e+07", "10000000")
+        assert losses[lowered.index("stiffness")].reason.startswith("Its stiffness is 1.25e+05 instead of 1e+07:")
     with engine(scene) as world:
         run(world, 3.0)
         before = world.state().joints["chain.slide_0"]

@@ -3,7 +3,8 @@
 Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
 ``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), visual geoms ``object:visual``,
 and those of the background ``:background:visual``. A primitive that is both is one geom, named as a collider. Visuals
-are in group 2, all other colliders in group 3, which cameras leave out. Meshes are named after the first geom that uses them: ``bowl_collision_3``.
+are in group 2, all other colliders in group 3, which cameras leave out. Meshes are named after the first geom that
+uses them: ``bowl_collision_3``.
 
 Each material is a class; see :mod:`simfoundry.backends.mjcf.contact_rules` for how unlike materials meet. Mass
 properties are explicit. Links that a joint connects do not collide: joints, not contacts, hold a drawer in its cabinet.
