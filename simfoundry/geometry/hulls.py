@@ -67,6 +67,10 @@ class Hulls:
         low, high = self.bounds()
         return np.asarray(high - low)
 
+    def posed(self, X_AB: Pose) -> Hulls:
+        """The same parts in another frame."""
+        return self._with(X_AB.apply(self.corners), self.triangles, self.normals @ X_AB.rotation.T)
+
     def moved(self, offset: Array) -> Hulls:
         """The same parts elsewhere."""
         return self._with(self.corners + offset, self.triangles, self.normals)

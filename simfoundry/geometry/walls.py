@@ -33,7 +33,7 @@ def surrounded(thing: Hulls, container: Hulls) -> bool:
     rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
     for share in LEVELS:
         start = np.array([lowest[0], lowest[1], bottom + FOOT + share * (top - bottom)])
-        if sum(math.isfinite(free_distance(container, start, ray)) for ray in rays) >= WALLED:
+        if np.isfinite(free_distances(container, start, rays)).sum() >= WALLED:
             return True
     return False
 
@@ -62,22 +62,35 @@ def hollow(container: Hulls, middle: Array, rotation: Array) -> Array:
 
 def free_distance(shape: Hulls, start: Array, ray: Array) -> float:
     """How far a ray goes before it meets a part [m]; inf where it meets none."""
-    return min(_to_triangles(shape, start, ray), _to_rounded(shape, start, ray))
+    return float(free_distances(shape, start, ray[None])[0])
 
 
-def _to_triangles(shape: Hulls, start: Array, ray: Array) -> float:
+def free_distances(shape: Hulls, start: Array, rays: Array) -> Array:
+    """How far rays from one point, shape (n, 3), go before they meet a part [m], shape (n,); inf if they meet none."""
+    rounded = [_to_rounded(shape, start, ray) for ray in rays] if (shape.radius > 0).any() else math.inf
+    return np.asarray(np.minimum(_to_triangles(shape, start, rays), rounded))
+
+
+def _to_triangles(shape: Hulls, start: Array, rays: Array) -> Array:
     a, b, c = (shape.corners[shape.triangles[:, k]] for k in range(3))
     u, v, w = b - a, c - a, start - a
-    across = np.cross(ray, v)
-    volume = (u * across).sum(axis=1)
+    across = _cross(rays[:, None], v)
+    volume = (u * across).sum(axis=-1)
     facing = np.abs(volume) > 1e-14
     volume = np.where(facing, volume, 1.0)
-    s = (w * across).sum(axis=1) / volume
-    turned = np.cross(w, u)
-    t = (ray * turned).sum(axis=1) / volume
-    far = (v * turned).sum(axis=1) / volume
+    s = (w * across).sum(axis=-1) / volume
+    turned = _cross(w, u)
+    t = (rays[:, None] * turned).sum(axis=-1) / volume
+    far = (v * turned).sum(axis=-1) / volume
     hit = facing & (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (far > 0)
-    return float(far[hit].min(initial=math.inf))
+    return np.asarray(np.where(hit, far, math.inf).min(axis=1, initial=math.inf))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """The cross product along the last axis: numpy's own takes five times as long for few vectors."""
+    ax, ay, az = np.moveaxis(a, -1, 0)
+    bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def _to_rounded(shape: Hulls, start: Array, ray: Array) -> float:

@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("pydantic_ai", reason="the extra `vlm` is not installed")
 
-from simfoundry.cousins.run.candidates import prepared
 from simfoundry.scene.lower import lower
 from simfoundry.spec.load import load_scene
 from tests.cli.command import Done, run
@@ -34,7 +33,6 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "made.cousins.yaml").write_text(RECIPE)
     for name in (*KEYS, "OPENAI_API_KEY", "OPENAI_BASE_URL"):
         monkeypatch.delenv(name, raising=False)
-    prepared.cache_clear()
     return tmp_path
 
 
@@ -76,7 +74,6 @@ def test_a_recipe_asks_the_models_and_goes_on_without_them(project: Path, monkey
         cup = lower(load_scene(path)).object("cup")
         assert cup.root.colliders and "objects/cup_" in path.read_text()
     before = {p: p.read_bytes() for p in (project / "out").rglob("*.yaml")}
-    prepared.cache_clear()
     again = made(project)
     assert again.code == 0, "the models are gone, and what they made is there"
     assert {p: p.read_bytes() for p in (project / "out").rglob("*.yaml")} == before

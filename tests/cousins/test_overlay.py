@@ -17,7 +17,7 @@ from simfoundry.cousins.recipe import library
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.recipe.document import claim_project, read_recipe
 from simfoundry.cousins.recipe.overlay import dependents, relative
-from simfoundry.cousins.run.candidates import Setup, candidate, prepared
+from simfoundry.cousins.run.candidates import CandidateSampler, Setup
 from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.proposals import TaskCousin
 from simfoundry.cousins.tasks.witness import Witness, witness
@@ -69,7 +69,6 @@ def project(tmp_path: Path) -> Path:
     (tmp_path / "things" / "brick.asset.yaml").write_text(BRICK)
     for name, twin in (("scenes", "table.scene.yaml"), ("tasks", "chip.task.yaml")):
         (tmp_path / f"{name}.cousins.yaml").write_text(RECIPE.format(twin=twin))
-    prepared.cache_clear()
     return tmp_path
 
 
@@ -78,7 +77,7 @@ def setup(project: Path, name: str, seed: int = 11) -> Setup:
 
 
 def first_accepted(asked: Setup) -> Candidate:
-    return next(c for c in (candidate(asked, k) for k in range(1, 30)) if c.accepted)
+    return next(c for c in map(CandidateSampler.load(asked), range(1, 30)) if c.accepted)
 
 
 def written(project: Path, one: Candidate) -> dict[str, Path]:
@@ -128,12 +127,12 @@ def test_a_task_comes_along_without_what_was_said_of_moved_things(project: Path)
 
 def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
     asked = setup(project, "scenes")
-    first = [candidate(asked, k).line() for k in (1, 2, 3, 4)]
-    prepared.cache_clear()
-    assert [candidate(asked, k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
+    one, other = CandidateSampler.load(asked), CandidateSampler.load(asked)
+    first = [one(k).line() for k in (1, 2, 3, 4)]
+    assert [other(k).line() for k in (4, 2, 3, 1)] == [first[k - 1] for k in (4, 2, 3, 1)]
     program = (
-        "import sys; from simfoundry.cousins.run.candidates import Setup, candidate;"
-        "print(candidate(Setup(sys.argv[1], sys.argv[2], 11), 3).line())"
+        "import sys; from simfoundry.cousins.run.candidates import CandidateSampler, Setup;"
+        "print(CandidateSampler.load(Setup(sys.argv[1], sys.argv[2], 11))(3).line())"
     )
     line = [sys.executable, "-c", program, asked.recipe, asked.out]
     done = subprocess.run(
@@ -144,7 +143,7 @@ def test_a_candidate_depends_on_nothing_but_its_index(project: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(REPOSITORY), "PYTHONHASHSEED": "7"},
     )
     assert done.stdout.strip() == first[2]
-    assert candidate(setup(project, "scenes", 12), 1).line() != first[0]
+    assert CandidateSampler.load(setup(project, "scenes", 12))(1).line() != first[0]
 
 
 def test_the_command_writes_cousins_a_manifest_and_a_page(project: Path) -> None:

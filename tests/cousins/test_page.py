@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.cousins.run.candidates import prepared
 from simfoundry.spec.load import load
 from simfoundry.spec.models.scene import SceneSpec
 from tests.cli.command import Done, run
@@ -36,7 +35,6 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         shutil.copytree(REPOSITORY / "specs" / folder, tmp_path / "specs" / folder)
     (tmp_path / "specs" / "cousins").mkdir()
     (tmp_path / "simfoundry.yaml").write_text("")
-    prepared.cache_clear()
     return tmp_path
 
 

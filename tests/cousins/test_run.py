@@ -18,10 +18,11 @@ from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import Log, log_file, read_places
 from simfoundry.cousins.run.report import read_manifest, write_manifest
 from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE, End, Ledger, Plan, finish, run
-from simfoundry.cousins.run.worker_pools import Here, Local, Pool, Work
+from simfoundry.cousins.run.worker_pools import CandidatePool, LocalPool, Work
 from simfoundry.errors import OutputError
 from tests.conftest import REPOSITORY
 from tests.cousins import toy
+from tests.cousins.toy import Here
 
 RATE = 0.4
 
@@ -38,14 +39,14 @@ class Shuffled(Here):
         self._chance = random.Random(seed)
 
     def next(self) -> Candidate:
-        return self.work(self._asked.pop(self._chance.randrange(len(self._asked))))
+        return self.work.sampler()(self._asked.pop(self._chance.randrange(len(self._asked))))
 
 
 def plan(out: Path, wanted: int = 30, **more: object) -> Plan:
     return replace(Plan(out, wanted, {"recipe": "toy", "seed": 0}), **more)  # type: ignore[arg-type]
 
 
-def made(a: Plan, pool: Pool | None = None) -> dict[str, bytes]:
+def made(a: Plan, pool: CandidatePool | None = None) -> dict[str, bytes]:
     """A whole run, and every file of it, its log included."""
     ledger = run(a, lambda: pool or Here(work()))
     write_manifest(a, ledger)
@@ -59,7 +60,7 @@ def test_the_first_accepted_by_index_whatever_the_order(tmp_path: Path) -> None:
     assert [int(name[:6]) for name in found if name.endswith(".scene.yaml")] == expected
     for seed in range(3):
         assert made(plan(tmp_path / f"b{seed}"), Shuffled(work(), seed=seed)) == found
-    assert made(plan(tmp_path / "c"), Local(work(), 2)) == found
+    assert made(plan(tmp_path / "c"), LocalPool(work(), 2)) == found
 
 
 def test_the_manifest_lists_every_candidate_that_counts(tmp_path: Path) -> None:
@@ -154,7 +155,7 @@ def test_a_recipe_with_an_end(tmp_path: Path) -> None:
 
 
 def test_a_process_that_dies_costs_its_candidate_at_most(tmp_path: Path) -> None:
-    pool = Local(Work("tests.cousins.toy:fragile", (str(tmp_path / "mark"),)), 2)
+    pool = LocalPool(Work("tests.cousins.toy:fragile_sampler", (str(tmp_path / "mark"),)), 2)
     ledger = run(plan(tmp_path / "a", wanted=10), lambda: pool)
     assert ledger.accepted == [1, 2, 3, 4, 6, 8, 9, 10, 11, 12]
     assert ledger.totals == {"failed": 2}
@@ -171,7 +172,7 @@ def test_work_ahead_is_bounded(tmp_path: Path) -> None:
 
         def next(self) -> Candidate:
             self._asked.sort(key=lambda k: (k == 1, k))
-            return self.work(self._asked.pop(0))
+            return self.work.sampler()(self._asked.pop(0))
 
     run(plan(tmp_path / "a", wanted=200), lambda: Late(work(), 2))
     before = asked[: asked.index(1) + 1] if 1 in asked else asked
@@ -190,8 +191,8 @@ def test_killed_at_random_moments_and_resumed(tmp_path: Path) -> None:
     expected = made(plan(tmp_path / "a", wanted=60))
     program = (
         "import sys; from pathlib import Path; from tests.cousins.test_run import plan, made, work;"
-        "from simfoundry.cousins.run.worker_pools import Local;"
-        "made(plan(Path(sys.argv[1]), wanted=60), Local(work(), 2))"
+        "from simfoundry.cousins.run.worker_pools import LocalPool;"
+        "made(plan(Path(sys.argv[1]), wanted=60), LocalPool(work(), 2))"
     )
     out, chance = tmp_path / "b", random.Random(1)
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
@@ -224,7 +225,7 @@ def test_an_empty_ledger_counts_nothing() -> None:
 
 
 def test_no_process_outlives_its_pool() -> None:
-    pool = Local(work(), 2)
+    pool = LocalPool(work(), 2)
     for index in range(1, 9):
         pool.submit(index)
     pool.next()
@@ -236,7 +237,7 @@ def test_no_process_outlives_its_pool() -> None:
 ON_RAY = """
 import sys
 from simfoundry.cousins.run.worker_pools import Work, open_pool
-pool = open_pool(Work("tests.cousins.toy:candidate", (0.5,)), "ray", 1)
+pool = open_pool(Work("tests.cousins.toy:sampler", (0.5,)), "ray", 1)
 pool.submit(1)
 print(pool.next().index)
 pool.close()

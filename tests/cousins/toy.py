@@ -5,10 +5,36 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 
 from simfoundry.cousins.recipe.candidate import Candidate, Reason
+from simfoundry.cousins.run.worker_pools import Work
 
-FUNCTION = "tests.cousins.toy:candidate"
+FUNCTION = "tests.cousins.toy:sampler"
+
+
+def sampler(rate: float) -> Callable[[int], Candidate]:
+    return partial(candidate, rate)
+
+
+@dataclass
+class Here:
+    """This process, one candidate after the other."""
+
+    work: Work
+    size: int = 1
+    _asked: list[int] = field(default_factory=list)
+
+    def submit(self, index: int) -> None:
+        self._asked.append(index)
+
+    def next(self) -> Candidate:
+        return self.work.sampler()(self._asked.pop(0))
+
+    def close(self) -> None:
+        pass
 
 
 def candidate(rate: float, index: int) -> Candidate:
@@ -19,6 +45,10 @@ def candidate(rate: float, index: int) -> Candidate:
         code = "narrow" if index % 2 else "wide"
         return Candidate(index, reasons=(Reason(code, f"{share:.3f} is too {code}", {"share": share}),))
     return Candidate(index, {"scene": f"simfoundry: scene/1\nname: toy_{index}\n"}, (f"LeftOf(a{index}, b)",))
+
+
+def fragile_sampler(mark: str) -> Callable[[int], Candidate]:
+    return partial(fragile, mark)
 
 
 def fragile(mark: str, index: int) -> Candidate:

@@ -21,7 +21,6 @@ from simfoundry.geometry.frames import IDENTITY, Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Scene, SceneObject
-from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.state import SceneState, object_at
 from simfoundry.spec.load import load, load_kind
 from simfoundry.spec.models.expressions import Condition, parse_call, texts
@@ -190,7 +189,7 @@ class Twin:
         own = self[name]
         if X_WO is IDENTITY:
             return own.shape
-        return own.placed if X_WO is own.X_WO else hulls(replace(own.item, X_WO=X_WO))
+        return own.placed if X_WO is own.X_WO else own.shape.posed(X_WO)
 
     def box(self, name: str, X_WO: Pose) -> tuple[Array, Array]:
         """Lowest and highest corner in the world [m], shape (3,) each, of an object where it is put."""

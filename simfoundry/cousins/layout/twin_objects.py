@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simfoundry.cousins.layout.supports import Outline, Support, edges_of, support_of, supports_of
 from simfoundry.cousins.layout.views import VisibleSurface
-from simfoundry.geometry.frames import Pose, frozen_array
+from simfoundry.geometry.frames import IDENTITY, Pose, frozen_array
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.shapes import Cylinder
 from simfoundry.predicates.judging.bodies import Bodies
-from simfoundry.scene.model import Collider, Link, Scene, SceneObject
+from simfoundry.scene.model import Collider, Joint, Link, Scene, SceneObject
 from simfoundry.scene.object_shapes import hulls
 from simfoundry.scene.touching import weld_groups
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-    from simfoundry.cousins.reach import Reach
+    from simfoundry.robots.reach import ArmReach
 
 
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
@@ -37,11 +37,11 @@ class TwinRobots:
         self._scene, self.names = scene, names
 
     @cached_property
-    def reach(self) -> Reach:
+    def reach(self) -> ArmReach:
         """The arms that act."""
-        from simfoundry.cousins.reach import Reach
+        from simfoundry.robots.reach import ArmReach
 
-        return Reach(self._scene, self.names)
+        return ArmReach(self._scene, self.names)
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:
@@ -88,7 +88,7 @@ class TwinObject:
     @cached_property
     def shape(self) -> Hulls:
         """Its convex parts, with its frame at the origin."""
-        return hulls(self.item)
+        return _shape(self.item.links, self.item.joints)
 
     @cached_property
     def placed(self) -> Hulls:
@@ -103,7 +103,7 @@ class TwinObject:
     @cached_property
     def surface(self) -> VisibleSurface:
         """Its visible surface, with its frame at the origin."""
-        return VisibleSurface.of(self.item)
+        return _surface(self.item.links, self.item.joints)
 
     @cached_property
     def levels(self) -> tuple[Support, ...]:
@@ -132,6 +132,17 @@ class TwinObject:
         """The links, by index, that none of its joints moves."""
         welded = weld_groups(self.item)
         return [k for k, link in enumerate(self.item.links) if welded[link.name] == welded[self.item.root.name]]
+
+
+@lru_cache(maxsize=512)
+def _shape(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> Hulls:
+    """The convex parts of an object at the origin; objects of a library serve in many twins by other names."""
+    return hulls(SceneObject("", "", False, IDENTITY, links, joints))
+
+
+@lru_cache(maxsize=512)
+def _surface(links: tuple[Link, ...], joints: tuple[Joint, ...]) -> VisibleSurface:
+    return VisibleSurface.of(SceneObject("", "", False, IDENTITY, links, joints))
 
 
 def link_shadows(shape: Hulls) -> tuple[Outline, ...]:

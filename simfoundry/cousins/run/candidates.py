@@ -6,8 +6,7 @@ The axes in turn: other objects, another layout, distractors, another task. Then
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,11 @@ from simfoundry.cousins.recipe.variant_pool import Choice, VariantPool, variant_
 from simfoundry.scene.model import SceneObject
 from simfoundry.spec.files import is_document
 
-FUNCTION = "simfoundry.cousins.run.candidates:candidate"
-"""What pools call."""
+FUNCTION = "simfoundry.cousins.run.candidates:CandidateSampler.load"
+"""Makes the sampler that a worker calls for each candidate."""
+
+KEPT_TWINS = 8
+"""Twins with other or more objects that are kept prepared, about 10 MB each: recipes with few choices need no more."""
 
 
 @dataclass(frozen=True)
@@ -43,45 +45,56 @@ class Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
-    """What the candidates of a recipe share in one process."""
+class CandidateSampler:
+    """Makes the candidates of a recipe in one process; they share its twin and what its axes choose from."""
 
     recipe: Recipe
     out: Path
     twin: Twin
-    stock: VariantPool
+    pool: VariantPool
+    twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
+    @classmethod
+    def load(cls, setup: Setup) -> CandidateSampler:
+        """Read the recipe, let the twin come to rest, and find what its axes choose from."""
+        recipe, out = read_recipe(Path(setup.recipe), setup.seed), Path(setup.out)
+        twin = Twin.load(recipe.twin_file, Cache.default())
+        return cls(recipe, out, twin, variant_pool(recipe, out, twin, setup.vlm))
 
-@lru_cache(maxsize=1)
-def prepared(setup: Setup) -> Prepared:
-    """Read the recipe, let the twin come to rest, and find what its axes choose from."""
-    recipe = read_recipe(Path(setup.recipe), setup.seed)
-    twin = Twin.load(recipe.twin_file, Cache.default())
-    return Prepared(recipe, Path(setup.out), twin, variant_pool(recipe, Path(setup.out), twin, setup.vlm))
+    def require_possible(self) -> None:
+        """Raise :class:`ImpossibleError` if what the recipe asks for can never be."""
+        twin, axis, distractors = self.twin, self.recipe.spec.scene, self.recipe.spec.distractors
+        asks = placement_constraints(twin, axis) if axis is not None else None
+        places = twin.places if distractors is not None else ()
+        if distractors is not None and places:
+            around = asks.support.name if asks is not None and asks.support is not None else ""
+            full = too_full(twin, places, axis, self.recipe.distractors, distractors.count[0], around)
+            if full:
+                raise ImpossibleError(full)
 
+    def __call__(self, index: int) -> Candidate:
+        """Return candidate ``index``, from 1 on."""
+        draw = _draw(self, index)
+        if isinstance(draw, Rejected):
+            return Candidate(index, reasons=draw.reasons)
+        found = examine(draw.twin, draw.layout) if draw.is_moved else None
+        if found is not None and not found.accepted:
+            return Candidate(index, reasons=found.reasons)
+        return _written(self, draw, found, index)
 
-def see_possible(shared: Prepared) -> None:
-    """Raise :class:`ImpossibleError` where what the recipe asks for can never be."""
-    twin, axis, distractors = shared.twin, shared.recipe.spec.scene, shared.recipe.spec.distractors
-    asks = placement_constraints(twin, axis) if axis is not None else None
-    places = twin.places if distractors is not None else ()
-    if distractors is not None and places:
-        around = asks.support.name if asks is not None and asks.support is not None else ""
-        full = too_full(twin, places, axis, shared.recipe.distractors, distractors.count[0], around)
-        if full:
-            raise ImpossibleError(full)
-
-
-def candidate(setup: Setup, index: int) -> Candidate:
-    """Candidate ``index``, from 1 on."""
-    shared = prepared(setup)
-    draw = _draw(shared, index)
-    if isinstance(draw, Rejected):
-        return Candidate(index, reasons=draw.reasons)
-    found = examine(draw.twin, draw.layout) if draw.is_moved else None
-    if found is not None and not found.accepted:
-        return Candidate(index, reasons=found.reasons)
-    return _written(shared, draw, found, index)
+    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.Item]) -> Twin:
+        """Return the twin with other objects in the place of some, and more that are not there yet."""
+        if not others and not added:
+            return self.twin
+        files = {**{n: choice.file for n, choice in others.items()}, **{n: item.file for n, item in added.items()}}
+        key = tuple(files.items())
+        if key not in self.twins:
+            objects = [_in_place_of(self.twin.scene.object(name), choice) for name, choice in others.items()]
+            objects += [replace(library.lowered(item.file), name=name) for name, item in added.items()]
+            while len(self.twins) >= KEPT_TWINS:
+                del self.twins[next(iter(self.twins))]
+            self.twins[key] = self.twin.extended(objects)
+        return self.twins[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,16 +112,16 @@ class _Draw:
         return bool(self.layout.poses or self.others or self.added)
 
 
-def _draw(shared: Prepared, index: int) -> _Draw | Rejected:
+def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
     """The axes in turn; every one has chance of its own, so that one more changes nothing for the others."""
     by_object, by_layout, by_distractors = np.random.default_rng([shared.recipe.seed, index]).spawn(3)
-    spec, stock = shared.recipe.spec, shared.stock
-    if stock.most is not None:
-        others = stock.combination((index - 1) // max(1, len(stock.tasks)))
+    spec, pool = shared.recipe.spec, shared.pool
+    if pool.most is not None:
+        others = pool.combination((index - 1) // max(1, len(pool.tasks)))
     else:
-        others = {name: of[int(by_object.integers(len(of)))] for name, of in stock.choices.items()}
+        others = {name: of[int(by_object.integers(len(of)))] for name, of in pool.choices.items()}
     added = _distractors(shared, by_distractors)
-    twin = _extended(shared.twin, others, added)
+    twin = shared.extended(others, added)
     layout: Layout | Rejected = NOTHING
     if spec.scene is not None:
         layout = propose(twin, spec.scene, by_layout)
@@ -117,7 +130,7 @@ def _draw(shared: Prepared, index: int) -> _Draw | Rejected:
     return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added)
 
 
-def _distractors(shared: Prepared, rng: np.random.Generator) -> dict[str, library.Item]:
+def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.Item]:
     """Things from the library, none twice before each was taken once, by names that the scene has not yet."""
     axis = shared.recipe.spec.distractors
     if axis is None:
@@ -135,21 +148,12 @@ def _distractors(shared: Prepared, rng: np.random.Generator) -> dict[str, librar
     return found
 
 
-def _extended(twin: Twin, others: Mapping[str, Choice], added: Mapping[str, library.Item]) -> Twin:
-    """The twin with other things in the place of some, and more that are not there yet."""
-    if not others and not added:
-        return twin
-    objects = [_in_place_of(twin.scene.object(name), choice) for name, choice in others.items()]
-    objects += [replace(library.lowered(item.file), name=name) for name, item in added.items()]
-    return twin.extended(objects)
-
-
 def _in_place_of(old: SceneObject, choice: Choice) -> SceneObject:
     new = library.lowered(choice.file)
     return replace(new, name=old.name, category=old.category, fixed=old.fixed, X_WO=old.X_WO, labels=old.labels)
 
 
-def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) -> Candidate:
+def _written(shared: CandidateSampler, draw: _Draw, found: Examined | None, index: int) -> Candidate:
     """The documents of an accepted draw."""
     recipe, spec = shared.recipe, shared.recipe.scene_spec
     documents: dict[str, str] = {}
@@ -171,8 +175,8 @@ def _written(shared: Prepared, draw: _Draw, found: Examined | None, index: int) 
     else:
         moved = set()
     goal = ""
-    if shared.stock.tasks:
-        task = shared.stock.tasks[(index - 1) % len(shared.stock.tasks)]
+    if shared.pool.tasks:
+        task = shared.pool.tasks[(index - 1) % len(shared.pool.tasks)]
         reasons = task.reasons(draw.twin, found.state if found is not None else draw.twin.state, draw.others)
         if reasons:
             return Candidate(index, reasons=reasons)
@@ -190,16 +194,16 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
-    from simfoundry.cousins.tasks.context import hands_of
     from simfoundry.cousins.tasks.proposals import context_at
+    from simfoundry.robots.reach import hands_of
 
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
+    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec.robots), ("mujoco",)))
 
 
-def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:
+def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:
     """What the documents say of other and of new things, but for where they are."""
     found: dict[str, overlay.Data] = {}
     for name, choice in draw.others.items():
@@ -208,7 +212,7 @@ def _changes(shared: Prepared, draw: _Draw) -> dict[str, overlay.Data]:
         gone += ["joints"] if written.joints else []
         found[name] = {"asset": choice.reference, **dict.fromkeys(gone)}
     for name, item in draw.added.items():
-        found[name] = item.data(shared.stock.references[item.name])
+        found[name] = item.data(shared.pool.references[item.name])
     return found
 
 

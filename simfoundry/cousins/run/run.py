@@ -18,7 +18,7 @@ from typing import Any
 from simfoundry.cousins.objects.swap import VariantCount
 from simfoundry.cousins.recipe.candidate import Candidate
 from simfoundry.cousins.run.log import WORK, Log, Place, Reader, log_file, logs, read_places, replace_logs
-from simfoundry.cousins.run.worker_pools import Pool
+from simfoundry.cousins.run.worker_pools import CandidatePool
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 
@@ -177,7 +177,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise OutputError(f"{path} is damaged; remove it, and the run goes on from its logs") from None
 
 
-def run(plan: Plan, pool: Callable[[], Pool], heard: Heard = lambda ledger: None) -> Ledger:
+def run(plan: Plan, pool: Callable[[], CandidatePool], heard: Heard = lambda ledger: None) -> Ledger:
     """Examine candidates until the plan is met or cannot be; what the logs know already is not examined again."""
     begin(plan)
     with Reader() as reader, Log(log_file(plan.out, plan.shard)) as log:
@@ -217,7 +217,7 @@ def _see_no_more(plan: Plan, ledger: Ledger) -> None:
         )
 
 
-def _examined(ledger: Ledger, pool: Pool) -> Iterator[Candidate]:
+def _examined(ledger: Ledger, pool: CandidatePool) -> Iterator[Candidate]:
     """Candidates that were not known, as they are done; the pool is kept busy until the ledger is at its end."""
     todo, running = ledger.unknown(), 0
     index = next(todo, None)
@@ -230,7 +230,7 @@ def _examined(ledger: Ledger, pool: Pool) -> Iterator[Candidate]:
         running -= 1
 
 
-def _is_near(index: int, ledger: Ledger, pool: Pool) -> bool:
+def _is_near(index: int, ledger: Ledger, pool: CandidatePool) -> bool:
     """Whether a candidate is not too far ahead of those that count, so that memory and work in vain stay bounded."""
     return index - ledger.next_index < AHEAD * ledger.step * pool.size
 

@@ -1,4 +1,4 @@
-"""Who examines candidates: this process, processes of this machine, or a Ray cluster. All give the same candidates.
+"""Pools that examine candidates: processes of this machine, or a Ray cluster; both give the same candidates.
 
 A pool is handed indices and gives back candidates in whatever order they are done.
 """
@@ -6,8 +6,10 @@ A pool is handed indices and gives back candidates in whatever order they are do
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,24 +24,30 @@ SILENCE_S = 600.0
 
 @dataclass(frozen=True)
 class Work:
-    """What is done for each candidate: ``function`` (``module:name``) is called with ``arguments`` and the index."""
+    """What a process does for each candidate: it calls what ``factory`` (``module:name``) makes of ``arguments``."""
 
-    function: str
+    factory: str
     arguments: tuple[Any, ...] = ()
 
-    def __call__(self, index: int) -> Candidate:
-        """The candidate of an index, made in this process."""
-        module, _, name = self.function.partition(":")
-        candidate: Candidate = getattr(import_module(module), name)(*self.arguments, index)
-        return candidate
+    def sampler(self) -> Callable[[int], Candidate]:
+        """Make the sampler of candidates by index."""
+        module, _, name = self.factory.partition(":")
+        made: Callable[[int], Candidate] = attrgetter(name)(import_module(module))(*self.arguments)
+        return made
+
+
+_SAMPLERS: dict[Work, Callable[[int], Candidate]] = {}
+"""Sampler of a worker process, made for its first candidate: a worker serves one run, and ends with it."""
 
 
 def line_of(work: Work, index: int) -> str:
-    """The line of a candidate: what travels between processes."""
-    return work(index).line()
+    """Return the line of a candidate, which is what travels between processes."""
+    if work not in _SAMPLERS:
+        _SAMPLERS[work] = work.sampler()
+    return _SAMPLERS[work](index).line()
 
 
-class Pool(Protocol):
+class CandidatePool(Protocol):
     """Examines candidates, ``size`` of them at a time."""
 
     size: int
@@ -57,27 +65,7 @@ class Pool(Protocol):
         ...
 
 
-@dataclass
-class Here:
-    """This process, one candidate after the other."""
-
-    work: Work
-    size: int = 1
-    _asked: list[int] = field(default_factory=list)
-
-    def submit(self, index: int) -> None:
-        """Ask for a candidate."""
-        self._asked.append(index)
-
-    def next(self) -> Candidate:
-        """Make the next."""
-        return self.work(self._asked.pop(0))
-
-    def close(self) -> None:
-        """Nothing is going on."""
-
-
-class Local:
+class LocalPool:
     """Processes of this machine; the candidate of one that crashes or hangs is tried once more, and then rejected."""
 
     def __init__(self, work: Work, size: int) -> None:
@@ -103,7 +91,7 @@ def failed(index: int, how: str) -> Candidate:
     return Candidate(index, reasons=(Reason("failed", f"its process {how}"),))
 
 
-class OnRay:
+class RayPool:
     """Actors of a Ray cluster: the one that ``RAY_ADDRESS`` names, or one that is started on this machine.
 
     Every node sees the recipe and the output under the same paths, as on a shared file system.
@@ -157,10 +145,10 @@ class _Actor:
     """A process of a cluster."""
 
     def __init__(self, work: Work) -> None:
-        self.work = work
+        self.sampler = work.sampler()
 
     def line(self, index: int) -> str:
-        return line_of(self.work, index)
+        return self.sampler(index).line()
 
 
 def _connect(ray: Any, size: int | None) -> None:
@@ -184,10 +172,6 @@ def _connect(ray: Any, size: int | None) -> None:
             ray.init(num_cpus=size or os.cpu_count(), runtime_env=environment, **quiet)
 
 
-def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> Pool:
-    """``local`` processes, actors on ``ray``, or ``here``; ``jobs`` of them, by default one for each core."""
-    if where == "ray":
-        return OnRay(work, jobs)
-    if where == "here":
-        return Here(work)
-    return Local(work, jobs or os.cpu_count() or 1)
+def open_pool(work: Work, where: str = "local", jobs: int | None = None) -> CandidatePool:
+    """Open a pool of ``local`` processes or of actors on ``ray``; ``jobs`` of them, by default one for each core."""
+    return RayPool(work, jobs) if where == "ray" else LocalPool(work, jobs or os.cpu_count() or 1)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.poses import Turn
@@ -126,6 +125,8 @@ class Bodies:
 
     def hollow_links(self, thing: Thing) -> tuple[int, ...]:
         """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
+        from simfoundry.geometry.cavity import cavity
+
         if thing not in self._hollow:
             forms = self[thing.owner].forms
             found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)
@@ -168,6 +169,8 @@ def _robot_object(robot: Robot) -> RobotObject | None:
     return None if native is None else as_object(robot, read_robot(robot, native, f"{robot.name}."))
 
 
+@lru_cache(maxsize=1024)
 def _form(link: Link) -> Form | None:
+    """The form of a link; scenes that share an object measure it once."""
     shown = link.colliders or link.visuals
     return Form.of(((piece.geometry, piece.X_LG) for piece in shown), bool(link.colliders)) if shown else None
