@@ -8,10 +8,33 @@ from collections import defaultdict
 from tests.conftest import PACKAGE
 
 SHARED = frozenset(
-    """
-    Answer Asked Cell Contact End Entry Expert Item Library Outcome Part Place Plan Proposal Reach
-    Settled Setup Solid Start Step Subtask Surface Twin Verdict Worker
-    """.split()
+    [
+        "Answer",
+        "Asked",
+        "Cell",
+        "Contact",
+        "End",
+        "Entry",
+        "Expert",
+        "Item",
+        "Library",
+        "Outcome",
+        "Part",
+        "Place",
+        "Plan",
+        "Proposal",
+        "Reach",
+        "Settled",
+        "Setup",
+        "Solid",
+        "Start",
+        "Step",
+        "Subtask",
+        "Surface",
+        "Twin",
+        "Verdict",
+        "Worker",
+    ]
 )
 """Names that still stand for several classes; the list only shrinks."""
 
