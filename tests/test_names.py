@@ -26,7 +26,6 @@ SHARED = frozenset(
         "Reach",
         "Settled",
         "Setup",
-        "Solid",
         "Start",
         "Step",
         "Subtask",
