@@ -80,13 +80,19 @@ def scene(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bench.scene.yaml"
 
 
-def test_check_knows_the_predicate_and_the_robot(scene: Path) -> None:
+def test_check_knows_the_predicate_the_robot_and_the_lint(scene: Path) -> None:
     """The task's goal too; and a wrong argument is a finding, not a crash."""
     done = run("check", scene, scene.with_name("lift.task.yaml"), "--json")
     assert done.code == 0, done.out + done.err
     wrong = scene.with_name("wrong.scene.yaml")
     wrong.write_text(SCENE.replace("Higher(block, 0.01)", "Higher(block)").replace("name: bench", "name: wrong"))
     assert "`Higher`" in run("check", wrong).err
+    heavy = SCENE.replace("material: wood, place", "mass: 2.5, place").replace("name: bench", "name: wrong")
+    wrong.write_text(heavy)
+    found = run("check", wrong).err
+    assert "warning[SF490]" in found and "`block` weighs 2.5 kg, and no robot lifts more than 1.5 kg" in found
+    wrong.write_text(heavy.replace("name: wrong", "name: wrong\nallow: {SF490: it is bolted down}"))
+    assert "SF490" not in run("check", wrong).err
     wrong.unlink()
     assert "my_arm" in robot_names()
     robot = find_robot("my_arm")
