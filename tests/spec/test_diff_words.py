@@ -30,7 +30,7 @@ SCENE: dict[str, Any] = {
         "cup": {
             "shape": {"cylinder": {"radius": 0.04, "height": 0.1}},
             "material": "ceramic",
-            "mass": {"value": 0.2, "range": (0.15, 0.3), "by": "vlm"},
+            "mass": {"value": 0.2, "range": (0.15, 0.3), "source": "vlm"},
             "pose": {"xyz": (0.4, 0.1, 0.05)},
         },
         "bowl": {"shape": {"sphere": 0.1}, "material": "ceramic", "place": {"on": "desk", "xy": (0.2, 0.1)}},
