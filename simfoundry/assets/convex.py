@@ -122,7 +122,7 @@ def mesh_colliders(
 
 def _chosen(vertices: Array, faces: Faces, how: str, name: str, report: Callable[[str], object]) -> Colliders:
     from simfoundry.assets import decompose  # most meshes need no process
-    from simfoundry.assets.simplify import simplified
+    from simfoundry.assets.deviation import simplified
 
     whole, outline = hull(vertices), hull(vertices, limit=len(vertices))
     volume, full = solid_of(vertices, faces).volume, solid_of(*outline).volume

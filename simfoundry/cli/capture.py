@@ -6,18 +6,17 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, NEW_FOLDER
+from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
 from simfoundry.cli.settle import settle_table
 
 
-@click.command()
-@click.argument("capture", type=click.Path(path_type=Path, exists=True))
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Default: build/<capture name>.")
+@subcommand()
+@click.argument("capture", type=ANY)
+@click.option("-o", "--out", type=NEW_FOLDER, help="Default: build/<capture name>.")
 @click.option("--frame", help="The frame to reconstruct; default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output folder even where it holds files or edits of your own.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where an object was left out or settled with a problem.")
-@json_option
-@reporting
 def command(capture: Path, out: Path | None, frame: str | None, force: bool, strict: bool, as_json: bool) -> int:
     """Turn a capture (a folder with capture.yaml, colour and depth) into a settled scene with meshes.
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, NEW_FOLDER
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 
 # NumPy starts threads for large matrices when it is imported: a tenth of the command, and here are none.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -16,8 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 
 
-@click.command()
-@click.argument("scenes", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand()
+@click.argument("scenes", nargs=-1, required=True, type=ANY)
 @click.option(
     "-t",
     "--target",
@@ -26,7 +27,7 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
     help="A backend, a simulator, or your own profile; default: all backends.",
 )
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build"), show_default=True,
+    "-o", "--out", type=NEW_FOLDER, default=Path("build"), show_default=True,
     help="Where the folders of the targets go; of several scenes, a folder for each.",
 )  # fmt: skip
 @click.option("-j", "--jobs", type=click.IntRange(1), help="So many scenes at a time; default: as many as cores.")
@@ -34,8 +35,6 @@ TARGETS = ("mjcf", "urdf", "pybullet", "usd")
 @click.option(
     "--force", is_flag=True, help="Redo what is up to date, and replace folders even where they hold files of your own."
 )
-@json_option
-@reporting
 def command(
     scenes: tuple[Path, ...],
     targets: tuple[str, ...],

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import CannotError, force_option, json_option, print_json, reporting
+from simfoundry.cli.options import ANY, NEW_FILE
+from simfoundry.cli.output import CannotError, print_json, subcommand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -16,16 +17,13 @@ if TYPE_CHECKING:
     from simfoundry.evaluate.statistics.scores import Score
 
 
-@click.command()
-@click.argument("real", type=click.Path(path_type=Path, exists=True))
-@click.argument("sim", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand(force=True)
+@click.argument("real", type=ANY)
+@click.argument("sim", nargs=-1, required=True, type=ANY)
 @click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
 @click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="For intervals.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
-@click.option("--svg", type=click.Path(path_type=Path, dir_okay=False), help="Write the scatter plot.")
-@force_option
-@json_option
-@reporting
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot.")
 def command(
     real: Path,
     sim: tuple[Path, ...],

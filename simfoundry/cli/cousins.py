@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, force_option, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import FILE, NEW_FILE, NEW_FOLDER, resumable
+from simfoundry.cli.options import shard as shard_of
+from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subcommand
 
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.candidate import ImpossibleError
@@ -20,33 +19,21 @@ if TYPE_CHECKING:
     from simfoundry.cousins.run.run import Ledger, Plan
 
 
-def _shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    if value is None:
-        return None
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
-    if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
-    return int(match[1]), int(match[2])
-
-
-@click.command()
-@click.argument("recipe", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@subcommand(force=True)
+@click.argument("recipe", type=FILE)
 @click.option("-n", "--count", type=click.IntRange(1, 1_000_000), help="How many cousins. Default: the recipe's.")
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False),
+    "-o", "--out", type=NEW_FOLDER,
     help="A folder in the project of the twin. Default: build/NAME in it.",
 )  # fmt: skip
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Processes. Default: one for each core.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="In place of the recipe's.")
-@click.option("--shard", callback=_shard, metavar="I/N", help="Examine every N-th candidate from the I-th on.")
+@click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate from the I-th on.")
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
 @click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
 @click.option("--no-gallery", is_flag=True, help="Draw nothing.")
 @click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
-@click.option("--stage", type=click.Path(path_type=Path, dir_okay=False), help="Also a USD stage of all, as variants.")
-@force_option
-@json_option
-@reporting
+@click.option("--stage", type=NEW_FILE, help="Also a USD stage of all, as variants.")
 def command(
     recipe: Path,
     count: int | None,
@@ -90,7 +77,7 @@ def command(
         click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
         read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
     setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
-    with progress_bar(as_json) as progress, _interruptible(folder):
+    with progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
             plan = Plan(folder, count or read.spec.count, read.about(), shard)
@@ -111,15 +98,6 @@ def command(
         if shard is None:
             _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
     return _report(plan, ledger, read.remarks, as_json)
-
-
-@contextmanager
-def _interruptible(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo(f"stopped; what is known is in {out}, and the same command goes on from there", err=True)
-        sys.exit(130)
 
 
 def _write(

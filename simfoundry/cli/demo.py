@@ -7,19 +7,16 @@ from typing import Any
 
 import click
 
-from simfoundry.cli.output import json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, NEW_FOLDER
+from simfoundry.cli.output import print_json, progress_bar, subcommand
 from simfoundry.cli.settle import settle_table
 
 
-@click.command()
-@click.argument("capture", type=click.Path(path_type=Path, exists=True), required=False)
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/demo"), show_default=True
-)
+@subcommand()
+@click.argument("capture", type=ANY, required=False)
+@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/demo"), show_default=True)
 @click.option("--frame", help="The frame to reconstruct; default: the first.")
 @click.option("--force", is_flag=True, help="Replace the output even where it holds files or edits of your own.")
-@json_option
-@reporting
 def command(capture: Path | None, out: Path, frame: str | None, force: bool, as_json: bool) -> None:
     """Capture, compile and run: from one picture to four simulators, and an arm that does a small task there.
 

@@ -7,22 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, force_option, print_json, reporting
+from simfoundry.cli.options import NEW_FILE
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, subcommand
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.compare import DocumentComparison
 
 
-@click.command()
+@subcommand(as_json=False, force=True)
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B]... [FILE]...")
 @click.option("--format", "form", type=click.Choice(["text", "json", "html"]), default="text", show_default=True)
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where the HTML page goes.")
+@click.option("-o", "--out", type=NEW_FILE, help="Where the HTML page goes.")
 @click.option("--exit-code", is_flag=True, help="Exit with 1 where there is a difference.")
 @click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
 @click.option("--git", "driver", is_flag=True, help="Answer git, as its diff driver.")
-@force_option
-@reporting
 def command(
     what: tuple[str, ...], form: str, out: Path | None, exit_code: bool, verbose: bool, driver: bool, force: bool
 ) -> int | None:

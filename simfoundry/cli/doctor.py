@@ -6,12 +6,10 @@ from itertools import groupby
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, json_option, print_json, reporting
+from simfoundry.cli.output import DONE, FINDINGS, print_json, subcommand
 
 
-@click.command()
-@json_option
-@reporting
+@subcommand()
 def command(as_json: bool) -> int:
     """Say what is installed, what is missing and how to get it. Exit code 1 where something required is missing.
 

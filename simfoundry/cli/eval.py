@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import ANY, NEW_FOLDER, files_below, resumable
+from simfoundry.cli.options import shard as shard_of
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
@@ -26,23 +25,14 @@ SENTENCES = 10
 """So many troubles, and comparisons, are printed in words; a screen holds no more beside the table."""
 
 
-def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
-    if match is None or not 1 <= int(match[1]) <= int(match[2]):
-        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
-    return int(match[1]) - 1, int(match[2])
-
-
-@click.command("eval")
-@click.argument("tasks", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True))
+@subcommand("eval")
+@click.argument("tasks", nargs=-1, required=True, type=ANY)
 @click.option(
     "-p", "--policy", "policies", multiple=True, required=True, metavar="[NAME=]POLICY",
     help="random, expert, replay:FILE, python:MODULE:CLASS, a .policy.yaml, or a server: "
     "openpi:localhost:8000?action_space=joint_position.",
 )  # fmt: skip
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/eval"), show_default=True
-)
+@click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
 @click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
 @click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
 @click.option(
@@ -57,10 +47,8 @@ def _shard(_context: click.Context, _option: click.Parameter, value: str) -> tup
 )
 @click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
-@click.option("--shard", callback=_shard, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
+@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
 @click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 where a success rate is below this.")
-@json_option
-@reporting
 def command(
     tasks: tuple[Path, ...],
     policies: tuple[str, ...],
@@ -104,11 +92,11 @@ def command(
         rollouts=rollouts,
         seed=seed,
         engines=tuple(dict.fromkeys(worlds)),
-        shard=shard,
+        shard=(shard[0] - 1, shard[1]),
         cameras=cameras or None,
         video=_can_film(worlds) if video is None else video,
     )
-    with progress_bar(as_json) as progress, _interruptible(out):
+    with progress_bar(as_json) as progress, resumable(out):
         prepare(plan, lambda name, done, of: progress(f"starts of {name}", done / of))
         evaluation = run_plan(plan, jobs, progress)
     return _print_report(plan, evaluation, require, as_json)
@@ -127,7 +115,7 @@ def _can_film(worlds: Sequence[str]) -> bool:
 def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
     from simfoundry.evaluate.entries import Entry, Part
 
-    for path in _documents(tasks):
+    for path in files_below(tasks, ".task.yaml", "tasks"):
         if onward is not None or alone is not None:
             yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
             continue
@@ -135,23 +123,6 @@ def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subta
         if subtasks:
             steps = Entry(path).load().subtasks.values()
             yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
-
-
-def _documents(tasks: Sequence[Path]) -> Iterator[Path]:
-    for path in tasks:
-        inside = sorted(path.rglob("*.task.yaml")) if path.is_dir() else [path]
-        if not inside:
-            raise CannotError(f"{path} holds no tasks: their names end in .task.yaml")
-        yield from inside
-
-
-@contextmanager
-def _interruptible(out: Path) -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        click.echo(f"stopped; what is done is in {out}, and the same command goes on from there", err=True)
-        sys.exit(130)
 
 
 def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:

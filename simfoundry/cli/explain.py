@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.output import CannotError, in_colour, json_option, print_json, reporting
+from simfoundry.cli.output import CannotError, in_colour, print_json, subcommand
 
 if TYPE_CHECKING:
     from simfoundry.spec.check.pages import Page
 
 
-@click.command()
+@subcommand()
 @click.argument("code", required=False)
-@json_option
-@reporting
 def command(code: str | None, as_json: bool) -> None:
     """Explain a code: what it means, how to mend it, what is wrong and what is right.
 

@@ -6,29 +6,18 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    force_option,
-    json_option,
-    print_document,
-    print_json,
-    reporting,
-)
+from simfoundry.cli.options import FILE, NEW_FILE
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_document, print_json, subcommand
 
 
-@click.command()
-@click.argument("task", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@subcommand(force=True)
+@click.argument("task", type=FILE)
 @click.option(
     "-f", "--format", "format_", required=True, type=click.Choice(["libero", "behavior", "omnigibson"]),
     help="BDDL as LIBERO or BEHAVIOR reads it, or the task YAML of the authors' release.",
 )  # fmt: skip
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Default: standard output.")
-@force_option
+@click.option("-o", "--out", type=NEW_FILE, help="Default: standard output.")
 @click.option("--strict", is_flag=True, help="Exit with 1 where something was left out or assumed.")
-@json_option
-@reporting
 def command(task: Path, format_: str, out: Path | None, force: bool, strict: bool, as_json: bool) -> int:
     """Write a task in a format that others read.
 

@@ -6,18 +6,14 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import DONE, force_option, json_option, print_document, print_json, reporting
+from simfoundry.cli.options import FILE, NEW_FILE
+from simfoundry.cli.output import DONE, print_document, print_json, subcommand
 
 
-@click.command()
-@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file, not to the screen."
-)
+@subcommand(force=True)
+@click.argument("file", type=FILE)
+@click.option("-o", "--out", type=NEW_FILE, help="Write to a file, not to the screen.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print the SHA-256 of the text alone.")
-@force_option
-@json_option
-@reporting
 def command(file: Path, out: Path | None, only_hash: bool, force: bool, as_json: bool) -> int:
     """Write a document out in full: what it extends joined in, every default spelled out.
 

@@ -15,11 +15,11 @@ from simfoundry.cli.output import (
     DONE,
     FINDINGS,
     CannotError,
-    json_option,
     print_document,
     print_findings,
     print_json,
-    reporting,
+    subcommand,
+    write_in_place,
 )
 from simfoundry.spec.diagnostics import Diagnostic, SpecError
 
@@ -29,12 +29,10 @@ if TYPE_CHECKING:
 STDIN = Path("-")
 
 
-@click.command()
+@subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
 @click.option("--check", is_flag=True, help="Write nothing; exit code 1 where something would change.")
 @click.option("--diff", is_flag=True, help="Write nothing; show what would change.")
-@json_option
-@reporting
 def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
     """Write documents in their canonical form; comments and meaning stay.
 
@@ -49,7 +47,7 @@ def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> 
     changed = {path: text for path, text in texts.items() if text.changed}
     if not (check or diff):
         for path, text in changed.items():
-            _write(path, text.after)
+            write_in_place(path, text.after)
     if as_json:
         print_json(_report(texts, changed, findings, diff))
     else:
@@ -90,16 +88,6 @@ def _stream(check: bool, diff: bool) -> int:
     elif not check:
         print_document(text.after)
     return FINDINGS if check and text.changed else DONE
-
-
-def _write(path: Path, text: str) -> None:
-    """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.runtime.files import write_atomically
-
-    target = path.resolve()
-    mode = target.stat().st_mode
-    write_atomically(target, text.encode())
-    target.chmod(mode)
 
 
 def _diff(path: Path, text: Formatted) -> str:

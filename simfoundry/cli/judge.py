@@ -7,29 +7,24 @@ from typing import Any
 
 import click
 
-from simfoundry.cli.output import json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import scene_argument
+from simfoundry.cli.output import lower_scene, print_json, subcommand
 from simfoundry.errors import SimfoundryError
 
 
-@click.command()
-@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@subcommand()
+@scene_argument
 @click.argument("conditions", nargs=-1)
-@json_option
-@reporting
 def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
     """Say of predicates, as 'Inside(cup, bowl)', whether they hold in a scene, by how much and why.
 
     Without any, of the scene's own relations. Exit code 1 where one does not hold.
     """
-    from simfoundry.assets.cache import Cache
     from simfoundry.predicates import Judge, PredicateError
-    from simfoundry.scene.lower import lower
     from simfoundry.scene.state import SceneState
-    from simfoundry.spec.load import load_scene
     from simfoundry.spec.models.expressions import ExpressionError, parse_call
 
-    with progress_bar(as_json) as progress:
-        lowered = lower(load_scene(scene), Cache.default(), lambda name, done, total: progress(name, done / total))
+    lowered = lower_scene(scene, as_json)[2]
     judge, state = Judge(lowered), SceneState.initial(lowered)
     rows: list[dict[str, Any]] = []
     for text in conditions or tuple(str(relation) for relation in lowered.relations):

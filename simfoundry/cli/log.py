@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from simfoundry.cli.diff import plain
-from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.cli.output import CannotError, print_json, subcommand
 from simfoundry.spec.diagnostics import printable
 
 if TYPE_CHECKING:
     from simfoundry.spec.change.git.history import HistoryEntry
 
 
-@click.command()
+@subcommand()
 @click.argument("what", nargs=-1, metavar="[REVISION|A..B] FILE", required=True)
 @click.option("-n", "--max-count", type=click.IntRange(1), metavar="N", help="Show at most N commits.")
 @click.option("-v", "--verbose", is_flag=True, help="Also what is only written otherwise.")
-@json_option
-@reporting
 def command(what: tuple[str, ...], max_count: int | None, verbose: bool, as_json: bool) -> None:
     """Say what each commit changed about a document, in the words of the scene; the latest comes first.
 

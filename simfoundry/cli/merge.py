@@ -9,36 +9,31 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from simfoundry.cli.options import NEW_FILE
 from simfoundry.cli.output import (
     DONE,
     FINDINGS,
     CannotError,
-    force_option,
-    json_option,
+    plural,
     print_document,
     print_findings,
     print_json,
-    reporting,
+    subcommand,
+    write_in_place,
 )
 from simfoundry.spec.diagnostics import Diagnostic, printable, render
 
 if TYPE_CHECKING:
-    from simfoundry.spec.change.merge.conflict import MergeConflict
     from simfoundry.spec.change.merge.texts import MergedText
 
 
-@click.command()
+@subcommand(force=True)
 @click.argument("args", nargs=-1, metavar="BASE OURS THEIRS")
-@click.option(
-    "-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Write to a file, not to the screen."
-)
+@click.option("-o", "--out", type=NEW_FILE, help="Write to a file, not to the screen.")
 @click.option(
     "--resolve", "side", type=click.Choice(["ours", "theirs"]), help="Take a side: --resolve ours FILE [PATH]..."
 )
 @click.option("--git", "driver", is_flag=True, help="Answer git, as its merge driver: --git %O %A %B %L %P.")
-@force_option
-@json_option
-@reporting
 def command(
     args: tuple[str, ...],
     out: Path | None,
@@ -75,14 +70,14 @@ def _merge(base: Path, ours: Path, theirs: Path, out: Path | None, force: bool, 
     merged = merge_texts(*texts)
     errors = new_errors(out or ours, merged.text, *texts[1:])
     if out is not None:
-        _write(out, merged.text)
+        write_in_place(out, merged.text)
     if as_json:
         print_json({"out": str(out) if out else None, **_report(merged, errors), "text": merged.text})
     else:
         if out is None:
             print_document(merged.text)
         else:
-            click.echo(f"wrote {out}: {_count(merged.conflicts)}")
+            click.echo(f"wrote {out}: {plural(len(merged.conflicts), 'conflict')}")
         _print(merged, errors, out or ours)
     return FINDINGS if merged.conflicts or errors else DONE
 
@@ -101,13 +96,13 @@ def _driver(args: Sequence[str]) -> int:
         texts = [path.read_bytes().decode("utf-8") for path in (base, ours, theirs)]
         merged = merge_texts(*texts)
         errors = new_errors(Path(name), merged.text, *texts[1:])
-        _write(ours, merged.text)
+        write_in_place(ours, merged.text)
     except Exception as error:  # whatever it is, the user has at least what git alone would have given
         reason = str(error) or type(error).__name__
         click.echo(printable(f"{name}: merged line by line, because {reason}"), err=True)
         return _by_lines(args)
     if merged.conflicts or errors:
-        click.echo(printable(f"{name}: {_count(merged.conflicts)}"), err=True)
+        click.echo(printable(f"{name}: {plural(len(merged.conflicts), 'conflict')}"), err=True)
         _print(merged, errors, Path(name))
     return FINDINGS if merged.conflicts or errors else DONE
 
@@ -144,7 +139,7 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     model = model_of(kind) if kind in KINDS else None
     tree, decided = resolve(read_tree(document), model, side, args[1:])
     text = write_tree(tree, model)
-    _write(out or file, text)
+    write_in_place(out or file, text)
     findings = load(out or file).all_findings()
     if as_json:
         left = tree.data.get("conflicts", {})
@@ -162,17 +157,6 @@ def _text(path: Path) -> str:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
         raise CannotError(f"{path} is no UTF-8 text") from None
-
-
-def _write(path: Path, text: str) -> None:
-    """Write the file itself, not a link to it, with the rights that it has."""
-    from simfoundry.runtime.files import write_atomically
-
-    target = path.resolve()
-    mode = target.stat().st_mode if target.exists() else None
-    write_atomically(target, text.encode())
-    if mode is not None:
-        target.chmod(mode)
 
 
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:
@@ -195,7 +179,3 @@ def _report(merged: MergedText, errors: list[Diagnostic]) -> dict[str, Any]:
 
     conflicts = [{"path": dotted(c.path), **c.record()} for c in merged.conflicts]
     return {"conflicts": conflicts, "findings": [d.to_json() for d in errors]}
-
-
-def _count(conflicts: Sequence[MergeConflict]) -> str:
-    return f"{len(conflicts) or 'no'} conflict{'s' if len(conflicts) != 1 else ''}"

@@ -7,14 +7,12 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.documents import documents
-from simfoundry.cli.output import CANNOT, DONE, FINDINGS, json_option, print_findings, print_json, reporting
+from simfoundry.cli.output import CANNOT, DONE, FINDINGS, print_findings, print_json, subcommand
 
 
-@click.command()
+@subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--check", is_flag=True, help="Write nothing; exit code 1 if a document is out of date.")
-@json_option
-@reporting
 def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     """Bring older documents up to date, in place: their version, and keys that were renamed. Comments stay.
 

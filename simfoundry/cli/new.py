@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import CannotError, json_option, print_json, reporting
+from simfoundry.cli.options import FILE
+from simfoundry.cli.output import CannotError, print_json, subcommand
 
 NEXT = {
     "scene": ("simfoundry check {path}", "simfoundry show {path}"),
@@ -19,16 +20,14 @@ NEXT = {
 """What to do with a new document of each kind."""
 
 
-@click.command()
+@subcommand()
 @click.argument("words", nargs=-1, required=True, metavar="[KIND] PATH")
 @click.option("--name", help="What the document is called; default: as its file.")
-@click.option("--from", "source", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="SCENE",
+@click.option("--from", "source", type=FILE, metavar="SCENE",
               help="The scene of a task, or the twin of a recipe; default: the only one beside PATH.")  # fmt: skip
-@click.option("--extends", type=click.Path(path_type=Path, exists=True, dir_okay=False), metavar="DOCUMENT",
+@click.option("--extends", type=FILE, metavar="DOCUMENT",
               help="Make an overlay: a document that says only what differs from another.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
-@json_option
-@reporting
 def command(
     words: tuple[str, ...], name: str | None, source: Path | None, extends: Path | None, force: bool, as_json: bool
 ) -> None:

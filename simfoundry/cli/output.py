@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TextIO
 
 import click
@@ -21,6 +22,7 @@ from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
 
 if TYPE_CHECKING:
     from simfoundry.scene.model import Camera, Scene
+    from simfoundry.spec.loaded import Loaded
     from simfoundry.spec.models.scene import SceneSpec
 
 P = ParamSpec("P")
@@ -62,6 +64,23 @@ def reporting(command: Callable[P, int | None]) -> Callable[P, int]:
             raise CannotError(f"{error.filename or 'a file'}: {error.strerror or error}") from None
 
     return wrapped
+
+
+def subcommand(
+    name: str | None = None, *, as_json: bool = True, force: bool = False
+) -> Callable[[Callable[..., int | None]], click.Command]:
+    """Make a function a command that reports, with ``--force`` and ``--json`` behind its own options."""
+
+    def decorate(function: Callable[..., int | None]) -> click.Command:
+        wrapped: Any = reporting(function)
+        own = list(getattr(wrapped, "__click_params__", []))
+        wrapped.__click_params__ = []
+        for option in [json_option] * as_json + [force_option] * force:
+            wrapped = option(wrapped)
+        wrapped.__click_params__ += own  # click reverses the list: what is first in it comes last in the help
+        return click.command(name)(wrapped)
+
+    return decorate
 
 
 def print_json(data: Any) -> None:
@@ -111,6 +130,36 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
 def in_colour(stream: TextIO) -> bool:
     """Whether a stream is a terminal whose user did not ask for plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def lower_scene(path: Path, quiet: bool, fetch: bool = True) -> tuple[Loaded, SceneSpec, Scene]:
+    """Load and lower a scene, with a bar; without ``fetch`` no model of a robot is downloaded."""
+    from simfoundry.assets.cache import Cache
+    from simfoundry.scene.lower import lower
+    from simfoundry.spec.load import load_scene
+    from simfoundry.spec.models.scene import SceneSpec
+
+    loaded = load_scene(path)
+    assert isinstance(loaded.spec, SceneSpec)
+    with progress_bar(quiet) as progress:
+        scene = lower(loaded, Cache.default(), lambda name, done, total: progress(name, done / total), fetch)
+    return loaded, loaded.spec, scene
+
+
+def write_in_place(path: Path, text: str) -> None:
+    """Write the file itself, not a link to it, with the rights that it has."""
+    from simfoundry.runtime.files import write_atomically
+
+    target = path.resolve()
+    mode = target.stat().st_mode if target.exists() else None
+    write_atomically(target, text.encode())
+    if mode is not None:
+        target.chmod(mode)
+
+
+def plural(count: int, noun: str) -> str:
+    """A count with its noun: ``no conflicts``, ``1 conflict``."""
+    return f"{count or 'no'} {noun}{'s' if count != 1 else ''}"
 
 
 def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, progress_bar, reporting
+from simfoundry.cli.options import NEW_FOLDER, scene_argument
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 from simfoundry.cli.worlds import WorldName
 
 if TYPE_CHECKING:
@@ -15,10 +16,10 @@ if TYPE_CHECKING:
     from simfoundry.cousins.tasks.enumeration import Proposal
 
 
-@click.command()
-@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@subcommand()
+@scene_argument
 @click.option("-n", "count", type=click.IntRange(1, 1000), default=20, show_default=True, help="How many tasks.")
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="A folder for the task documents.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="A folder for the task documents.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="What the order starts from.")
 @click.option("--about", multiple=True, metavar="OBJECT", help="Objects that tasks may be about; default: all.")
 @click.option("--payload", type=click.FloatRange(0, min_open=True), help="What a robot lifts [kg]; default: known.")
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 @click.option("--engine", "engines", type=WorldName(), multiple=True, default=("mujoco",),
               help="Where what a task asks for lasts, once it is done; may be repeated. Default: MuJoCo.")  # fmt: skip
 @click.option("--rejected", is_flag=True, help="List what was not accepted, too, and why.")
-@json_option
-@reporting
 def command(
     scene: Path,
     count: int,

@@ -6,18 +6,17 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import force_option, print_document, reporting
+from simfoundry.cli.options import NEW_FOLDER
+from simfoundry.cli.output import print_document, subcommand
 from simfoundry.spec.models.kinds import KINDS
 
 WORDS = tuple(kind.partition("/")[0] for kind in KINDS)
 
 
-@click.command()
+@subcommand(as_json=False, force=True)
 @click.argument("kind", type=click.Choice(WORDS), required=False)
-@click.option("-o", "--out", type=click.Path(path_type=Path, file_okay=False), help="Write all of them into a folder.")
+@click.option("-o", "--out", type=NEW_FOLDER, help="Write all of them into a folder.")
 @click.option("--standard", is_flag=True, help="Keywords of JSON Schema alone, for strict validators such as ajv.")
-@force_option
-@reporting
 def command(kind: str | None, out: Path | None, standard: bool, force: bool) -> None:
     """Print the JSON Schema of a kind of document, or write all of them with -o.
 

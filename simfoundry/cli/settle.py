@@ -6,26 +6,15 @@ from pathlib import Path
 
 import click
 
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    force_option,
-    json_option,
-    print_json,
-    progress_bar,
-    reporting,
-)
+from simfoundry.cli.options import NEW_FILE, scene_argument
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, lower_scene, print_json, progress_bar, subcommand
 from simfoundry.cli.worlds import WorldName
 
 
-@click.command()
-@click.argument("scene", type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Where to write the settled scene.")
+@subcommand(force=True)
+@scene_argument
+@click.option("-o", "--out", type=NEW_FILE, help="Where to write the settled scene.")
 @click.option("--engine", type=WorldName(), default="mujoco", show_default=True)
-@force_option
-@json_option
-@reporting
 def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bool) -> int:
     """Let a scene come to rest, and say what moved.
 
@@ -33,13 +22,9 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
     1 where an object fails: it moved, tilted, topples when nudged, penetrates, lost its support, fell, or never came to
     rest.
     """
-    from simfoundry.assets.cache import Cache
     from simfoundry.runtime.files import write_atomically
     from simfoundry.runtime.outputs import ensure_replaceable
-    from simfoundry.scene.lower import lower
     from simfoundry.scene.poses import with_state
-    from simfoundry.spec.load import load_scene
-    from simfoundry.spec.models.scene import SceneSpec
     from simfoundry.spec.yaml.write import to_yaml
     from simfoundry.worlds import open_world
     from simfoundry.worlds.settle import settle
@@ -48,16 +33,13 @@ def command(scene: Path, out: Path | None, engine: str, force: bool, as_json: bo
         raise CannotError(
             "write the settled scene beside the original: its paths to meshes are relative to that folder"
         )
-    loaded = load_scene(scene)
+    loaded, spec, lowered = lower_scene(scene, as_json)
     if out is not None:
         ensure_replaceable(out, [scene, *loaded.files()], force)
-    with progress_bar(as_json) as progress:
-        lowered = lower(loaded, Cache.default(), lambda name, done, total: progress(name, 0.5 * done / total))
-        with open_world(lowered, engine) as world:
-            settled = settle(world, progress=lambda stage, share: progress(stage, 0.5 + 0.5 * share))
+    with progress_bar(as_json) as progress, open_world(lowered, engine) as world:
+        settled = settle(world, progress=progress)
     if out is not None:
-        assert isinstance(loaded.spec, SceneSpec)
-        write_atomically(out, to_yaml(with_state(loaded.spec, lowered, settled.state)).encode())
+        write_atomically(out, to_yaml(with_state(spec, lowered, settled.state)).encode())
     if as_json:
         print_json({**settled.to_json(), "out": None if out is None else str(out)})
     else:

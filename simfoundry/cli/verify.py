@@ -3,43 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from simfoundry.cli.output import (
-    DONE,
-    FINDINGS,
-    CannotError,
-    force_option,
-    json_option,
-    print_json,
-    progress_bar,
-    reporting,
-)
+from simfoundry.cli.options import ANY, NEW_FILE, files_below
+from simfoundry.cli.output import DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 
 if TYPE_CHECKING:
     from simfoundry.verify.engines import InstalledEngine, VerifyEngine
     from simfoundry.verify.rest import RestResult
     from simfoundry.verify.run import BehaviourResult, ReadbackResult, SceneBuilds
 
+    Found = Mapping[str, InstalledEngine | None]
 
-@click.command()
-@click.argument("specs", nargs=-1, type=click.Path(path_type=Path, exists=True))
+
+class VerifyResults(NamedTuple):
+    """What was read back, how machines behaved, and where scenes came to rest."""
+
+    readings: Sequence[ReadbackResult]
+    results: Sequence[BehaviourResult]
+    rested: Sequence[RestResult]
+
+    @property
+    def ok(self) -> bool:
+        """Nothing differs without a known reason."""
+        from simfoundry.verify.run import ProofStatus
+
+        outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*self.readings, *self.results, *self.rested]
+        return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
+
+
+@subcommand(force=True)
+@click.argument("specs", nargs=-1, type=ANY)
 @click.option("--engine", "engines", multiple=True, metavar="NAME", help="Default: all that are found.")
-@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Run things, too.")
+@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Measure behaviours, too.")
 @click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False), help="Verify this build.")
 @click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="An interpreter that has engines.")
 @click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
 @click.option("--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True, help="Seconds for a build.")
-@click.option("--html", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with tables and pictures.")
-@force_option
+@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures.")
 @click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Engines at a time.")
-@json_option
-@reporting
 def command(
     specs: tuple[Path, ...],
     engines: tuple[str, ...],
@@ -64,7 +71,7 @@ def command(
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 
-    paths = list(_scenes(specs))
+    paths = list(files_below(specs, ".scene.yaml", "scenes"))
     if build is not None and len(paths) != 1:
         raise CannotError("--build takes one scene: the one that the build was made of")
     if not paths and not behaviours:
@@ -82,37 +89,21 @@ def command(
         subjects = _subjects(stack, paths, build, found, progress)
         if build is not None:
             found = {n: f for n, f in found.items() if f is None or n in subjects[0].builds}
-        readings, results, rested = _verify(subjects, found, behaviours, jobs, timeout, progress)
+        verified = _verify(subjects, found, behaviours, jobs, timeout, progress)
         if html is not None:
-            _write_page(html, readings, results, rested, found, subjects)
+            _write_page(html, verified, found, subjects)
     missing = [engine.name for engine in required if found.get(engine.name) is None]
     if as_json:
-        print_json(_finite(_json(readings, results, rested, found, wanted)))
+        print_json(_finite(_json(verified, found, wanted)))
     else:
-        _print(readings, results, rested, found, wanted)
+        _print(verified, found, wanted)
     for name in missing:
         click.echo(f"{name} is required and was not found, or has nothing to read", err=True)
-    bad = not _all_fine(readings, results, rested)
-    return FINDINGS if bad or missing else DONE
-
-
-def _scenes(specs: Sequence[Path]) -> Iterator[Path]:
-    for path in specs:
-        if not path.is_dir():
-            yield path
-            continue
-        inside = sorted(path.rglob("*.scene.yaml"))
-        if not inside:
-            raise CannotError(f"{path} holds no scenes: their names end in .scene.yaml")
-        yield from inside
+    return DONE if verified.ok and not missing else FINDINGS
 
 
 def _subjects(
-    stack: ExitStack,
-    paths: Sequence[Path],
-    build: Path | None,
-    found: Mapping[str, InstalledEngine | None],
-    progress: Callable[[str, float], None],
+    stack: ExitStack, paths: Sequence[Path], build: Path | None, found: Found, progress: Callable[[str, float], None]
 ) -> list[SceneBuilds]:
     """Every scene lowered and compiled for the engines that are there."""
     import tempfile
@@ -129,7 +120,7 @@ def _subjects(
         scene = lower_file(path, Cache.default())
         subject = built(_name(path, paths), scene, here, folder / str(k))
         if build is not None:
-            there = {engine.name: folder for engine in here if (folder := engine.folder_in(build)) is not None}
+            there = {engine.name: place for engine in here if (place := engine.folder_in(build)) is not None}
             if not there:
                 targets = ", ".join(dict.fromkeys(engine.build.name for engine in here))
                 raise CannotError(f"{build} holds none of {targets}: name the folder that `compile -o` made")
@@ -139,20 +130,19 @@ def _subjects(
 
 
 def _name(path: Path, paths: Sequence[Path]) -> str:
-    """The name of a file without its endings, with its folder where two are called the same."""
+    """The name of a file without its endings, with its folder if another one has the same name."""
     name = path.name.removesuffix(".scene.yaml")
-    twins = sum(other.name == path.name for other in paths)
-    return f"{path.parent.name}/{name}" if twins > 1 else name
+    return f"{path.parent.name}/{name}" if sum(other.name == path.name for other in paths) > 1 else name
 
 
 def _verify(
     subjects: Sequence[SceneBuilds],
-    found: Mapping[str, InstalledEngine | None],
+    found: Found,
     behaviours: bool,
     jobs: int,
     timeout: float,
     progress: Callable[[str, float], None],
-) -> tuple[list[ReadbackResult], list[BehaviourResult], list[RestResult]]:
+) -> VerifyResults:
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.rest import settle_subjects
     from simfoundry.verify.run import measure_behaviours, read_subjects
@@ -166,58 +156,39 @@ def _verify(
     def report(engine: str, units: int) -> None:
         nonlocal done
         done += units
-        progress(engine, 0.3 + 0.7 * done / max(1, work))
+        progress(engine, 0.3 + 0.7 * done / max(1, work))  # compiling took the first 0.3
 
-    readings = read_subjects(subjects, readable, report, jobs, timeout) if subjects else []
-    results = measure_behaviours(BEHAVIOURS, here, report, jobs, timeout) if behaviours else []
-    rested = settle_subjects(subjects, readable, report, jobs, timeout) if behaviours else []
-    return readings, results, rested
+    return VerifyResults(
+        read_subjects(subjects, readable, report, jobs, timeout) if subjects else [],
+        measure_behaviours(BEHAVIOURS, here, report, jobs, timeout) if behaviours else [],
+        settle_subjects(subjects, readable, report, jobs, timeout) if behaviours else [],
+    )
 
 
-def _write_page(
-    path: Path,
-    readings: Sequence[ReadbackResult],
-    results: Sequence[BehaviourResult],
-    rested: Sequence[RestResult],
-    found: Mapping[str, InstalledEngine | None],
-    subjects: Sequence[SceneBuilds],
-) -> None:
+def _write_page(path: Path, verified: VerifyResults, found: Found, subjects: Sequence[SceneBuilds]) -> None:
     from simfoundry.reports.verification import page
     from simfoundry.runtime.files import write_atomically
     from simfoundry.verify.behaviours import BEHAVIOURS
     from simfoundry.verify.pictures import picture
 
     pictures = {s.name: picture(s.scene) for s in subjects}
-    write_atomically(path, page(readings, results, BEHAVIOURS, found, pictures, rested).encode())
+    text = page(verified.readings, verified.results, BEHAVIOURS, found, pictures, verified.rested)
+    write_atomically(path, text.encode())
 
 
-def _all_fine(
-    readings: Sequence[ReadbackResult], results: Sequence[BehaviourResult], rested: Sequence[RestResult]
-) -> bool:
-    from simfoundry.verify.run import ProofStatus
-
-    outcomes: list[ReadbackResult | BehaviourResult | RestResult] = [*readings, *results, *rested]
-    return all(outcome.verdict in (ProofStatus.OK, ProofStatus.KNOWN) for outcome in outcomes)
-
-
-def _json(
-    readings: Sequence[ReadbackResult],
-    results: Sequence[BehaviourResult],
-    rested: Sequence[RestResult],
-    found: Mapping[str, InstalledEngine | None],
-    wanted: Mapping[str, VerifyEngine],
-) -> dict[str, Any]:
+def _json(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> dict[str, Any]:
+    engines: dict[str, dict[str, Any]] = {
+        name: {"found": False, "install": wanted[name].spec.install}
+        if f is None
+        else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
+        for name, f in found.items()
+    }
     return {
-        "ok": _all_fine(readings, results, rested),
-        "engines": {
-            name: {"found": False, "install": wanted[name].spec.install}
-            if f is None
-            else {"found": True, "version": f.version, "python": str(f.python), "target": f.engine.build.name}
-            for name, f in found.items()
-        },
-        "readings": [r.to_json() for r in readings],
-        "behaviours": [m.to_json() for m in results],
-        "left_alone": [r.to_json() for r in rested],
+        "ok": verified.ok,
+        "engines": engines,
+        "readings": [r.to_json() for r in verified.readings],
+        "behaviours": [m.to_json() for m in verified.results],
+        "left_alone": [r.to_json() for r in verified.rested],
     }
 
 
@@ -230,17 +201,12 @@ def _finite(data: Any) -> Any:
     return None if isinstance(data, float) and not math.isfinite(data) else data
 
 
-def _print(
-    readings: Sequence[ReadbackResult],
-    results: Sequence[BehaviourResult],
-    rested: Sequence[RestResult],
-    found: Mapping[str, InstalledEngine | None],
-    wanted: Mapping[str, VerifyEngine],
-) -> None:
+def _print(verified: VerifyResults, found: Found, wanted: Mapping[str, VerifyEngine]) -> None:
     from simfoundry.reports.verification import summary
     from simfoundry.verify import tables
     from simfoundry.verify.behaviours import BEHAVIOURS
 
+    readings, results, rested = verified
     if readings:
         click.echo(tables.readings_table(readings, found) + "\n")
     if results:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 
-class WorldName(click.ParamType):
+class WorldName(click.ParamType):  # type: ignore[type-arg]  # generic from click 8.4 on, and 8.1 will do
     """A simulator that scenes can be run in; it is looked up when it is given, so that ``--help`` loads none."""
 
     name = "simulator"

@@ -20,7 +20,7 @@ from simfoundry.assets.cache import Cache
 from simfoundry.backends.robot_models.mujoco_robot import read_robot
 from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
-from simfoundry.evaluate.expert.grasps import down, grasps, jaws
+from simfoundry.evaluate.expert.grasps import down, grasps
 from simfoundry.evaluate.expert.places import places
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ActionSpace, Image
@@ -33,6 +33,7 @@ from simfoundry.predicates import Judge, PredicateError, StateBatch
 from simfoundry.render.gl import Engine, choose_engine
 from simfoundry.render.montage import png_bytes, side_by_side
 from simfoundry.render.raycast import raycast
+from simfoundry.robots.fingers import jaws
 from simfoundry.runtime.extras import MissingExtraError, need_extra
 from simfoundry.runtime.files import staged, write_atomically, write_files
 from simfoundry.runtime.outputs import ensure_folder_replaceable

@@ -32,6 +32,13 @@ class TaskExport:
     text: str = ""
     notes: list[str] = field(default_factory=list)
 
+    def args(self, call: Call) -> list[str]:
+        """Return the objects of a predicate, with a note where it means a part of one."""
+        args = [object_of(arg) for arg in call.args]
+        if args != list(call.args):
+            self.notes.append(f"{call}: the whole of the object is meant, not its part")
+        return args
+
 
 def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
     """Return the task in one of :data:`FORMATS`; raises :class:`TaskExportError`."""
@@ -41,7 +48,7 @@ def export_task(spec: TaskSpec, scene: Scene, format_: str) -> TaskExport:
     if format_ == "omnigibson":
         export.text = _omnigibson(spec, scene, export)
     else:
-        export.text = _bddl(spec, scene, format_, export)
+        export.text = _bddl(spec, scene, is_libero=format_ == "libero", export=export)
     return export
 
 
@@ -57,7 +64,7 @@ def atoms(condition: Any) -> list[tuple[Call, bool]]:
     raise TaskExportError("the goal joins predicates by `any`, or negates several: only `behavior` can say that")
 
 
-def owner(name: str) -> str:
+def object_of(name: str) -> str:
     """Return the object of ``object.part``."""
     return name.partition(".")[0]
 
@@ -66,7 +73,7 @@ def support(scene: Scene, name: str) -> SceneObject:
     """Return the object that another stands on by the scene's relations; else the first fixed object."""
     for relation in scene.relations:
         if relation.predicate == "OnTop" and relation.args[0] == name:
-            return scene.object(owner(relation.args[1]))
+            return scene.object(object_of(relation.args[1]))
     fixed = next((item for item in scene.objects if item.fixed), None)
     if fixed is None:
         raise TaskExportError(f"nothing tells what `{name}` stands on; add a relation `OnTop({name}, …)` to the scene")
@@ -85,31 +92,32 @@ _UNSAID = ("Released",)
 """Predicates that may be left out: the others' `On` and `In` ask for contact and nothing of the gripper."""
 
 
-def _bddl(spec: TaskSpec, scene: Scene, format_: str, export: TaskExport) -> str:
-    libero = format_ == "libero"
-    names = {o.name: o.name for o in scene.objects} if libero else _synsets(scene, export)
+def _bddl(spec: TaskSpec, scene: Scene, is_libero: bool, export: TaskExport) -> str:
+    names = {o.name: o.name for o in scene.objects} if is_libero else _synsets(scene, export)
     regions: dict[str, list[str]] = {}
-    goal = _libero_goal(spec, regions, export) if libero else _behavior_goal(spec.goal, names, export)
+    goal = _libero_goal(spec, regions, export) if is_libero else _behavior_goal(spec.goal, names, export)
     if not goal:
         raise TaskExportError("nothing of the goal can be said in this format")
-    init = list(_init(spec, scene, names, regions, libero, export))
-    fixed = {o.name for o in scene.objects if o.fixed or o.joints}
+    init = list(_libero_init(spec, scene, regions, export) if is_libero else _behavior_init(spec, scene, names, export))
     # LIBERO chooses the class of its environment by the name of the problem, and the task by that of the file.
-    name = "LIBERO_Tabletop_Manipulation" if libero else f"{spec.name or 'task'}-0"
-    sections = [f"(define (problem {name})"]
-    sections.append(f"  (:domain {'robosuite' if libero else 'omnigibson'})")
-    if libero:
-        sections.append(f"  (:language {spec.instruction.replace('(', ' ').replace(')', ' ')})")
-        sections.append(_block(":regions", [line for lines in regions.values() for line in lines]))
-        sections.append(_block(":fixtures", [f"{o.name} - {_kind(o)}" for o in scene.objects if o.name in fixed]))
-        sections.append(_block(":objects", [f"{o.name} - {_kind(o)}" for o in scene.objects if o.name not in fixed]))
-        sections.append(_block(":obj_of_interest", _interest(spec)))
+    name = "LIBERO_Tabletop_Manipulation" if is_libero else f"{spec.name or 'task'}-0"
+    sections = [f"(define (problem {name})", f"  (:domain {'robosuite' if is_libero else 'omnigibson'})"]
+    if is_libero:
+        kinds: dict[bool, list[str]] = {True: [], False: []}
+        for item in scene.objects:
+            kinds[bool(item.fixed or item.joints)].append(f"{item.name} - {_kind(item)}")
+        interest = list(dict.fromkeys(object_of(arg) for call, _ in atoms(spec.goal) for arg in call.args))
+        sections += [
+            f"  (:language {spec.instruction.replace('(', ' ').replace(')', ' ')})",
+            _block(":regions", [line for lines in regions.values() for line in lines]),
+            _block(":fixtures", kinds[True]),
+            _block(":objects", kinds[False]),
+            _block(":obj_of_interest", interest),
+        ]
     else:
-        kinds = {names[o.name]: names[o.name].rpartition("_")[0] for o in scene.objects}
-        listed = [f"{name} - {kind}" for name, kind in kinds.items()]
+        listed = [f"{name} - {name.rpartition('_')[0]}" for name in names.values()]
         sections.append(_block(":objects", [*listed, "agent.n.01_1 - agent.n.01"]))
-    sections += [_block(":init", init), f"  (:goal\n    {goal}\n  )", ")", ""]
-    return "\n".join(sections)
+    return "\n".join([*sections, _block(":init", init), f"  (:goal\n    {goal}\n  )", ")", ""])
 
 
 def _block(name: str, lines: list[str]) -> str:
@@ -118,10 +126,6 @@ def _block(name: str, lines: list[str]) -> str:
 
 def _kind(item: SceneObject) -> str:
     return item.category or item.name
-
-
-def _interest(spec: TaskSpec) -> list[str]:
-    return list(dict.fromkeys(owner(arg) for call, _ in atoms(spec.goal) for arg in call.args))
 
 
 def _synsets(scene: Scene, export: TaskExport) -> dict[str, str]:
@@ -164,29 +168,23 @@ def _behavior_goal(condition: Any, names: dict[str, str], export: TaskExport) ->
         if call.predicate in _UNSAID:
             export.notes.append(f"{call}: the format asks nothing of the gripper")
             return None
-        if call.predicate not in _BEHAVIOR or any(owner(arg) not in names for arg in call.args):
+        if call.predicate not in _BEHAVIOR or any(object_of(arg) not in names for arg in call.args):
             raise TaskExportError(f"BEHAVIOR has no predicate for `{call}`")
-        for arg in call.args:
-            if "." in arg:
-                export.notes.append(f"{call}: the whole of `{owner(arg)}` is meant, not `{arg}`")
-        atom = f"({_BEHAVIOR[call.predicate]} {' '.join('?' + names[owner(arg)] for arg in call.args)})"
+        atom = f"({_BEHAVIOR[call.predicate]} {' '.join('?' + names[arg] for arg in export.args(call))})"
         return f"(not {atom})" if call.predicate == "Closed" else atom
     said = [text for text in (_behavior_goal(item, names, export) for item in below) if text]
-    if not said:
-        return None
-    return f"({_JOINED[tag]} {' '.join(said)})"
+    return f"({_JOINED[tag]} {' '.join(said)})" if said else None
 
 
-def _init(
-    spec: TaskSpec, scene: Scene, names: dict[str, str], regions: dict[str, list[str]], libero: bool, export: TaskExport
-) -> Iterator[str]:
-    if not libero:
-        for relation in scene.relations:
-            if relation.predicate in ("OnTop", "Inside") and all(arg in names for arg in relation.args):
-                yield f"({_BEHAVIOR[relation.predicate]} {' '.join(names[arg] for arg in relation.args)})"
-        if spec.reset.objects:
-            export.notes.append("ranges of the reset: the format has none")
-        return
+def _behavior_init(spec: TaskSpec, scene: Scene, names: dict[str, str], export: TaskExport) -> Iterator[str]:
+    for relation in scene.relations:
+        if relation.predicate in ("OnTop", "Inside") and all(arg in names for arg in relation.args):
+            yield f"({_BEHAVIOR[relation.predicate]} {' '.join(names[arg] for arg in relation.args)})"
+    if spec.reset.objects:
+        export.notes.append("ranges of the reset: the format has none")
+
+
+def _libero_init(spec: TaskSpec, scene: Scene, regions: dict[str, list[str]], export: TaskExport) -> Iterator[str]:
     for name, region in spec.reset.objects.items():
         below = support(scene, name)
         X_SW = below.X_WO.inverse()
@@ -199,10 +197,9 @@ def _init(
             f"  (:ranges (({x0:.6g} {y0:.6g} {x1:.6g} {y1:.6g}))) (:yaw_rotation (({low:.6g} {high:.6g}))))",
         ]
         yield f"(On {name} {below.name}_{name}_init_region)"
-    for thing, joints in spec.start.joints.items():
-        for joint in joints:
-            export.notes.append(f"position of {thing}.{joint} at the start: the format says open, and not how far")
-            yield f"(Open {_region(f'{thing}.{joint}', regions)})"
+    for thing, joint in ((thing, joint) for thing, joints in spec.start.joints.items() for joint in joints):
+        export.notes.append(f"position of {thing}.{joint} at the start: the format says open, and not how far")
+        yield f"(Open {_region(f'{thing}.{joint}', regions)})"
 
 
 # The authors' task YAML ----------------------------------------------------------------------------------------------
@@ -241,33 +238,23 @@ def _omnigibson(spec: TaskSpec, scene: Scene, export: TaskExport) -> str:
     }
     if spec.start.joints:
         config["group_init_joint_positions"] = {k: dict(v) for k, v in spec.start.joints.items()}
-    document = {
-        "task_name": spec.name or "task",
-        "language_instruction": spec.instruction,
-        "og_task_config": config,
-    }
+    names = {"task_name": spec.name or "task", "language_instruction": spec.instruction}
+    document = names | {"og_task_config": config}
     return str(yaml.safe_dump(document, sort_keys=False, allow_unicode=True))
 
 
 def _predicate(call: Call, wanted: bool, scene: Scene, export: TaskExport) -> dict[str, Any]:
     if call.predicate not in _STATES:
         raise TaskExportError(f"the release has no state for `{call}`")
-    args = [owner(arg) for arg in call.args]
-    if args != list(call.args):
-        export.notes.append(f"{call}: the whole of the object is meant, not its part")
+    args = export.args(call)
     objects = {item.name for item in scene.objects}
     group, other = (*(arg if arg in objects else "robot" for arg in args), None)[:2]
     if call.predicate in ("Grasped", "Released"):
         group, other = "robot", args[0]
     if call.predicate in ("Closed", "Released"):
         wanted = not wanted
-    return {
-        "state": _STATES[call.predicate],
-        "state_kwargs": None,
-        "value": wanted,
-        "group": group,
-        "other_group": other,
-    }
+    state = {"state": _STATES[call.predicate], "state_kwargs": None, "value": wanted}
+    return state | {"group": group, "other_group": other}
 
 
 def _ranges(spec: TaskSpec, scene: Scene, export: TaskExport) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,38 +12,18 @@ from simfoundry.lint.draft import DraftScene
 from simfoundry.lint.lints import Lint, Subject
 from simfoundry.lint.report import Path_, warning
 from simfoundry.lint.too_wide import acting_robots
+from simfoundry.robots.reach import Hand, Miss, hands_of, nearest_miss
 from simfoundry.scene.lengths import length, number
 from simfoundry.scene.object_shapes import link_bounds
-from simfoundry.scene.poses import pose
 from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.models.expressions import Call
 from simfoundry.spec.models.predicate import Effect
 
 
-class _Base(NamedTuple):
-    """Where a robot stands along the ground [m], and how far from there it can grasp [m]."""
-
-    name: str
-    at: tuple[float, float]
-    reach: float
-
-
-class _Miss(NamedTuple):
-    """The robot that misses something by least, and the distance of that from its base [m]."""
-
-    base: _Base
-    distance: float
-
-    @property
-    def lacking(self) -> float:
-        """How much farther the robot would have to reach [m]."""
-        return self.distance - self.base.reach
-
-
 def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
     """Find what must be got to and is out of reach, at the start or in a corner of its reset."""
-    draft, bases = subject.scene, _bases(subject)
-    if not bases:
+    draft, hands = subject.scene, hands_of(acting_robots(subject))
+    if not hands:
         return
     seen = set[str]()
     for call, path in subject.pending:
@@ -54,28 +33,15 @@ def out_of_reach(subject: Subject) -> Iterator[Diagnostic]:
                 continue
             if owner in subject.task.reset.objects:
                 seen.add(owner)
-                yield from _far_corner(subject, owner, bases)
-            elif (miss := _nearest(bases, [_distance(draft, base, name) for base in bases])) is not None:
+                yield from _far_corner(subject, owner, hands)
+            elif (miss := nearest_miss(hands, [_distance(draft, hand, name) for hand in hands])) is not None:
                 seen.add(owner)
                 yield _finding(subject, path, f"`{name}`", name, miss)
         if call.predicate == "At":
             x, y = (float(v) for v in call.args[1:3])
-            miss = _nearest(bases, [math.dist((x, y), base.at) for base in bases])
+            miss = nearest_miss(hands, [math.dist((x, y), hand.at) for hand in hands])
             if miss is not None:
                 yield _finding(subject, path, f"`({x:g}, {y:g})`", "", miss)
-
-
-def _bases(subject: Subject) -> list[_Base]:
-    """The robots; none where it is not known of each how far it reaches."""
-    found = []
-    for name, robot in acting_robots(subject).items():
-        known = robot.known()
-        reach = robot.reach or (known.reach if known is not None else None)
-        if reach is None:
-            return []
-        x, y, _ = pose(robot.pose).p.tolist()
-        found.append(_Base(name, (x, y), reach))
-    return found
 
 
 def _needed(call: Call) -> tuple[str, ...]:
@@ -86,29 +52,23 @@ def _needed(call: Call) -> tuple[str, ...]:
     return call.args[:1] if effect.moves_object or effect is Effect.JOINT else ()
 
 
-def _distance(draft: DraftScene, base: _Base, name: str) -> float:
+def _distance(draft: DraftScene, hand: Hand, name: str) -> float:
     """How far the nearest bounds of an object, or of the link that is meant, are from a base along the ground [m]."""
     owner, _, part = name.partition(".")
-    at = np.array(base.at)
+    at = np.array(hand.at)
     spans = [(low[:2], high[:2]) for low, high in link_bounds(draft.scene.by_name[owner], part)]
     return min(float(np.hypot(*np.maximum(0.0, np.maximum(low - at, at - high)))) for low, high in spans)
 
 
-def _nearest(bases: list[_Base], distances: list[float]) -> _Miss | None:
-    """The robot that misses by least; None where one is near enough."""
-    miss = min((_Miss(base, d) for base, d in zip(bases, distances, strict=True)), key=lambda m: m.lacking)
-    return miss if miss.lacking > 0 else None
-
-
-def _far_corner(subject: Subject, name: str, bases: list[_Base]) -> Iterator[Diagnostic]:
+def _far_corner(subject: Subject, name: str, hands: tuple[Hand, ...]) -> Iterator[Diagnostic]:
     """The corner of a reset's region that is farthest out of reach."""
     region = subject.task.reset.objects[name]
     low, high = subject.scene.bounds[name]
     x, y, _ = subject.scene.scene.by_name[name].X_WO.p.tolist()
     around = max(math.dist(corner, (x, y)) for corner in product((low[0], high[0]), (low[1], high[1])))
-    worst: tuple[_Miss, tuple[float, float]] | None = None
+    worst: tuple[Miss, tuple[float, float]] | None = None
     for corner in product(region.x, region.y):
-        miss = _nearest(bases, [math.dist(corner, base.at) - around for base in bases])
+        miss = nearest_miss(hands, [math.dist(corner, hand.at) - around for hand in hands])
         if miss is not None and (worst is None or miss.lacking > worst[0].lacking):
             worst = miss, corner
     if worst is not None:
@@ -116,11 +76,10 @@ def _far_corner(subject: Subject, name: str, bases: list[_Base]) -> Iterator[Dia
         yield _finding(subject, path, f"`{name}` in the corner ({cx:g}, {cy:g}) of its region", name, worst[0])
 
 
-def _finding(subject: Subject, path: Path_, what: str, name: str, miss: _Miss) -> Diagnostic:
-    base = miss.base
-    message = f"{what} is {miss.distance:.2f} m from `{base.name}`, which reaches {number(base.reach)} m"
+def _finding(subject: Subject, path: Path_, what: str, name: str, miss: Miss) -> Diagnostic:
+    message = f"{what} is {miss.distance:.2f} m from `{miss.hand.name}`, which reaches {number(miss.reach)} m"
     hint = f"bring the two {length(miss.lacking)} closer; `reach` says how far a robot can grasp"
-    return warning(subject.loaded, "SF408", path, message, hint, (name.partition(".")[0], base.name))
+    return warning(subject.loaded, "SF408", path, message, hint, (name.partition(".")[0], miss.hand.name))
 
 
 LINT = Lint("SF408", ("task/1",), out_of_reach)

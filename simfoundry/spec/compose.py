@@ -1,4 +1,4 @@
-"""``extends``: a document joined with the one that it changes; every value remembers the file that it stands in."""
+"""Join a document with those that it ``extends``; every value keeps the file that it comes from."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _RIVALS: dict[str, set[str]] = {
 
 
 def compose(document: Document, kind: str, root: Path) -> tuple[Document, list[Diagnostic], list[Path]]:
-    """The document with what it extends, findings on the way, and the files that it extends, nearest first.
+    """Return the joined document, findings, and the files that it extends, the nearest first.
 
     Where a base cannot be used the document comes back as it is, with the reason among the findings.
     """
@@ -73,7 +73,7 @@ def _keys(node: Node) -> dict[str, Node]:
 
 
 def _base(document: Document, path: Path, kind: str, root: Path, before: list[Path]) -> Document | Diagnostic:
-    """The document that one extends, or why there is none."""
+    """Return the document that one extends, or a finding that says why it cannot be used."""
     written = _keys(document.root)["extends"].value
     place = ("extends",)
     if not isinstance(written, str):
@@ -104,7 +104,7 @@ def _base(document: Document, path: Path, kind: str, root: Path, before: list[Pa
 
 
 def _own(node: Node, file: str) -> None:
-    """Mark every value with the file that it stands in."""
+    """Mark every value with the file that it comes from."""
     todo = [node]
     while todo:
         node = todo.pop()
@@ -117,7 +117,7 @@ def _own(node: Node, file: str) -> None:
 
 @dataclass
 class _Joining:
-    """Joins the document ``file`` with what it extends."""
+    """Joins the document ``file`` with its base."""
 
     kind: str
     file: str
@@ -125,7 +125,7 @@ class _Joining:
     added: dict[Path_, tuple[str, ...]] = field(default_factory=dict)
 
     def join(self, base: Node, over: Node, path: tuple[str, ...]) -> Node:
-        """``base`` as ``over`` changes it: mappings key by key, all else replaced, null removed."""
+        """Return ``base`` changed by ``over``: mappings key by key, all else replaced, null removes."""
         if not isinstance(base.children, dict) or not isinstance(over.children, dict):
             return over
         children, keys = dict(base.children), dict(base.keys)
@@ -145,7 +145,7 @@ class _Joining:
         return _mapping(over, children, {key: keys[key] for key in children})
 
     def rivals(self, key: str, path: tuple[str, ...], children: dict[str, Node]) -> list[str]:
-        """The keys that ``key`` replaces; none in a mapping by name, where keys are names, nor of one by name."""
+        """Return the keys that ``key`` replaces; none in mappings by name."""
         rivals = sorted(_RIVALS.get(key, set()) & children.keys())
         if rivals:
             from simfoundry.spec.models.types import is_mapping, models_at
@@ -168,7 +168,7 @@ def _mapping(like: Node, children: dict[str, Node], keys: dict[str, tuple[int, i
 
 
 def _take_over(node: Node, kind: str, from_file: str, to_file: str) -> None:
-    """Rewrite the files that a base names so that they are meant from where the upper document stands."""
+    """Make the file references of a base relative to the folder of the upper document."""
     here, there = Path(from_file).parent.resolve(), Path(to_file).parent.resolve()
     if here == there:
         return
@@ -196,7 +196,7 @@ def _leaves(node: Node, pattern: tuple[str, ...]) -> Iterator[Node]:
 
 
 def _refresh(node: Node) -> None:
-    """Compute the values of collections anew from what stands in them."""
+    """Recompute the values of collections from their members."""
     if isinstance(node.children, dict):
         for child in node.children.values():
             _refresh(child)

@@ -1,4 +1,4 @@
-"""One kind of finding for the whole project: a code, a place, what was expected and what to do."""
+"""Diagnostics: findings with a code, a place, what was expected and what to do."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHOWN = 160
 
 
 class Severity(StrEnum):
-    """How much a finding matters."""
+    """Severity of a finding."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -23,7 +23,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A finding at a place: ``line`` and ``column`` count from 1, 0 where the whole file is meant.
+    """A finding at a place: ``line`` and ``column`` count from 1; 0 means the whole file.
 
     ``about`` names the things that it concerns beside those of ``path``, for an ``allow`` that silences it for one.
     """
@@ -40,16 +40,16 @@ class Diagnostic:
 
     @property
     def document(self) -> str:
-        """The file alone where ``file`` names a place in it in another way than by lines, as ``a.usda</World/cup>``."""
+        """The file alone, if ``file`` also names a place in it, as ``a.usda</World/cup>``."""
         return self.file.partition("</")[0]
 
     def to_json(self) -> dict[str, Any]:
-        """A plain mapping for ``--json``."""
+        """Return a plain mapping for ``--json``."""
         return {key: value for key, value in asdict(self).items() if key != "about"}
 
 
 class SpecError(Exception):
-    """Findings that stop the work; every one of them is shown."""
+    """Findings that stop the work; all of them are shown."""
 
     def __init__(self, diagnostics: Iterable[Diagnostic]) -> None:
         self.diagnostics = ordered(diagnostics)
@@ -57,13 +57,13 @@ class SpecError(Exception):
 
 
 def ordered(diagnostics: Iterable[Diagnostic]) -> list[Diagnostic]:
-    """Findings in reading order, each once."""
+    """Return findings in reading order, each once."""
     return sorted(set(diagnostics), key=lambda d: (d.file, d.line, d.column, d.code, d.message, d.path, d.hint))
 
 
 @cache
 def _synonyms() -> dict[str, str]:
-    """Our key or word by that of other formats and of people, as `nearest` compares names."""
+    """Return our key or word for each word of other formats and of people."""
     from simfoundry.spec.yaml.text import read
 
     ours: dict[str, tuple[str, ...]] = read(Path(__file__).with_name("synonyms.yaml")).data
@@ -71,7 +71,7 @@ def _synonyms() -> dict[str, str]:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """A hint that names the same or the most similar choice, or lists the choices where none is similar."""
+    """Return a hint with the most similar choice, or with the valid choices if none is similar."""
     names = sorted(choices)
     plain = {_plain(name): name for name in reversed(names)}
     sought = _plain(word)
@@ -89,12 +89,12 @@ def nearest(word: str, choices: Iterable[str]) -> str:
 
 
 def _plain(name: str) -> str:
-    """A name without what people confuse: capitals and underscores."""
+    """Normalize a name: lower case, without underscores."""
     return name.casefold().replace("_", "")
 
 
 def render(diagnostics: Iterable[Diagnostic], colour: bool = False, texts: Mapping[str, str] | None = None) -> str:
-    """All findings as a compiler prints them: place, message, the line with a caret, the hint.
+    """Print findings like a compiler: place, message, the line with a caret, the hint.
 
     Each line of the documents is read from the file that the finding names, unless ``texts`` has what stands in it.
     With ``colour``, for a terminal.
@@ -132,7 +132,7 @@ def _painted(text: str, style: str) -> str:
 
 
 def printable(line: str) -> str:
-    """A line that cannot steer a terminal: what does not print is written as an escape."""
+    """Escape the characters of a line that could control a terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
 
 
@@ -150,5 +150,5 @@ def _line_of(d: Diagnostic, sources: dict[str, list[str]]) -> str | None:
 
 
 def _single(line: str) -> str:
-    """A line in which every character takes one column, so that the caret stands where it should."""
+    """Return a line in which every character takes one column, so that the caret is in place."""
     return "".join(c if c.isprintable() else " " for c in line)

@@ -1,4 +1,4 @@
-"""Files that documents name: relative, below the project, of the right kind, and there."""
+"""Files that documents refer to: existing, of the right kind, and inside the project."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROBOT = re.compile(r"(menagerie|robot_descriptions):([a-z0-9_]+)(?:/([A-Za-z0-9
 
 
 class FileError(Exception):
-    """Why a document cannot use a file."""
+    """Reason why a document cannot use a file."""
 
     def __init__(self, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -26,12 +26,12 @@ class FileError(Exception):
 
 
 def is_document(reference: str) -> bool:
-    """Whether an object's ``asset`` is an asset document, not a mesh."""
+    """True if an object's ``asset`` is an asset document rather than a mesh."""
     return reference.lower().endswith(ASSET_SUFFIX)
 
 
 def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
-    """Package, robot and path of a robot's model that a package fetches when it is first used; None for another file.
+    """Return package, robot and path of a model that a package downloads on first use; None for other files.
 
     The packages are ``menagerie`` (mujoco-menagerie) and ``robot_descriptions``.
     """
@@ -40,7 +40,7 @@ def packaged_model(reference: str) -> tuple[str, str, str | None] | None:
 
 
 def located(reference: str, document: Path) -> Path:
-    """The file that ``reference`` means in ``document``: beside it, or ``pkg:package/path`` in an installed package.
+    """Return the file that ``reference`` means in ``document``: a relative path, or ``pkg:package/path``.
 
     Raises :class:`FileError` where there is no such package.
     """
@@ -62,7 +62,7 @@ def located(reference: str, document: Path) -> Path:
 
 
 def reachable(reference: str, document: Path, root: Path, suffixes: tuple[str, ...]) -> Path:
-    """The file that ``reference`` means in ``document``: below the project ``root``, or one of an installed package.
+    """Return the file that ``reference`` means, if it is in the project ``root`` or an installed package.
 
     Raises :class:`FileError`.
     """
@@ -97,7 +97,7 @@ def _found(reference: str, target: Path, root: Path, suffixes: tuple[str, ...]) 
 
 
 def _or_mark(target: Path, root: Path) -> str:
-    """The other way out for a document that belongs to no project yet: one that holds the file, too."""
+    """Suggest a marker in a folder that also holds the file, for a document without a project."""
     from simfoundry.spec.project import Project
 
     common = Path(os.path.commonpath([target.parent, root]))
@@ -107,6 +107,6 @@ def _or_mark(target: Path, root: Path) -> str:
 
 
 def shown(reference: str, document: Path) -> Path:
-    """The file by the path that a person would write, relative where the document's own is."""
+    """Return the path of a file as a person would write it, relative if the document's is."""
     plain, target = Path(os.path.normpath(document.parent / reference)), located(reference, document)
     return plain if plain.resolve() == target else target

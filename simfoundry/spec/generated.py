@@ -1,4 +1,4 @@
-"""Files that are written from the models and checked in: ``python -m simfoundry.spec.generated [--check]``."""
+"""Write the files that are generated from the models: ``python -m simfoundry.spec.generated [--check]``."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from simfoundry.spec.editor.schema import schemas
 
 
 def generated() -> dict[str, str]:
-    """Path from the root of the repository to text, of every generated file."""
+    """Return the text of every generated file by its path in the repository."""
     files = {f"schemas/{name}": text for name, text in schemas().items()}
     return {**files, "docs/reference.md": reference(), "docs/findings.md": findings_page()}
 
 
 def stale(root: Path) -> list[str]:
-    """The generated files below ``root`` that are missing or differ from what the models say."""
+    """Return the generated files below ``root`` that are missing or out of date."""
     return [path for path, text in generated().items() if not _holds(root / path, text)]
 
 
@@ -27,7 +27,7 @@ def _holds(path: Path, text: str) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Write what is stale; with ``--check``, only say so. Returns the exit status."""
+    """Write files that are out of date; with ``--check``, only report them. Returns the exit status."""
     root = Path.cwd()
     if not (root / "schemas").is_dir():
         print("run this in the root of the repository: there is no folder `schemas` here", file=sys.stderr)

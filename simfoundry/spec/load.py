@@ -1,4 +1,4 @@
-"""Files to checked documents: the text, what it extends, the types, the names and the files that it refers to."""
+"""Load documents: read the text, join what it extends, and check types, names and files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ They belong to a higher layer: they are named here, and imported for the first s
 
 
 def load(path: Path, root: Path | None = None, known: Known | None = None, text: str | None = None) -> Loaded:
-    """Read and check one document; the findings say what is wrong, nothing is raised.
+    """Read and check one document; errors are returned as findings, not raised.
 
     Documents that it uses are taken from ``known`` where they are, and added to it. With ``text``, that is checked as
     if it were what the file holds. A USD file is read as the scene that it was compiled from.
@@ -52,7 +52,7 @@ def load(path: Path, root: Path | None = None, known: Known | None = None, text:
 
 
 def checked(read: Loaded, kind: str, known: Known) -> Loaded:
-    """A document of a kind that was read, whole, with what it extends: its types, its names and its files checked."""
+    """Check a document that was read and joined: its types, names and files."""
     path, root, document, bases, findings = read.path, read.root, read.document, read.bases, list(read.findings)
     assert document is not None
     model = model_of(kind)
@@ -69,17 +69,17 @@ def checked(read: Loaded, kind: str, known: Known) -> Loaded:
 
 
 def load_scene(path: Path) -> Loaded:
-    """A scene document without errors; raises :class:`SpecError` with every finding otherwise."""
+    """Load a scene; raises :class:`SpecError` with all findings if it has errors."""
     return load_kind(path, "scene/1")
 
 
 def load_capture(path: Path) -> Loaded:
-    """A capture document without errors; raises :class:`SpecError` with every finding otherwise."""
+    """Load a capture; raises :class:`SpecError` with all findings if it has errors."""
     return load_kind(path, "capture/1")
 
 
 def load_kind(path: Path, *kinds: str) -> Loaded:
-    """A document of one of the kinds without errors; raises :class:`SpecError` with every finding otherwise."""
+    """Load a document of one of the kinds; raises :class:`SpecError` with all findings if it has errors."""
     loaded = load(path)
     if loaded.errors:
         raise SpecError(loaded.errors)
@@ -92,7 +92,7 @@ def load_kind(path: Path, *kinds: str) -> Loaded:
 
 
 def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded | None:
-    """A document that another uses; None for one of another kind, which is not read further: it might refer back."""
+    """Load a document that another uses; None for another kind, which is not read further: it might refer back."""
     key = (str(path.resolve()), kinds[0])
     if key not in known:
         try:
@@ -104,7 +104,7 @@ def _use(path: Path, kinds: tuple[str, ...], root: Path, known: Known) -> Loaded
 
 
 def kind_of(document: Document) -> tuple[str | None, Diagnostic | None]:
-    """The kind that the first key of a document says, or why there is none."""
+    """Return the kind that the first key of a document names, or a finding."""
     data = document.data
     if not isinstance(data, dict):
         message, value = "a document is a mapping that starts with `simfoundry: scene/1`", None

@@ -1,4 +1,4 @@
-"""A document that was read and checked, and the project that it belongs to."""
+"""A document that was read and checked, with its project."""
 
 from __future__ import annotations
 
@@ -31,31 +31,31 @@ class Loaded:
 
     @property
     def errors(self) -> list[Diagnostic]:
-        """Findings that forbid any further work, those of the documents in use included."""
+        """Errors, with those of the documents in use."""
         return [d for d in self.all_findings() if d.severity is Severity.ERROR]
 
     def all_findings(self) -> list[Diagnostic]:
-        """Findings of this document and of those that it uses."""
+        """Return the findings of this document and of those that it uses."""
         return [*self.findings, *(d for used in self.uses.values() for d in used.all_findings())]
 
     def files(self) -> list[Path]:
-        """The documents that this one was read from: itself, its bases, and those that it uses with theirs."""
+        """Return all files that this document was read from: itself, its bases, and those of documents in use."""
         return [self.path, *self.bases, *(file for used in self.uses.values() for file in used.files())]
 
     def finding(self, code: str, path: tuple[str | int, ...], message: str, hint: str = "") -> Diagnostic:
-        """An error at a place of this document."""
+        """Return an error at a place of this document."""
         if self.document is None:
             return Diagnostic(code, Severity.ERROR, message, str(self.path), 0, 0, ".".join(map(str, path)), hint)
         return self.document.finding(code, path, message, hint)
 
     def file(self, reference: str) -> Path:
-        """The file that a path in this document means."""
+        """Return the file that a path in this document means."""
         return located(reference, self.path)
 
     def used(self, reference: str) -> Loaded | None:
-        """The document that a path in this document means, if it was read."""
+        """Return the document that a path in this document means, if it was read."""
         return self.uses.get(str(self.file(reference)))
 
     def shown(self, reference: str) -> Path:
-        """The same file by the path that a person would write, relative where this document's own is."""
+        """Return the file as a person would write it, relative if the path of this document is."""
         return shown(reference, self.path)

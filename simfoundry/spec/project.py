@@ -1,4 +1,4 @@
-"""The project that a document belongs to: its folder, and what its marker ``simfoundry.yaml`` says."""
+"""The project of a document: its folder and its marker ``simfoundry.yaml``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MARKING = "# The topmost folder of a SimFoundry project: what its documents name
 
 
 class ProjectSpec(Model):
-    """What a ``simfoundry.yaml`` may say."""
+    """Contents of ``simfoundry.yaml``."""
 
     exclude: tuple[str, ...] = Field(
         (),
@@ -38,23 +38,23 @@ class ProjectSpec(Model):
 
 @dataclass(frozen=True)
 class Project:
-    """A folder below which the files of its documents lie."""
+    """A project folder, which holds all files of its documents."""
 
     root: Path
 
     @property
     def marker(self) -> Path:
-        """The file that marks the folder; there is none where a repository stands for the project."""
+        """Path of the marker; a repository without one is a project, too."""
         return self.root / MARKER
 
     @property
     def is_marked(self) -> bool:
-        """Whether a marker or a repository says that the folder is a project."""
+        """True if a marker or a repository makes the folder a project."""
         return self.marker.exists() or (self.root / ".git").exists()
 
     @cached_property
     def exclude(self) -> tuple[str, ...]:
-        """The patterns of the files and folders that commands over folders pass over.
+        """Patterns of files and folders that commands over folders skip.
 
         Raises :class:`SpecError` where the marker cannot be read.
         """
@@ -72,7 +72,7 @@ class Project:
         return spec.exclude
 
     def excludes(self, path: Path, named: Path) -> bool:
-        """Whether ``path`` is passed over by a command that works on the folder ``named``.
+        """True if a command over the folder ``named`` skips ``path``.
 
         What a person names is never passed over: only what lies below ``named`` counts.
         """
@@ -89,7 +89,7 @@ class Project:
 
 
 def find_project(path: Path) -> Project | None:
-    """The project of a file or folder: the nearest folder upwards with a ``simfoundry.yaml``, else with a ``.git``."""
+    """Find the project of a file or folder: the nearest folder upwards with ``simfoundry.yaml``, else ``.git``."""
     real = Path(os.path.realpath(path))  # unlike `Path.resolve`, also of links that form a ring
     start = real if real.is_dir() else real.parent
     folders = (start, *start.parents)
@@ -101,13 +101,13 @@ def find_project(path: Path) -> Project | None:
 
 
 def project_root(path: Path) -> Path:
-    """The folder below which a document's files must lie: that of its project, or else its own."""
+    """Return the folder that must hold a document's files: that of its project, or else its own."""
     project = find_project(path)
     return project.root if project is not None else Path(os.path.realpath(path)).parent
 
 
 def common_project(*files: Path) -> Project:
-    """The project that holds all ``files``, which need not exist: the nearest one that there is.
+    """Return the nearest project that holds all ``files``, which need not exist.
 
     Where there is none, it is the working folder if they lie below it, else the closest folder that holds them all; it
     is not marked yet. Raises :class:`NoProjectError` where no folder can hold them: one of them lies in a project
@@ -138,16 +138,16 @@ def common_project(*files: Path) -> Project:
 
 
 class NoProjectError(Exception):
-    """Why files cannot be of one project, in one sentence."""
+    """Reason why files cannot be in one project, in one sentence."""
 
 
 def markers(project: Project) -> dict[Path, str]:
-    """The marker to write for a project, by path; nothing where it is marked, or its folder is everybody's."""
+    """Return the marker to write for a project, by path; nothing if it is marked or its folder is shared."""
     return {} if project.is_marked or _is_shared(project.root) else {project.marker: MARKING}
 
 
 def _is_shared(folder: Path) -> bool:
-    """Whether a folder holds more than one project by its nature: of the system, of a user, of temporary files."""
+    """True for folders that belong to no single project: of the system, of a user, of temporary files."""
     return any(Path(os.path.realpath(owned)).is_relative_to(folder) for owned in (Path.home(), gettempdir()))
 
 
@@ -156,14 +156,14 @@ def _listed(files: Iterable[Path]) -> str:
 
 
 def _parts(path: Path, root: Path) -> tuple[str, ...]:
-    """The names from ``root`` to ``path``, whose own link is not followed; none where it lies elsewhere."""
+    """Return the names from ``root`` to ``path``, whose own link is not followed; none if it lies elsewhere."""
     whole = Path(os.path.normpath(path.absolute()))
     real = Path(os.path.realpath(whole.parent)) / whole.name
     return real.relative_to(root).parts if real.is_relative_to(root) else ()
 
 
 def _matches(parts: Sequence[str], pattern: Sequence[str]) -> bool:
-    """Whether the names of a path are what a pattern says, name by name."""
+    """True if the names of a path match a pattern, name by name."""
     if not pattern:
         return not parts
     if pattern[0] == "**":

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simfoundry.assets import counts
-from simfoundry.assets.counts import check_counts
+from simfoundry.assets import mesh as counts
 from simfoundry.assets.errors import MAX_FACES, MeshError
+from simfoundry.assets.mesh import check_counts
 from tests.assets.meshes import blob, obj
 
 

@@ -15,10 +15,10 @@ from simfoundry.assets import decompose, mass
 from simfoundry.assets import mesh as mesh_file
 from simfoundry.assets.cache import Cache
 from simfoundry.assets.convex import MAX_HULL_VERTICES, hull, mesh_colliders
+from simfoundry.assets.deviation import ALLOWED, simplified
 from simfoundry.assets.errors import MeshError
 from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
-from simfoundry.assets.simplify import ALLOWED, simplified
 from tests.assets.meshes import blob, block, obj, rotation
 
 CUBE = obj(*block((0.1, 0.2, 0.3)))

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from simfoundry.cousins.reach import Reach
+from simfoundry.robots.reach import ArmReach
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene
 
@@ -34,15 +34,15 @@ def test_an_arm_reaches_down_to_a_ring_around_it(scene: Scene, away: float, reac
     pytest.importorskip("mink", reason="the extra `expert` is not installed")
     angle = np.radians(side_deg)
     middle = np.array([0.1 + away * np.cos(angle), away * np.sin(angle), 0.02])
-    found = Reach(scene, ("arm",))(middle - 0.02, middle + 0.02)
+    found = ArmReach(scene, ("arm",))(middle - 0.02, middle + 0.02)
     assert (found.checked, found.reached, found.robot) == (True, reached, "arm")
     assert found.away == pytest.approx(away, abs=1e-9)
 
 
 def test_what_cannot_be_checked_is_said(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     here = np.array([0.5, 0.0, 0.0])
-    found = Reach(scene, ("other",))(here, here + 0.04)
+    found = ArmReach(scene, ("other",))(here, here + 0.04)
     assert not found.checked and found.why == "no model of other is here; `simfoundry doctor` says what brings it"
     monkeypatch.setitem(sys.modules, "mink", None)
-    found = Reach(scene, ("arm",))(here, here + 0.04)
+    found = ArmReach(scene, ("arm",))(here, here + 0.04)
     assert found.why == "inverse kinematics needs mink; install with `pip install 'simfoundry[expert]'`"

@@ -21,6 +21,7 @@ from tests.conftest import REPOSITORY, of_the_checkout
 
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(?:^<!-- (?P<note>[^\n]*) -->\n)?^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.M | re.S)
+TESTS = sorted((REPOSITORY / "tests").rglob("test_*.py"))
 RUN_HERE = ("README.md", "index.md", "python.md")
 RUN_ELSEWHERE = {
     "tutorial.md": "tests/test_tutorial.py",
@@ -55,9 +56,9 @@ def test_every_block_is_run_or_says_why_not(page: Path) -> None:
     if page.parent.name == "extend":  # the steps of these pages are followed by tests of a package outside the tree
         return
     for block in blocks(page):
-        run_in = re.fullmatch(r"run in: (\S+)", block.note)
-        if run_in:
-            assert page.name in (REPOSITORY / run_in[1]).read_text(), block
+        if block.note.startswith("run in: "):
+            test = Path(block.note.removeprefix("run in: ")).name
+            assert [t for t in TESTS if t.name == test and page.name in t.read_text()], block
             continue
         here = page.name in RUN_HERE and block.language in ("python", "yaml")
         document = block.language == "yaml" and block.text.startswith("simfoundry:")  # tests/test_repository.py

@@ -208,7 +208,7 @@ def test_every_name_that_refers_is_known() -> None:
         "camera": "of another document, the scene that a policy sees",
         "model": "a known robot",
         "library": "a known library",
-        "protocol": "a known policy protocol",
+        "protocol": "a known protocol",
     }
     names = {str(get_args(kind)[1]) for kind in (Name, PartName)}
     found = set()

@@ -75,7 +75,7 @@ def test_of_a_scene(written: str, instead: str, message: str, hint: str, tmp_pat
         ("{pick_up: {goal: Grasped(mug)}}", "{pick_up: Grasped(mug)}",
          "expected a mapping, found the text `Grasped(mug)`", "write `{goal: Grasped(mug)}`"),
         ("{pick_up: {goal: Grasped(mug)}}", "[{goal: Grasped(mug)}]", "expected a mapping, found a list of 1",
-         "`subtasks`: Its steps by name, in order. Write `name: ...` for each, without `-`."),
+         "`subtasks`: Steps by name, in order. Write `name: ...` for each, without `-`."),
     ],
 )  # fmt: skip
 def test_of_a_task(written: str, instead: str, message: str, hint: str, tmp_path: Path) -> None:

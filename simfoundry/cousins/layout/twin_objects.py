@@ -22,7 +22,7 @@ from simfoundry.scene.touching import weld_groups
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-    from simfoundry.cousins.reach import Reach
+    from simfoundry.robots.reach import ArmReach
 
 
 BASE_RADIUS, BASE_HEIGHT = 0.155, 1.0
@@ -37,11 +37,11 @@ class TwinRobots:
         self._scene, self.names = scene, names
 
     @cached_property
-    def reach(self) -> Reach:
+    def reach(self) -> ArmReach:
         """The arms that act."""
-        from simfoundry.cousins.reach import Reach
+        from simfoundry.robots.reach import ArmReach
 
-        return Reach(self._scene, self.names)
+        return ArmReach(self._scene, self.names)
 
     @cached_property
     def items(self) -> tuple[SceneObject, ...]:

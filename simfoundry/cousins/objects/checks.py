@@ -19,6 +19,7 @@ from simfoundry.geometry.shapes import Box
 from simfoundry.geometry.tessellate import tessellate
 from simfoundry.predicates import Judge
 from simfoundry.predicates.judging.bodies import PredicateError
+from simfoundry.robots.reach import hands_of
 from simfoundry.scene.lengths import length
 from simfoundry.scene.model import Collider, Link, Scene, SceneObject, Visual
 from simfoundry.scene.object_shapes import bounds, solid
@@ -73,12 +74,8 @@ def _wanted(goal: Any) -> Iterator[Call]:
 
 
 def _opening(spec: SceneSpec) -> float | None:
-    """The widest that a robot of the scene opens its gripper [m]; None where it is not known."""
-    found = []
-    for robot in spec.robots.values():
-        known = robot.known()
-        found.append(robot.opening or (known.opening if known is not None else None))
-    return max((o for o in found if o is not None), default=None)
+    """The widest that a robot of the scene opens its gripper [m]; None if it is unknown."""
+    return max((hand.opening for hand in hands_of(spec.robots) if hand.opening is not None), default=None)
 
 
 SCALE = (0.6, 1.6)

@@ -151,8 +151,8 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
 
     Raises :class:`ImpossibleError` where nothing can be done in the twin.
     """
-    from simfoundry.cousins.tasks.context import hands_of
     from simfoundry.cousins.tasks.proposals import TaskCousin, task_cousins
+    from simfoundry.robots.reach import hands_of
 
     axis, path = recipe.spec.task, out / WORK / FILE
     if axis is None:
@@ -168,7 +168,7 @@ def tasks_of(recipe: Recipe, out: Path, twin: Twin, vlm: str = "") -> tuple[Task
         found, _ = task_cousins(twin, recipe.scene_spec, axis, recipe.seed, reference, **asked)
         rows = [{"task": to_yaml(one.spec), "goal": one.goal} for one in found]
         write_atomically(path, (json.dumps(rows, indent=1, ensure_ascii=False) + "\n").encode())
-    hands = hands_of(recipe.scene_spec)
+    hands = hands_of(recipe.scene_spec.robots)
     kept = json.loads(path.read_text())
     return tuple(TaskCousin(_task(one["task"], path), one["goal"], hands, axis.engines) for one in kept)
 

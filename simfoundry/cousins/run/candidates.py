@@ -194,13 +194,13 @@ def _undoable(recipe: Recipe, draw: _Draw, found: Examined | None) -> tuple[Reas
     """Why what the twin's task asks for cannot be done with other things, each of which may do for itself."""
     from simfoundry.cousins.tasks.acceptance import impossible
     from simfoundry.cousins.tasks.candidate_poses import objects_of
-    from simfoundry.cousins.tasks.context import hands_of
     from simfoundry.cousins.tasks.proposals import context_at
+    from simfoundry.robots.reach import hands_of
 
     goal = draw.twin.goal
     if found is None or goal is None or not set(objects_of(goal)) & set(draw.others):
         return ()
-    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec), ("mujoco",)))
+    return impossible(goal, context_at(draw.twin, found.state, hands_of(recipe.scene_spec.robots), ("mujoco",)))
 
 
 def _changes(shared: CandidateSampler, draw: _Draw) -> dict[str, overlay.Data]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +17,11 @@ from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.walls import free_distance
+from simfoundry.robots.reach import Hand, hands_of, nearest_miss
 from simfoundry.scene.lengths import length
 from simfoundry.scene.lower import lower
 from simfoundry.scene.model import Joint
 from simfoundry.scene.object_shapes import solid
-from simfoundry.scene.poses import pose
 from simfoundry.scene.state import SceneState
 from simfoundry.spec.load import load_scene
 from simfoundry.spec.models.scene import SceneSpec
@@ -135,25 +135,8 @@ def _are_free(obstacles: Sequence[Hulls], points: Sequence[Array], way: Array) -
     return all(free_distance(shape, point, way) > ROOM for shape in obstacles for point in points)
 
 
-PAYLOAD = 1.0
-"""That of a robot of which nothing is known [kg]."""
-
 SLACK = 0.001
 """A thing this much wider than the fingers open [m] still fits: openings are given in whole millimetres."""
-
-
-class Hand(NamedTuple):
-    """A robot that acts: its base along the ground [m], how far it reaches [m], opens [m] and lifts [kg].
-
-    ``reach`` and ``opening`` are None where nothing is known.
-    """
-
-    name: str
-    at: tuple[float, float]
-    reach: float | None
-    opening: float | None
-    payload: float
-    kind: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +166,7 @@ class TaskContext:
         """
         loaded = load_scene(path)
         assert isinstance(loaded.spec, SceneSpec)
-        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec, payload), path, engines=engines)
+        return cls(Twin.of(lower(loaded, cache)), hands_of(loaded.spec.robots, payload), path, engines=engines)
 
     # -- where things are ---------------------------------------------------------------------------------------------
 
@@ -276,30 +259,12 @@ class TaskContext:
 
     def too_far(self, name: str, low: Array, high: Array) -> tuple[Reason, ...]:
         """Why what is between two corners in the world [m] is farther away than any hand reaches."""
-        x, y = ((low + high) / 2)[:2].tolist()
-        known = [(math.dist((x, y), h.at), h.reach, h) for h in self.hands if h.reach is not None]
-        if known and len(known) == len(self.hands):
-            away, reach, hand = min(known, key=lambda row: row[0] - row[1])
-            if away > reach:
-                text = f"`{name}` is {away:.2f} m from `{hand.name}`, which reaches {reach:g} m"
-                return (Reason("out_of_reach", text, numbers(away_m=away, reach_m=reach)),)
-        return ()
-
-
-def hands_of(spec: SceneSpec, payload: float | None = None) -> tuple[Hand, ...]:
-    """The robots of a scene's document, whether or not their models are here."""
-    found = []
-    for name, robot in spec.robots.items():
-        known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
-        reach = robot.reach or (known.reach if known is not None else None)
-        opening = robot.opening or (known.opening if known is not None else None)
-        x, y, _ = pose(robot.pose).p.tolist()
-        found.append(
-            Hand(
-                name, (x, y), reach, opening, payload or (known.payload if known is not None else None) or PAYLOAD, kind
-            )
-        )
-    return tuple(found)
+        middle = ((low + high) / 2)[:2].tolist()
+        miss = nearest_miss(self.hands, [math.dist(middle, hand.at) for hand in self.hands]) if self.hands else None
+        if miss is None:
+            return ()
+        text = f"`{name}` is {miss.distance:.2f} m from `{miss.hand.name}`, which reaches {miss.reach:g} m"
+        return (Reason("out_of_reach", text, numbers(away_m=miss.distance, reach_m=miss.reach)),)
 
 
 def numbers(**values: float) -> Mapping[str, float]:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
 from simfoundry.cousins.tasks.acceptance import impossible, misnamed, unchanged, unreached
 from simfoundry.cousins.tasks.candidate_poses import conjuncts, goal_words, objects_of
-from simfoundry.cousins.tasks.context import Hand, TaskContext, hands_of
+from simfoundry.cousins.tasks.context import TaskContext
 from simfoundry.cousins.tasks.enumeration import (
     Proposal,
     Proposals,
@@ -26,6 +26,7 @@ from simfoundry.cousins.tasks.enumeration import (
 from simfoundry.cousins.tasks.ideas import Idea, step_of
 from simfoundry.cousins.tasks.witness import ALLOWED, ON
 from simfoundry.errors import SimfoundryError
+from simfoundry.robots.reach import Hand, hands_of
 from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.cousins import TaskAxis
 from simfoundry.spec.models.expressions import texts
@@ -299,7 +300,7 @@ def task_cousins(
     ``scene`` is the twin's document and ``reference`` its file as the tasks' documents name it. A ``vlm`` that sees the
     ``picture`` is asked where the axis says so. Raises :class:`ImpossibleError` where nothing can be done.
     """
-    setting = TaskContext(twin, hands_of(scene), engines=axis.engines)
+    setting = TaskContext(twin, hands_of(scene.robots), engines=axis.engines)
     if axis.proposals == "model":
         if vlm is None:
             why = "`proposals: model` needs a model: name one, or take `affordances`"

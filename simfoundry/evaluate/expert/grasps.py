@@ -1,137 +1,20 @@
-"""What a gripper's fingers leave free between them, measured on its model by rays."""
+"""Grasps of an object: across what a gripper's fingers can close on, found on the object's colliders."""
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.backends.robot_models.mujoco_robot import MujocoRobot, read_robot
 from simfoundry.geometry.crossings import Solid, Span, bounds, crossings
-from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.scene.robot import Gripper, Robot, mujoco_model
+from simfoundry.geometry.frames import Array, Pose
 
 if TYPE_CHECKING:
-    import mujoco
-
-SHARES = 21
-"""At how many openings the fingers are measured."""
-
-STEP, DEEPEST = 0.001, 0.3
-"""Between rays, along the hand [m], and how far from its frame they are looked for."""
-
-WIDEST = 0.12
-"""What a ray meets further away than this [m] is no finger."""
-
-PAD = 0.002
-"""Where fingers leave at most this much more room than at their narrowest [m], they are flat enough to hold."""
-
-HIDDEN = 5
-FINGERS = np.array([1, 0, 0, 0, 0, 0], np.uint8)
-"""The group of geoms that no ray is to meet, and the mask of those that they may: what moves and is felt."""
-
-
-@dataclass(frozen=True, eq=False)
-class Jaws:
-    """The fingers at each closed ``share``, from 0 open to 1, shape (k,), in the hand's frame.
-
-    ``width`` [m] is free between the pads, which reach from ``low`` to ``tip`` along the hand's z [m]; shapes (k,).
-    Fingers close along y.
-    """
-
-    share: Array
-    width: Array
-    low: Array
-    tip: Array
-
-    @property
-    def opening(self) -> float:
-        """The greatest width [m]."""
-        return float(self.width.max())
-
-    def at_width(self, width: float) -> tuple[float, float, float]:
-        """Share, and low and tip of the pads [m], where the pads are ``width`` [m] apart."""
-        order = np.argsort(self.width)
-        narrow = self.width[order]
-        return (
-            float(np.interp(width, narrow, self.share[order])),
-            float(np.interp(width, narrow, self.low[order])),
-            float(np.interp(width, narrow, self.tip[order])),
-        )
-
-
-@lru_cache(maxsize=8)
-def jaws(robot: Robot) -> Jaws | None:
-    """The fingers of a robot; None where it has no gripper or its fingers do not face each other along y."""
-    native = mujoco_model(robot)
-    if native is None or native.gripper is None:
-        return None
-    read = read_robot(robot, native, f"{robot.name}.")
-    share = np.linspace(0.0, 1.0, SHARES)
-    posed = [_posed(read, native.gripper, float(s)) for s in share]
-    frame = native.frame("hand")
-    body = read.model.body(read.prefix + frame.link).id
-    X_WH = Pose.of(posed[0].xpos[body], posed[0].xquat[body]) @ frame.X_LF
-    model, felt = copy.copy(read.model), (read.model.geom_contype != 0) | (read.model.geom_conaffinity != 0)
-    moving = np.linalg.norm(posed[0].geom_xpos - posed[-1].geom_xpos, axis=1) > STEP
-    model.geom_group[:] = np.where(felt & moving, 0, HIDDEN)
-    rows = [_measure(model, data, X_WH) for data in posed]
-    found = [(s, *row) for s, row in zip(share, rows, strict=True) if row is not None]
-    if len(found) < 2:
-        return None
-    return Jaws(*(frozen_array(column) for column in zip(*found, strict=True)))
-
-
-def finger_positions(gripper: Gripper, share: float) -> dict[str, float]:
-    """Positions [rad or m] of all joints of a gripper by the model's names, closed by ``share``."""
-    positions = {name: start + share * (end - start) for name, (start, end) in gripper.joints.items()}
-    for name, leader in gripper.follow.items():
-        positions.setdefault(name, leader.multiplier * positions[leader.joint] + leader.offset)
-    return positions
-
-
-def _posed(read: MujocoRobot, gripper: Gripper, share: float) -> mujoco.MjData:
-    import mujoco
-
-    data = mujoco.MjData(read.model)
-    data.qpos[:] = read.qpos
-    for name, position in finger_positions(gripper, share).items():
-        data.qpos[read.model.joint(read.prefix + name).qposadr[0]] = position
-    mujoco.mj_kinematics(read.model, data)
-    return data
-
-
-def _measure(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose) -> tuple[float, float, float] | None:
-    """Width, low and tip of the pads; None where no ray meets two fingers."""
-    depth = np.arange(0.0, DEEPEST, STEP)
-    free = np.array([_free(model, data, X_WH, z) for z in depth])
-    met = np.isfinite(free)
-    if not met.any():
-        return None
-    width = float(free[met].min())
-    flat = np.flatnonzero(met & (free <= width + PAD))
-    breaks = np.flatnonzero(np.diff(flat) > 1)
-    foremost = flat[breaks[-1] + 1 :] if len(breaks) else flat
-    return max(width, 0.0), float(depth[foremost[0]]), float(depth[foremost[-1]])
-
-
-def _free(model: mujoco.MjModel, data: mujoco.MjData, X_WH: Pose, z: float) -> float:
-    """Room between the fingers at a depth ``z`` of the hand [m]; inf where one of them is not there."""
-    import mujoco
-
-    start = X_WH.apply(np.array([0.0, 0.0, z]))
-    hit = np.zeros(1, np.int32)
-    sides = []
-    for sign in (1.0, -1.0):
-        far = mujoco.mj_ray(model, data, start, sign * X_WH.rotation[:, 1], FINGERS, 1, -1, hit)
-        sides.append(far if 0 <= far < WIDEST else np.inf)
-    return float(sum(sides))
-
+    pass
+from simfoundry.robots.fingers import Jaws
 
 YAWS = 12
 """Directions of closing about the direction of approach, over half a turn; each counts twice, with the hand turned."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
-from simfoundry.evaluate.expert.motion import Held, Path, Reach
+from simfoundry.evaluate.expert.motion import ArmPlanner, Held, Path
 from simfoundry.evaluate.expert.places import PlaceAt
 from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
 from simfoundry.geometry.frames import Array, Pose
@@ -72,40 +72,40 @@ def pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) ->
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
-    yield from worker.grip(robot, firmly(worker.reaches[robot], plan.grasp.width))
+    yield from worker.grip(robot, firmly(worker.planners[robot], plan.grasp.width))
     X_HO = worker.now.robots[robot].X_WH.inverse() @ worker.now.state.poses[name]
     worker.held[robot] = Held(name, X_HO)
     yield from worker.follow(robot, plan.up, CAREFUL)
     yield from worker.settle(robot)
 
 
-def firmly(reach: Reach, width: float) -> float:
+def firmly(planner: ArmPlanner, width: float) -> float:
     """The share to close by so as to hold what is ``width`` [m] wide: all the force there is squashes light things."""
-    return min(1.0, reach.jaws.at_width(width)[0] + SQUEEZE)
+    return min(1.0, planner.jaws.at_width(width)[0] + SQUEEZE)
 
 
 def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | None) -> PickPlan | None:
-    """The first grasp that the arm can reach, lift and bring to a place; None where there is none."""
-    reach = worker.reaches[robot]
+    """The first grasp that the arm can planner, lift and bring to a place; None where there is none."""
+    planner = worker.planners[robot]
     state = worker.now.state
     item = worker.scene.object(name)
     center = center_of_mass(item, state.poses[name])
     q = worker.q[robot]
     for spare, tilts in ((SPARE, (0.0,)), (0.002, (0.0,)), (0.002, (0.35, 0.7))):
         tried = 0
-        for grasp in grasps(solid(item, state), center, reach.jaws, down(tilts)):
+        for grasp in grasps(solid(item, state), center, planner.jaws, down(tilts)):
             held = Held(name, grasp.X_WH.inverse() @ state.poses[name])
             worker.cell.put(name, state.poses[name])
-            if not _hand_fits(reach, grasp, name):
+            if not _hand_fits(planner, grasp, name):
                 continue
-            fitting = None if places is None else _fitting(reach, grasp, held, places, spare)
+            fitting = None if places is None else _fitting(planner, grasp, held, places, spare)
             worker.cell.put(name, state.poses[name])
-            plan = _reached(reach, q, grasp, name) if fitting is None or fitting else None
+            plan = _reached(planner, q, grasp, name) if fitting is None or fitting else None
             if plan is None:
                 continue
-            if fitting is None or any(_can_put(reach, plan.up[-1], held, grasp, p) for p in fitting[:CHECKED]):
+            if fitting is None or any(_can_put(planner, plan.up[-1], held, grasp, p) for p in fitting[:CHECKED]):
                 worker.cell.put(name, state.poses[name])
-                way = reach.way(q, plan.down[0], grasp.open)
+                way = planner.way(q, plan.down[0], grasp.open)
                 if way is not None:
                     return PickPlan(grasp, way, plan.down, plan.up)
             tried += 1
@@ -114,20 +114,20 @@ def plan_pick(worker: Worker, robot: str, name: str, places: list[PlaceAt] | Non
     return None
 
 
-def _hand_fits(reach: Reach, grasp: Grasp, name: str) -> bool:
+def _hand_fits(planner: ArmPlanner, grasp: Grasp, name: str) -> bool:
     """Whether the hand alone has room to come, and to close."""
-    cell, robot = reach.cell, reach.name
-    cell.pose(robot, reach.arm.home, grasp.open)
+    cell, robot = planner.cell, planner.name
+    cell.pose(robot, planner.arm.home, grasp.open)
     if cell.hand_clash(robot, grasp.X_WH, gap=0.001):
         return False
-    cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
+    cell.pose(robot, planner.arm.home, planner.jaws.at_width(grasp.width)[0])
     return not cell.hand_clash(robot, grasp.X_WH, gap=0.001, ignore=name)
 
 
-def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
+def _fitting(planner: ArmPlanner, grasp: Grasp, held: Held, places: list[PlaceAt], spare: float) -> list[PlaceAt]:
     """The places at which the hand alone, with the thing in it, has room."""
-    cell, robot = reach.cell, reach.name
-    cell.pose(robot, reach.arm.home, reach.jaws.at_width(grasp.width)[0])
+    cell, robot = planner.cell, planner.name
+    cell.pose(robot, planner.arm.home, planner.jaws.at_width(grasp.width)[0])
     found = []
     for place in places:
         X_WO = _over(place.X_WO, DROP)
@@ -139,33 +139,33 @@ def _fitting(reach: Reach, grasp: Grasp, held: Held, places: list[PlaceAt], spar
     return found
 
 
-def _reached(reach: Reach, q: Array, grasp: Grasp, name: str) -> PickPlan | None:
+def _reached(planner: ArmPlanner, q: Array, grasp: Grasp, name: str) -> PickPlan | None:
     """The way to a grasp from just before it, and up again."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
-    start = reach.arm.solve_any(before, q, reach.rng)
-    if start is None or not reach.clear(start, grasp.open):
+    start = planner.arm.solve_any(before, q, planner.rng)
+    if start is None or not planner.clear(start, grasp.open):
         return None
-    way = reach.line(start, grasp.X_WH, grasp.open, gap=0.001)
+    way = planner.line(start, grasp.X_WH, grasp.open, gap=0.001)
     if way is None:
         return None
-    closed = reach.jaws.at_width(grasp.width)[0]
-    if not reach.clear(way[-1], closed, gap=0.001, ignore=[name]):
+    closed = planner.jaws.at_width(grasp.width)[0]
+    if not planner.clear(way[-1], closed, gap=0.001, ignore=[name]):
         return None
     raised = Pose.of(grasp.X_WH.p + np.array([0.0, 0.0, LIFT]), grasp.X_WH.q)
-    up = reach.line(way[-1], raised, closed, ignore=[name])
+    up = planner.line(way[-1], raised, closed, ignore=[name])
     return None if up is None else PickPlan(grasp, [], way, up)
 
 
-def _can_put(reach: Reach, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
+def _can_put(planner: ArmPlanner, q: Array, held: Held, grasp: Grasp, place: PlaceAt) -> bool:
     """Whether the hand can be where it lets a thing go, and just above."""
     X_WH = _over(place.X_WO, DROP) @ held.X_HO.inverse()
-    posture = reach.arm.solve_any(X_WH, q, reach.rng)
+    posture = planner.arm.solve_any(X_WH, q, planner.rng)
     if posture is None:
         return False
-    closed = reach.jaws.at_width(grasp.width)[0]
-    if not reach.clear(posture, closed, held, gap=0.001):
+    closed = planner.jaws.at_width(grasp.width)[0]
+    if not planner.clear(posture, closed, held, gap=0.001):
         return False
-    return reach.arm.solve(_over(X_WH, ABOVE), posture) is not None
+    return planner.arm.solve(_over(X_WH, ABOVE), posture) is not None
 
 
 def _over(pose: Pose, height: float) -> Pose:
@@ -173,7 +173,7 @@ def _over(pose: Pose, height: float) -> Pose:
 
 
 def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
-    """Put down what the hand holds, at the first of ``places`` that it can reach."""
+    """Put down what the hand holds, at the first of ``places`` that it can planner."""
     held = worker.held[robot]
     worker.sync()
     plan = plan_put(worker, robot, places)
@@ -191,39 +191,39 @@ def put(worker: Worker, robot: str, places: list[PlaceAt]) -> Script:
 
 def corrected(worker: Worker, robot: str, plan: PutPlan) -> Path:
     """The way down to a place with the thing as it lies in the hand now, which may have slipped on the way."""
-    reach, held = worker.reaches[robot], worker.held[robot]
+    planner, held = worker.planners[robot], worker.held[robot]
     worker.sync()
     goal = _over(plan.place.X_WO, DROP) @ held.X_HO.inverse()
     share = worker.now.robots[robot].gripper
-    return reach.line(worker.q[robot], goal, share, held) or plan.down
+    return planner.line(worker.q[robot], goal, share, held) or plan.down
 
 
 def plan_put(worker: Worker, robot: str, places: Iterable[PlaceAt]) -> PutPlan | None:
     """The first place that the arm can bring what it holds to, let go and leave; None where there is none."""
-    reach = worker.reaches[robot]
+    planner = worker.planners[robot]
     reading = worker.now.robots[robot]
     held = Held(worker.held[robot].name, reading.X_WH.inverse() @ worker.now.state.poses[worker.held[robot].name])
     share = reading.gripper
-    width = float(np.interp(share, reach.jaws.share, reach.jaws.width))
-    opened = reach.jaws.at_width(min(width + 2 * RELEASE, reach.jaws.opening))[0]
+    width = float(np.interp(share, planner.jaws.share, planner.jaws.width))
+    opened = planner.jaws.at_width(min(width + 2 * RELEASE, planner.jaws.opening))[0]
     q = worker.q[robot]
     for place in places:
         goal = _over(place.X_WO, DROP) @ held.X_HO.inverse()
-        worker.cell.pose(robot, reach.arm.home, share)
+        worker.cell.pose(robot, planner.arm.home, share)
         worker.cell.put(held.name, _over(place.X_WO, DROP))
         if worker.cell.hand_clash(robot, goal, held.name):
             continue
-        posture = reach.arm.solve_any(goal, q, reach.rng)
-        if posture is None or not reach.clear(posture, share, held, gap=0.001):
+        posture = planner.arm.solve_any(goal, q, planner.rng)
+        if posture is None or not planner.clear(posture, share, held, gap=0.001):
             continue
-        rise = reach.line(posture, _over(goal, ABOVE), share, held)
+        rise = planner.line(posture, _over(goal, ABOVE), share, held)
         if rise is None:
             continue
-        way = reach.way(q, rise[-1], share, held)
+        way = planner.way(q, rise[-1], share, held)
         if way is None:
             continue
         worker.cell.put(held.name, place.X_WO)
         back = Pose.of(goal.p - STANDOFF * goal.rotation[:, 2], goal.q)
-        leave = reach.line(posture, back, opened, ignore=[held.name]) or rise[::1]
+        leave = planner.line(posture, back, opened, ignore=[held.name]) or rise[::1]
         return PutPlan(place, way, rise[::-1], leave, opened)
     return None

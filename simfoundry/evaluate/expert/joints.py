@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.expert.grasps import Grasp, Jaws, down, grasps
+from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
-from simfoundry.evaluate.expert.motion import Path, Reach
+from simfoundry.evaluate.expert.motion import ArmPlanner, Path
 from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.robots.fingers import Jaws
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, SceneObject
 from simfoundry.scene.object_shapes import solid
@@ -89,7 +90,7 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
     yield from worker.settle(robot)
     yield from worker.follow(robot, plan.down, CAREFUL)
     yield from worker.settle(robot)
-    yield from worker.grip(robot, firmly(worker.reaches[robot], plan.grasp.width))
+    yield from worker.grip(robot, firmly(worker.planners[robot], plan.grasp.width))
     yield from worker.follow(robot, plan.along, CAREFUL)
     yield from worker.settle(robot)
     yield from worker.grip(robot, plan.grasp.open)
@@ -99,17 +100,17 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
 
 def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
     """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
-    reach, state = worker.reaches[robot], worker.now.state
+    planner, state = worker.planners[robot], worker.now.state
     leading = _Leading(item, state, joint, state.joints[f"{item.name}.{joint.name}"], goal)
     tried = 0
-    for grasp in handle_grasps(item, state, joint, reach.jaws):
-        reach.cell.pose(robot, reach.arm.home, grasp.open)
-        if reach.cell.hand_clash(robot, grasp.X_WH, gap=0.001):
+    for grasp in handle_grasps(item, state, joint, planner.jaws):
+        planner.cell.pose(robot, planner.arm.home, grasp.open)
+        if planner.cell.hand_clash(robot, grasp.X_WH, gap=0.001):
             continue
         tried += 1
         if tried > TRIES:
             return None
-        plan = _led(reach, worker.q[robot], grasp, leading)
+        plan = _led(planner, worker.q[robot], grasp, leading)
         if plan is not None:
             return plan
     return None
@@ -140,34 +141,34 @@ def _front(item: SceneObject, state: SceneState, joint: Joint, corners: Array) -
     return np.asarray(way / np.linalg.norm(way))
 
 
-def _led(reach: Reach, q: Array, grasp: Grasp, leading: _Leading) -> LeadPlan | None:
+def _led(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> LeadPlan | None:
     """The ways of the arm from ``q`` to a grasp, along the joint, and back."""
     before = Pose.of(grasp.X_WH.p - STANDOFF * grasp.X_WH.rotation[:, 2], grasp.X_WH.q)
-    start = reach.arm.solve_any(before, q, reach.rng)
-    if start is None or not reach.clear(start, grasp.open):
+    start = planner.arm.solve_any(before, q, planner.rng)
+    if start is None or not planner.clear(start, grasp.open):
         return None
-    to = reach.line(start, grasp.X_WH, grasp.open, gap=0.001)
+    to = planner.line(start, grasp.X_WH, grasp.open, gap=0.001)
     if to is None:
         return None
-    along = _along(reach, to[-1], grasp, leading)
+    along = _along(planner, to[-1], grasp, leading)
     if along is None:
         return None
-    end, name = reach.arm.hand(along[-1]), leading.item.name
-    back = reach.line(along[-1], Pose.of(end.p - STANDOFF * end.rotation[:, 2], end.q), grasp.open, ignore=[name])
-    way = reach.way(q, start, grasp.open) if back is not None else None
+    end, name = planner.arm.hand(along[-1]), leading.item.name
+    back = planner.line(along[-1], Pose.of(end.p - STANDOFF * end.rotation[:, 2], end.q), grasp.open, ignore=[name])
+    way = planner.way(q, start, grasp.open) if back is not None else None
     return None if back is None or way is None else LeadPlan(grasp, way, to, along, back)
 
 
-def _along(reach: Reach, q: Array, grasp: Grasp, leading: _Leading) -> Path | None:
+def _along(planner: ArmPlanner, q: Array, grasp: Grasp, leading: _Leading) -> Path | None:
     """Postures in which the hand goes with the joint, a little past its closed end; None where it cannot."""
     item, joint, now, goal = leading.item, leading.joint, leading.now, leading.goal
     far = goal + math.copysign(BEYOND, goal - now) if abs(goal - ends(joint)[0]) < 1e-9 else goal
-    held = reach.jaws.at_width(grasp.width)[0]
+    held = planner.jaws.at_width(grasp.width)[0]
     count = max(1, math.ceil(abs(far - now) / STEP))
     along: Path = [q]
     for k in range(1, count + 1):
         X_WH = _motion(item, leading.state, joint, now, now + (far - now) * k / count) @ grasp.X_WH
-        part = reach.line(along[-1], X_WH, held, ignore=[item.name])
+        part = planner.line(along[-1], X_WH, held, ignore=[item.name])
         if part is None:
             return None
         along += part[1:]

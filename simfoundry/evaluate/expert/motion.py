@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.backends.mjcf.bodies import free_joint_name
-from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.grasps import Jaws, finger_positions
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.robots.arm import Arm
+from simfoundry.robots.fingers import Jaws, finger_positions
 from simfoundry.scene.model import Scene
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
@@ -51,7 +51,7 @@ class Held:
     X_HO: Pose
 
 
-class Reach:
+class ArmPlanner:
     """One arm in its cell."""
 
     def __init__(self, cell: Cell, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:

@@ -204,10 +204,10 @@ class Expert:
     def _recover(self) -> Script:
         """Let go, and back to where the arm began; then a look at what has come to rest."""
         worker = self._worker
-        for robot, reach in worker.reaches.items():
+        for robot, planner in worker.planners.items():
             worker.held.pop(robot, None)
             yield from worker.grip(robot, 0.0)
             worker.sync()
-            way = reach.way(worker.q[robot], reach.arm.home, 0.0)
-            yield from worker.follow(robot, way or [worker.q[robot], reach.arm.home])
+            way = planner.way(worker.q[robot], planner.arm.home, 0.0)
+            yield from worker.follow(robot, way or [worker.q[robot], planner.arm.home])
         yield from worker.wait(PAUSE)

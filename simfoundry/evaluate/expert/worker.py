@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from simfoundry.backends.robot_models.mujoco_robot import RobotModelError
-from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.grasps import jaws
-from simfoundry.evaluate.expert.motion import Cell, Held, Path, Reach
+from simfoundry.evaluate.expert.motion import ArmPlanner, Cell, Held, Path
 from simfoundry.evaluate.policies.base import Observation
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.robots.arm import Arm
+from simfoundry.robots.fingers import jaws
 from simfoundry.scene.model import Scene
 
 JOINT, HAND = 1.1, 0.35
@@ -95,12 +95,12 @@ class Worker:
     def begin(self, seed: int) -> None:
         """Forget everything."""
         self.rng = np.random.default_rng(seed)
-        self.reaches: dict[str, Reach] = {}
+        self.planners: dict[str, ArmPlanner] = {}
         for name, arm in self.arms.items():
             fingers = jaws(arm.robot)
             if fingers is None:
                 raise RobotModelError(f"robot `{name}` has no gripper whose fingers close along the y of its hand")
-            self.reaches[name] = Reach(self.cell, arm, fingers, self.rng)
+            self.planners[name] = ArmPlanner(self.cell, arm, fingers, self.rng)
         self.q: dict[str, Array] = {}
         self.share = dict.fromkeys(self._robots, 0.0)
         self.held: dict[str, Held] = {}

@@ -12,7 +12,7 @@ from itertools import combinations, product
 from math import comb
 from typing import Any
 
-from simfoundry.frontends.bddl.expressions import BddlGroup, BddlWord
+from simfoundry.frontends.bddl.problem import BddlGroup, BddlWord
 
 MOST_TERMS = 20_000
 """Predicates of a written-out goal: nobody reads more, and quantifiers over many objects explode."""

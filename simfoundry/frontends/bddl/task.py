@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.frontends.bddl.conditions import Condition, ConditionReader
-from simfoundry.frontends.bddl.expressions import BddlGroup
-from simfoundry.frontends.bddl.problem import BddlProblem, BddlRegion, read_problem
+from simfoundry.frontends.bddl.problem import BddlGroup, BddlProblem, BddlRegion, read_problem
 from simfoundry.frontends.document_data import relative_path, rounded
 from simfoundry.frontends.draft import ImportOptions, ModelDraft
 from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.names import plain_name
 from simfoundry.geometry.frames import rpy_from_quat
-from simfoundry.scene.model import Joint, Scene, SceneObject
+from simfoundry.scene.model import Scene, SceneObject
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
 
@@ -77,35 +76,27 @@ class _TaskReader:
         kinds: dict[str, list[str]] = {}
         for name, kind in self.problem.things.items():
             kinds.setdefault(kind.lower(), []).append(name)
-        reading = ConditionReader(self._atom, kinds, self.missing)
-        found = reading.condition(self.problem.goal, {})
+        found = ConditionReader(self._atom, kinds, self.missing).condition(self.problem.goal, {})
         if found is None and not self.missing:
-            self.missing.append(
-                f"line {self.problem.goal.line}: the goal is empty: every rollout would succeed at once"
-            )
+            self._lack(self.problem.goal, "the goal is empty: every rollout would succeed at once")
         return found
 
     def _atom(self, group: BddlGroup, name: str, words: list[str]) -> Condition | None:
-        """One predicate of the goal."""
+        """One predicate of the goal; None where something of it is missing."""
         if name in BINARY and len(words) == 2:
             return self._binary(group, BINARY[name], *words)
         if name in (*OPEN, *CLOSE) and len(words) == 1:
-            joints = self._joints(group, words[0])
-            if not joints:
-                return None
-            if name in CLOSE:
-                each = tuple(f"Closed({joint})" for joint in joints)
-                return each[0] if len(each) == 1 else {"all": each}
-            each = tuple(f"Open({joint})" for joint in joints)
-            return each[0] if len(each) == 1 else {"any": each}
+            predicate, key = ("Closed", "all") if name in CLOSE else ("Open", "any")
+            each = tuple(f"{predicate}({joint})" for joint in self._joints(group, words[0]))
+            return {key: each} if len(each) > 1 else next(iter(each), None)
         if name in UNARY and len(words) == 1:
-            thing = self._thing(group, words[0])
+            thing = self._object(group, words[0])
             return None if thing is None else f"{UNARY[name]}({thing})"
         self._lack(group, f"there is no predicate for `{name}`")
         return None
 
     def _binary(self, group: BddlGroup, predicate: str, first: str, second: str) -> Condition | None:
-        thing = self._thing(group, first)
+        thing = self._object(group, first)
         region = self.problem.regions.get(second)
         if region is not None and region.ranges is not None:
             return None if thing is None else self._in_rectangle(group, thing, region)
@@ -120,7 +111,7 @@ class _TaskReader:
 
     def _put_in(self, target: str) -> bool:
         """Return whether the instruction asks for something to go into an object."""
-        noun = re.escape((self.scene.object(owner_of(target)).category or target).rpartition("_")[2])
+        noun = re.escape((self.scene.object(target.partition(".")[0]).category or target).rpartition("_")[2])
         between = r"(?:(?!\b(?:on|onto|and)\b|,).)*"
         return re.search(rf"\bin(?:to|side)?\b{between}\b{noun}\b", self.problem.language.lower()) is not None
 
@@ -133,8 +124,8 @@ class _TaskReader:
         self.draft.changed(f"region `{region.name}`", "a goal region is the tolerance of `At` about its middle", size)
         return f"At({thing}, {(box[0] + box[2]) / 2:.6g}, {(box[1] + box[3]) / 2:.6g})"
 
-    def _thing(self, group: BddlGroup, name: str) -> str | None:
-        """The scene's object that a name means."""
+    def _object(self, group: BddlGroup, name: str) -> str | None:
+        """The scene's object for a name."""
         found = bind(name, self.problem, self.scene, self.bound)
         if found is None and name not in self.unbound:
             self.unbound.add(name)
@@ -144,9 +135,9 @@ class _TaskReader:
         return found
 
     def _part(self, group: BddlGroup, name: str, predicate: str) -> str | None:
-        """The object, or the link of it, that a name or the name of a region means."""
+        """The object or link for a name, or for that of a region."""
         region = self.problem.regions.get(name)
-        owner = self._thing(group, region.target if region is not None else name)
+        owner = self._object(group, region.target if region is not None else name)
         if region is None or owner is None:
             return owner
         links = [link.name for link in self.scene.object(owner).links[1:]]
@@ -160,22 +151,19 @@ class _TaskReader:
         return owner
 
     def _joints(self, group: BddlGroup, name: str) -> list[str]:
-        """The joints that a name or the name of a region means, as ``object.joint``."""
+        """The joints for a name, or for that of a region, as ``object.joint``."""
         region = self.problem.regions.get(name)
-        owner = self._thing(group, region.target if region is not None else name)
+        owner = self._object(group, region.target if region is not None else name)
         if owner is None:
             return []
-        joints = {j.name: j for j in self.scene.object(owner).joints if j.has_axis}
+        joints = {j.name: f"{j.name} {j.child}" for j in self.scene.object(owner).joints if j.has_axis}
+        found = list(joints) if region is None or len(joints) < 2 else _alike(region, joints)
         if not joints:
             self._lack(group, f"`{owner}` has no joint to open")
-            return []
-        if region is None or len(joints) == 1:
-            return [f"{owner}.{joint}" for joint in joints]
-        found = _alike(region, {name: f"{name} {joint.child}" for name, joint in joints.items()})
-        if len(found) != 1:
+        elif region is not None and len(found) != 1:
             self._unclear(group, region, owner, list(joints), found)
             return []
-        return [f"{owner}.{found[0]}"]
+        return [f"{owner}.{joint}" for joint in found]
 
     def _unclear(self, group: BddlGroup, region: BddlRegion, owner: str, there: list[str], found: list[str]) -> None:
         which = f"both {' and '.join(found)} could be" if found else f"none of {', '.join(there)} is"
@@ -183,7 +171,7 @@ class _TaskReader:
 
     def _rectangle(self, group: BddlGroup, region: BddlRegion) -> tuple[float, float, float, float] | None:
         """The rectangle of a region in the world, square to its axes [m]."""
-        owner = self._thing(group, region.target)
+        owner = self._object(group, region.target)
         if owner is None or region.ranges is None:
             return None
         X_WO = self.scene.object(owner).X_WO
@@ -210,7 +198,7 @@ class _TaskReader:
         return ({"joints": joints} if joints else {}), regions
 
     def _region(self, group: BddlGroup, name: str, region: BddlRegion, regions: dict[str, Any]) -> None:
-        thing, box = self._thing(group, name), self._rectangle(group, region)
+        thing, box = self._object(group, name), self._rectangle(group, region)
         if thing is None or box is None:
             return
         item = self.scene.object(thing)
@@ -233,7 +221,7 @@ class _TaskReader:
 
 
 def bind(name: str, problem: BddlProblem, scene: Scene, bound: Mapping[str, str]) -> str | None:
-    """The scene's object that a name of a problem means: as told, by its name, or by its type and number."""
+    """Return the scene's object for a name of a problem: the bound one, or that of its name, or its type and number."""
     if name in bound:
         return bound[name]
     there = {item.name: item for item in scene.objects}
@@ -254,23 +242,18 @@ def _type(kind: str) -> str:
 
 
 def _opened(item: SceneObject, name: str) -> float:
-    """The open position of a joint: the limit that is farther from zero [rad or m]."""
-    joint: Joint = next(j for j in item.joints if j.name == name)
+    """The open position of a joint: the limit that is farther from zero [rad or m], or a quarter turn."""
+    joint = next(j for j in item.joints if j.name == name)
     return max(joint.limits, key=abs) if joint.limits is not None else math.pi / 2
 
 
 def _alike(region: BddlRegion, parts: Mapping[str, str]) -> list[str]:
-    """The parts, by what they are called, that the name of a region means: that of its name, or those of a word."""
+    """The parts that match the name of a region: the one of that name, or those that share a word with it."""
     exact = region.name.removesuffix("_region")
     if exact in parts:
         return [exact]
     words = _words(region.name)
     return [name for name, called in parts.items() if words & _words(called)]
-
-
-def owner_of(name: str) -> str:
-    """The object of ``object.part``."""
-    return name.partition(".")[0]
 
 
 def _words(name: str) -> set[str]:

@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.poses import Turn
@@ -126,6 +125,8 @@ class Bodies:
 
     def hollow_links(self, thing: Thing) -> tuple[int, ...]:
         """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
+        from simfoundry.geometry.cavity import cavity
+
         if thing not in self._hollow:
             forms = self[thing.owner].forms
             found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)

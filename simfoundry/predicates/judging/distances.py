@@ -72,7 +72,7 @@ class Distances:
                 pair = LinkPair((a.owner, i), (b.owner, j), one, other, X_WA.at(close), X_WB.at(close))
                 found = self._measured(pair, out[close]) if limit is None else self._decided(pair, limit)
                 out[close] = np.minimum(out[close], found)
-        return out
+        return np.asarray(out)
 
     def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
         """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
-from simfoundry.geometry.poses import Index, Poses
+from simfoundry.geometry.poses import Index
 from simfoundry.predicates.judging.bodies import Thing
 from simfoundry.predicates.judging.view import View
 
@@ -68,16 +68,3 @@ def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index,
 def _beside(view: View, points: Array, b: Thing) -> Array:
     """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
-
-
-def centre_of_mass(view: View, a: Thing) -> Array:
-    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
-    links = view.bodies[a.owner].item.links
-    masses = [links[k].mass for k in a.links]
-    if sum(masses) <= 0:
-        return view.boxes(a).middle
-    total = np.zeros((view.n, 3))
-    for k, mass in zip(a.links, masses, strict=True):
-        X_WL: Poses = view.link(a.owner, k)
-        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
-    return total

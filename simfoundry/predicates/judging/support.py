@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
+from simfoundry.geometry.poses import Poses
 from simfoundry.predicates.judging.bodies import Thing
-from simfoundry.predicates.judging.plumb import centre_of_mass
 from simfoundry.predicates.judging.terms import Context
 from simfoundry.predicates.judging.thresholds import CLOSE, FRICTION_SHARE, SUPPORT_DEG, TOUCH
 from simfoundry.predicates.judging.view import View, over
@@ -74,6 +74,19 @@ def balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
             gap = context.distances.between(view.at(left), a, other, TOUCH)
             within[left] = np.where(gap < TOUCH, TOUCH - gap, within[left])
     return within
+
+
+def centre_of_mass(view: View, a: Thing) -> Array:
+    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
+    links = view.bodies[a.owner].item.links
+    masses = [links[k].mass for k in a.links]
+    if sum(masses) <= 0:
+        return view.boxes(a).middle
+    total = np.zeros((view.n, 3))
+    for k, mass in zip(a.links, masses, strict=True):
+        X_WL: Poses = view.link(a.owner, k)
+        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
+    return total
 
 
 def balance_text(a: Thing, b: Thing, value: float) -> str:

@@ -1,4 +1,4 @@
-"""Two states of a document compared: what changed, as data and in words, and what is wrong with either."""
+"""Compare two states of a document: the changes as data and in words, and the errors of either state."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from simfoundry.spec.yaml.write import to_data
 
 @dataclass(frozen=True)
 class Side:
-    """One state of a document, ``label`` for people (``HEAD~1:desk.scene.yaml``).
+    """State of a document; ``label`` is its name for people (``HEAD~1:desk.scene.yaml``).
 
     ``spec`` is what is sound of it, None where nothing is; ``text`` as it stands in the file.
     """
@@ -57,7 +57,7 @@ class DocumentComparison:
 
     @property
     def differs(self) -> bool:
-        """Whether anything but the writing changed."""
+        """True unless the two states differ in layout only."""
         return bool(self.changes or self.entries or self.obstacle or self.old is None or self.new is None)
 
     @property
@@ -67,7 +67,7 @@ class DocumentComparison:
 
     @property
     def along(self) -> tuple[str, ...]:
-        """The objects that say the same as before and stand elsewhere, as their places name what moved."""
+        """Objects whose own text is unchanged but which moved with the object that their place names."""
         if self.new is None or not isinstance(self.new.spec, SceneSpec):
             return ()
         named = {e.name for e in self.entries if e.section == "objects"}
@@ -78,7 +78,7 @@ class DocumentComparison:
         return tuple(name for name in places if name in gone - named)
 
     def lines(self) -> list[str]:
-        """What changed, and a line that counts it."""
+        """Return the changes, and a line that counts them."""
         if self.obstacle:
             return [f"cannot be compared: {self.obstacle}"]
         if self.old is None or self.new is None:
@@ -94,7 +94,7 @@ class DocumentComparison:
 
 
 def _anchors(place: Place) -> set[str]:
-    """The objects by which a place says where in the plane something stands."""
+    """Return the objects that fix the horizontal position of a place."""
     if place.xy is not None:
         return set()
     beside = {n for n in (place.left_of, place.right_of, place.in_front_of, place.behind) if n is not None}
@@ -134,7 +134,7 @@ def compare(
 
 
 def _named_alike(old: Side, new: Side) -> dict[str, Any]:
-    """The old data with its files named from the folder of the new, where both lie in one project."""
+    """Return the old data with file references relative to the new folder, if both lie in one project."""
     assert old.spec is not None
     if old.loaded.root != new.loaded.root:
         return old.data
@@ -142,7 +142,7 @@ def _named_alike(old: Side, new: Side) -> dict[str, Any]:
 
 
 def _sound(loaded: Loaded) -> DocumentSpec | None:
-    """What is sound of a document with errors; nothing where what it extends is missing: it is not half of itself."""
+    """Return the sound part of a document with errors; None if a document that it extends is missing."""
     document = loaded.document
     if document is None or not isinstance(document.data, dict):
         return None
@@ -153,7 +153,7 @@ def _sound(loaded: Loaded) -> DocumentSpec | None:
 
 
 def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
-    """The same finding with its file as the reader knows it."""
+    """Return a finding that names its file as the reader knows it."""
     if d.file == str(loaded.path):
         return replace(d, file=label)
     revision, colon, _ = label.rpartition(":")
@@ -164,7 +164,7 @@ def _named(d: Diagnostic, loaded: Loaded, label: str) -> Diagnostic:
 
 
 def _content(side: Side | None) -> str:
-    """What a document holds, in one line: ``7 objects (desk, cereal, …), 1 camera (view)``."""
+    """Summarize a document in one line: ``7 objects (desk, cereal, …), 1 camera (view)``."""
     parts = []
     for section, members in (side.data if side is not None else {}).items():
         if isinstance(members, dict) and members and all(isinstance(m, dict) for m in members.values()):
@@ -175,7 +175,7 @@ def _content(side: Side | None) -> str:
 
 
 def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
-    """The units of the joint positions of a scene's objects, from their asset documents."""
+    """Return the units of the joint positions of a scene's objects, from their asset documents."""
     if not isinstance(side.spec, SceneSpec):
         return {}
     found: dict[tuple[str, str], str] = {}
@@ -187,7 +187,7 @@ def _joint_units(side: Side) -> Mapping[tuple[str, str], str]:
 
 
 def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
-    """Objects whose document says the same, but whose asset or mesh is another file than it was."""
+    """Return objects whose text is unchanged but whose asset or mesh file differs."""
     if not isinstance(old.spec, SceneSpec) or not isinstance(new.spec, SceneSpec):
         return []
     entries = []
@@ -204,7 +204,7 @@ def _changed_files(old: Side, new: Side, verbose: bool) -> list[MemberChange]:
 
 
 def _file_change(old: Loaded, new: Loaded, reference: str, verbose: bool) -> str:
-    """What changed in a file that both sides refer to, in a few words; empty where nothing did."""
+    """Summarize the changes of a file that both sides refer to; empty if it is the same."""
     before, after = old.used(reference), new.used(reference)
     if before is None or after is None:
         return f"{reference} is another file" if _bytes(old, reference) != _bytes(new, reference) else ""

@@ -94,7 +94,7 @@ def _same_content(a: Any, b: Any) -> bool:
 
 @dataclass(slots=True)
 class _Span:
-    """Where a value stands in a text: [start, end), and its key from ``key`` on (-1 without one).
+    """Position of a value in a text: [start, end), and its key from ``key`` on (-1 without one).
 
     ``children`` are those of a block collection or of a mapping in braces; None for what is replaced as a whole:
     scalars, aliases, lists in brackets, and braces in which a text has a comma.

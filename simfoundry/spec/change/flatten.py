@@ -1,4 +1,4 @@
-"""A whole document: what it extends joined in, every default written out."""
+"""Flatten a document: join the documents that it extends, and write out every default."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from simfoundry.spec.yaml.write import write_tree
 
 
 def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = None) -> str:
-    """The canonical text of a composed document with the value of every default that is one.
+    """Return the canonical text of a composed document with the values of all defaults.
 
     What has no value of its own (a friction that is the material's) stays out. Flattening the text again gives the same
     text. Files that it names stay relative to ``folder``, that of the document, or become relative to ``into``.
@@ -29,7 +29,7 @@ def flatten(spec: DocumentSpec, folder: Path | None = None, into: Path | None = 
 
 
 def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path) -> dict[str, Any]:
-    """Data of a document in ``folder`` whose files are named from ``into``."""
+    """Return the data of a document in ``folder`` with its file references relative to ``into``."""
     if folder.resolve() != into.resolve():
         step = PurePosixPath(Path(os.path.relpath(folder.resolve(), into.resolve())).as_posix())
         for pattern in file_patterns(model):
@@ -38,12 +38,12 @@ def relocated(data: dict[str, Any], model: type[Model], folder: Path, into: Path
 
 
 def digest(text: str) -> str:
-    """The SHA-256 of a flattened text, in hex: equal documents have equal digests, however they are written."""
+    """Return the SHA-256 of a flattened text in hex; equal documents have equal digests, however they are written."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def full(spec: Model) -> dict[str, Any]:
-    """Plain data of a part of a document with its defaults, in canonical order."""
+    """Return the plain data of a part of a document with its defaults, in canonical order."""
     given = {name for name in spec.model_fields_set if getattr(spec, name) is not None}
     out: dict[str, Any] = {}
     for name in field_order(type(spec)):
@@ -67,7 +67,7 @@ def _plain(value: Any) -> Any:
 
 
 def _moved(data: Any, pattern: Pattern, step: PurePosixPath) -> Any:
-    """The data in which the files at ``pattern`` are meant from another folder."""
+    """Make the file references at ``pattern`` relative to another folder."""
     if not pattern:
         stays = not isinstance(data, str) or ":" in data or data.startswith("/")
         return data if stays else os.path.normpath(step / data)

@@ -1,4 +1,4 @@
-"""The canonical form of a text: the same meaning and the same comments, one way to write each thing."""
+"""Format a document canonically: same meaning, same comments, one way to write each value."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _MODELINE = re.compile(r"#\s*yaml-language-server:\s*\$schema=(\S+)\s*\Z")
 
 @dataclass(frozen=True)
 class Formatted:
-    """A text as it is and as it should be."""
+    """A text before and after formatting."""
 
     before: str
     after: str
 
     @property
     def changed(self) -> bool:
-        """Whether the text is not in canonical form."""
+        """True if the text was not in canonical form."""
         return self.before != self.after
 
 
 def format_text(text: str, file: str = "<text>", schema: str | None = None) -> str:
-    """The canonical form of a document; raises :class:`SpecError` where the text cannot be read.
+    """Return the canonical form of a document; raises :class:`SpecError` if the text cannot be read.
 
     With ``schema``, a relative path or a URL, the first line names it for editors; without, the line that the text has
     for this is kept.
@@ -46,7 +46,7 @@ def format_text(text: str, file: str = "<text>", schema: str | None = None) -> s
 
 
 def format_file(path: Path) -> Formatted:
-    """A document with its canonical form; nothing is written. Raises :class:`SpecError` where it cannot be read.
+    """Format a document without writing it. Raises :class:`SpecError` if it cannot be read.
 
     Where the schema of its kind lies in ``schemas/`` or ``.simfoundry/schemas/`` of a folder above it in the project,
     the first line names it for editors; a line that names another place is kept where that exists or is a URL.
@@ -60,7 +60,7 @@ def format_file(path: Path) -> Formatted:
 
 
 def schema_line(path: Path, document: Document, root: Path | None = None) -> str | None:
-    """The path of a schema that the first line of a document should name; None where it may stay as it is.
+    """Return the path of the schema that the first line should name; None if it may stay as it is.
 
     It is looked for up to ``root``, by default that of the document's project.
     """
@@ -81,7 +81,7 @@ def schema_line(path: Path, document: Document, root: Path | None = None) -> str
 
 
 def _top_comments(text: str) -> list[str]:
-    """The comments on the lines above everything else."""
+    """Return the comments above everything else."""
     top = re.match(r"\ufeff?(?:[ \t]*(?:#.*)?(?:\r\n|\r|\n|\Z))*", text)
     return [line.strip() for line in top[0].removeprefix("\ufeff").splitlines() if line.strip()] if top else []
 

@@ -1,4 +1,4 @@
-"""Assets: materials, masses, meshes, and the tree of links and joints."""
+"""Check assets: materials, masses, meshes, and the tree of links and joints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.spec.models.base import WORLD
 
 
 def check_asset(c: Checker, spec: AssetSpec) -> None:
-    """Findings of an asset."""
+    """Check an asset."""
     for name, link in spec.links.items():
         path = ("links", name)
         c.material(link, path)
@@ -51,7 +51,7 @@ MAX_CHAIN = 200
 
 
 def _tree(c: Checker, spec: AssetSpec) -> None:
-    """Every link but the first is the child of exactly one joint, and none is its own ancestor."""
+    """Check that every link but the first is the child of exactly one joint, and none its own ancestor."""
     parents: dict[str, str] = {}
     carriers: dict[str, str] = {}
     links = c.names("links")
@@ -81,7 +81,7 @@ def _tree(c: Checker, spec: AssetSpec) -> None:
 
 
 def _mimics(c: Checker, spec: AssetSpec) -> None:
-    """A joint follows another one with one axis, and none follows itself, be it through others."""
+    """Check that each mimic joint follows a joint with one axis, and none follows itself."""
     leaders = {name: joint.mimic.joint for name, joint in spec.joints.items() if joint.mimic is not None}
     for name, leader in leaders.items():
         path = ("joints", name, "mimic", "joint")

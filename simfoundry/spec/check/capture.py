@@ -1,4 +1,4 @@
-"""Captures: the pictures that they name."""
+"""Check captures: the image files that they name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from simfoundry.spec.models.capture import CaptureSpec
 
 
 def check_capture(c: Checker, spec: CaptureSpec) -> None:
-    """Findings of a capture."""
+    """Check a capture."""
     for name, shot in spec.frames.items():
         path = ("frames", name)
         c.file(shot.color, (*path, "color"), PICTURE_SUFFIXES)

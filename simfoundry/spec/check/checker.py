@@ -1,4 +1,4 @@
-"""What the checks of all kinds of document share."""
+"""Checks that all kinds of document share."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Checker:
             self.findings.append(Diagnostic(code, severity, message, file, line, column, dotted, hint, about))
 
     def names(self, section: str) -> dict[str, Any]:
-        """The names that a section of the text defines, sound or not."""
+        """Return the names that a section of the text defines, faulty members included."""
         members = self.document.data.get(section) if isinstance(self.document.data, dict) else None
         return members if isinstance(members, dict) else {}
 
     def name(self, name: str, choices: Collection[str], path: Path_, what: str) -> bool:
-        """Whether ``name`` is among the choices; a finding where it is not."""
+        """Check that ``name`` is among the choices."""
         if name in choices:
             return True
         if self._counts[Severity.ERROR] < MAX_FINDINGS:
@@ -66,12 +66,12 @@ class Checker:
         return False
 
     def reserved(self, path: Path_, what: str) -> None:
-        """A finding for a thing that is called as formats call what does not move."""
+        """Reject the name that formats reserve for the static world."""
         message = f"a {what} cannot be called `{WORLD}`: MuJoCo and readers of URDF call what does not move so"
         self.add("SF213", path, message.replace("a object", "an object"), f"rename it, as `{WORLD}_{what}`")
 
     def file(self, reference: str, path: Path_, suffixes: tuple[str, ...]) -> bool:
-        """Whether ``reference`` is a file with one of the suffixes, below the project root or of a package."""
+        """Check that ``reference`` is a file with one of the suffixes, below the project root or in a package."""
         try:
             reachable(reference, self.loaded.path, self.loaded.root, suffixes)
         except FileError as wrong:
@@ -80,7 +80,7 @@ class Checker:
         return True
 
     def use(self, reference: str, path: Path_, kinds: tuple[str, ...], suffixes: tuple[str, ...]) -> Loaded | None:
-        """The document of one of the kinds that ``reference`` names; None, with a finding, where there is none."""
+        """Return the document that ``reference`` names; None, with a finding, if there is none of these kinds."""
         if not self.file(reference, path, suffixes):
             return None
         target = str(self.loaded.file(reference))
@@ -94,12 +94,12 @@ class Checker:
         return self.loaded.uses[target]
 
     def material(self, body: BodySpec, path: Path_) -> None:
-        """Whether the material of a body is defined."""
+        """Check that the material of a body is defined."""
         if body.material is not None:
             self.name(body.material, self.names("materials"), (*path, "material"), "material")
 
     def mass(self, body: BodySpec, made_of: list[str | None], materials: Mapping[str, Material], path: Path_) -> None:
-        """A body has a mass or a density, or else every piece of it is made of something with a density."""
+        """Check that a body has a mass or a density, or that all of its parts are of materials with one."""
         if body.model_fields_set & {"mass", "density"}:  # given, if only without a value, which is a finding itself
             return
         if any(name is None or (name in materials and materials[name].density is None) for name in made_of):
@@ -107,13 +107,13 @@ class Checker:
             self.add("SF108", path, f"`{path[-1]}` has no mass", hint)
 
     def densities(self, materials: Mapping[str, Material]) -> None:
-        """Whether the densities of materials are plausible."""
+        """Check that the densities of materials are plausible."""
         for name, material in materials.items():
             if material.density is not None:
                 self.plausible(name, material.density, ("materials", name, "density"))
 
     def density(self, body: BodySpec, path: Path_, solid: float | None) -> None:
-        """Whether the density that a body has, given or as its mass over the ``solid`` volume [m^3], is plausible."""
+        """Check that a body's density, given or as mass over the ``solid`` volume [m^3], is plausible."""
         given, mass = quantity_value(body.density), quantity_value(body.mass)
         if given is not None:
             self.plausible(str(path[-1]), given, (*path, "density"))
@@ -121,13 +121,13 @@ class Checker:
             self.plausible(str(path[-1]), mass / solid, (*path, "mass"))
 
     def plausible(self, name: str, density: float, path: Path_) -> None:
-        """Whether a density [kg/m^3] is one that things have."""
+        """Check that a density [kg/m^3] is one that real objects have."""
         hint = implausible(density)
         if hint:
             self.warn("SF402", path, f"`{name}` has a density of {density:.4g} kg/m^3", hint)
 
     def unused(self, materials: Mapping[str, Material], used: Collection[str | None]) -> None:
-        """A warning for each material of which nothing is made."""
+        """Warn of each material that nothing is made of."""
         for name in materials if self.whole else ():
             if name not in used:
                 self.warn("SF401", ("materials", name), f"nothing is made of `{name}`", "remove it")

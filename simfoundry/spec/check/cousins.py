@@ -1,4 +1,4 @@
-"""Recipes: the names of the twin that its axes speak of."""
+"""Check recipes: the names of the twin that their axes refer to."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.spec.models.task import TaskSpec
 
 
 def check_cousins(c: Checker, spec: CousinsSpec) -> None:
-    """Findings of a recipe."""
+    """Check a recipe."""
     twin = c.use(spec.twin, ("twin",), ("scene/1", "task/1"), (".scene.yaml", ".task.yaml", ".yaml"))
     if spec.object is not None and spec.object.library is not None:
         c.file(spec.object.library, ("object", "library"), ())
@@ -41,7 +41,7 @@ def check_cousins(c: Checker, spec: CousinsSpec) -> None:
 
 
 def _names(twin: Loaded | None) -> SceneNames | None:
-    """What can be named in the scene of the twin."""
+    """Return the names in the scene of the twin."""
     if twin is None or not isinstance(twin.spec, TaskSpec):
         return scene_names(twin)
     return scene_names(twin.used(twin.spec.scene))

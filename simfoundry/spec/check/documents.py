@@ -1,4 +1,4 @@
-"""What types cannot say about a document, by its kind."""
+"""Run the checks of a kind of document that go beyond its types."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.spec.models.base import DocumentSpec
 
 
 def check(loaded: Loaded, sound: DocumentSpec | None, whole: bool, use: Use) -> list[Diagnostic]:
-    """Findings of a document beyond its types; ``sound`` is its typed spec, or what of it is sound where not ``whole``.
+    """Check a document beyond its types; ``sound`` is its typed spec, or the sound part of it unless ``whole``.
 
     The documents that it uses are read with ``use`` and added to ``loaded.uses``.
     """

@@ -1,4 +1,4 @@
-"""Joint positions that a document asks for, held against the asset that has the joints; pairs without contact."""
+"""Check joint positions against the asset that has the joints, and pairs without contact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], path: Path_, resting: bool = True) -> None:
-    """Findings of positions ``given`` below ``path``; with ``resting``, those not given are held to be 0."""
+    """Check the positions ``given`` below ``path``; with ``resting``, others are taken as 0."""
     for name in given:
         c.name(name, asset.joints, (*path, name), "joint")
     for name, joint in asset.joints.items():
@@ -29,12 +29,12 @@ def check_joints(c: Checker, asset: AssetSpec, given: Mapping[str, Written], pat
 
 
 def check_target(c: Checker, name: str, joint: JointSpec, target: float, path: Path_) -> None:
-    """Whether the target of a drive [m or rad] lies within the limits of its joint."""
+    """Check that the target of a drive [m or rad] lies within the limits of its joint."""
     _within(c, f"the target of `{name}`", joint, target, path, "", quoted=False)
 
 
 def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[str]]) -> None:
-    """Whether the pair at ``k`` of `no_contact` is of two things and stands there once; it is added to ``seen``."""
+    """Check that the pair at ``k`` of `no_contact` names two objects, once; add it to ``seen``."""
     if pair[0] == pair[1]:
         c.add("SF212", ("no_contact", k), f"`{pair[0]}` is paired with itself", "name two things")
     elif frozenset(pair) in seen:
@@ -43,7 +43,7 @@ def check_pair(c: Checker, pair: tuple[str, str], k: int, seen: set[frozenset[st
 
 
 def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path_) -> bool:
-    """Whether a joint can have a position like the one that is written; a finding where not."""
+    """Check that a position has the form that its joint needs."""
     if joint.type == "fixed":
         c.add("SF205", place, f"`{name}` is fixed and has no position", "remove it")
     elif joint.mimic is not None:
@@ -66,7 +66,7 @@ def _fits(c: Checker, name: str, joint: JointSpec, written: Written, place: Path
 def _within(
     c: Checker, name: str, joint: JointSpec, value: float, place: Path_, hint: str, quoted: bool = True
 ) -> None:
-    """Whether a position [m or rad] lies within the limits of a joint."""
+    """Check that a position [m or rad] lies within the limits of a joint."""
     limits, unit = joint.limits, "m"
     if joint.limits_deg is not None:
         limits, unit, value = joint.limits_deg, "deg", math.degrees(value)

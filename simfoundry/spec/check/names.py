@@ -1,4 +1,4 @@
-"""The names that conditions and places refer to: objects, their parts and joints, robots."""
+"""Check the names in conditions and places: objects, their parts and joints, robots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXAMPLE = "write it as `OnTop(cup, desk)` or `Closed(cabinet.drawer)`"
 
 
 class SceneNames:
-    """What can be named in a scene: ``objects`` and ``robots`` of its text, faulty ones too, and their parts."""
+    """Names in a scene: ``objects`` and ``robots`` of its text, faulty ones included, and their parts."""
 
     def __init__(self, scene: Loaded, spec: SceneSpec | None) -> None:
         self.scene, self.spec = scene, spec
@@ -27,7 +27,7 @@ class SceneNames:
         self.objects, self.robots = (_mapping(data, section) for section in ("objects", "robots"))
 
     def asset(self, name: str) -> AssetSpec | None:
-        """The asset document that the object ``name`` is made from, if it is one and is sound."""
+        """Return the asset document of the object ``name`` if it has one that is sound."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         used = self.scene.used(item.asset) if item is not None and item.asset is not None else None
         if used is None:
@@ -37,7 +37,7 @@ class SceneNames:
         return used.spec if isinstance(used.spec, AssetSpec) else None
 
     def is_known(self, name: str) -> bool:
-        """Whether it is certain which parts the object ``name`` has."""
+        """True if the parts of the object ``name`` are known for certain."""
         item = self.spec.objects.get(name) if self.spec is not None else None
         if item is None:
             return False
@@ -47,7 +47,7 @@ class SceneNames:
     # -- findings -----------------------------------------------------------------------------------------------
 
     def check_call(self, c: Checker, text: str, path: Path_) -> None:
-        """Findings of one predicate."""
+        """Check one predicate."""
         try:
             call = parse_call(text)
         except ExpressionError as error:
@@ -72,7 +72,7 @@ class SceneNames:
                     self.check_part(c, argument, path)
 
     def _overlap(self, a: str, b: str) -> bool:
-        """Whether two things have a link in common: one is all of the other, or a joint moves the link that one is."""
+        """True if two arguments share a link: one is all of the other, or a joint moves the link that one is."""
         (owner, _, one), (other, _, two) = a.partition("."), b.partition(".")
         asset = self.asset(owner)
         if asset is not None:
@@ -80,12 +80,12 @@ class SceneNames:
         return owner == other and (not one or not two or one == two)
 
     def check_condition(self, c: Checker, condition: Any, path: Path_) -> None:
-        """Findings of a condition."""
+        """Check a condition."""
         for text, below in texts(condition):
             self.check_call(c, text, (*path, *below))
 
     def check_part(self, c: Checker, argument: str, path: Path_) -> None:
-        """An object, one of its links, or one of its joints (which means the link that it moves)."""
+        """Check the name of an object, of one of its links, or of one of its joints (the link that it moves)."""
         name, _, part = argument.partition(".")
         if c.name(name, self.objects, path, "object") and part:
             asset = self.asset(name)
@@ -95,7 +95,7 @@ class SceneNames:
                 c.add("SF201", path, f"`{name}` has no parts, so none is called `{part}`")
 
     def check_joint(self, c: Checker, argument: str, path: Path_) -> None:
-        """An object with joints, or one of its joints."""
+        """Check the name of an object with joints, or of one of its joints."""
         name, _, joint = argument.partition(".")
         if not c.name(name, self.objects, path, "object"):
             return
@@ -107,7 +107,7 @@ class SceneNames:
             c.add("SF201", path, f"`{name}` has no joints" + (f", so none is called `{joint}`" if joint else ""))
 
     def check_place(self, c: Checker, name: str, place: Place, path: Path_) -> None:
-        """The names in the place of the object ``name``."""
+        """Check the names in the place of the object ``name``."""
         for key in ("on", "inside"):
             carrier: str | None = getattr(place, key)
             if carrier is not None:
@@ -118,7 +118,7 @@ class SceneNames:
                 c.name(anchor, self.objects, (*path, key), "object")
 
     def check_order(self, c: Checker, places: Mapping[str, Place], paths: Mapping[str, Path_]) -> None:
-        """No thing may stand, over others, on or beside itself."""
+        """Check that no object stands, through others, on or beside itself."""
         needs = _unsolved({name: _needs(place) & places.keys() for name, place in places.items()})
         for name in needs:
             ring = _ring(name, needs)
@@ -134,7 +134,7 @@ def _needs(place: Place) -> set[str]:
 
 
 def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """What is left when everything is taken away whose needs are met: rings, and what needs them."""
+    """Return what remains when everything with satisfied needs is removed: cycles, and what needs them."""
     waiting = {name: len(needed) for name, needed in needs.items()}
     wanted: dict[str, list[str]] = {}
     for name, needed in needs.items():
@@ -150,7 +150,7 @@ def _unsolved(needs: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 
 def _ring(name: str, needs: Mapping[str, Collection[str]]) -> tuple[str, ...]:
-    """The way from ``name`` back to itself, empty where there is none."""
+    """Return the path from ``name`` back to itself, empty without one."""
     todo: list[tuple[str, ...]] = [(name,)]
     seen: set[str] = set()
     while todo:

@@ -1,4 +1,4 @@
-"""A page for each diagnostic code: what it means, how to mend it, what is wrong and what is right; as Markdown."""
+"""Pages of the diagnostic codes: the meaning of each, how to mend it, wrong and right examples, as Markdown."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FENCE = re.compile(r"^```(\w+)\n# (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class Snippet:
-    """A file that a page shows under one of its leads (`Wrong`, `Right`, `Beside it`)."""
+    """A file that a page shows under one of its headings (`Wrong`, `Right`, `Beside it`)."""
 
     lead: str
     name: str
@@ -34,7 +34,7 @@ class Snippet:
 
 @dataclass(frozen=True)
 class Page:
-    """What there is to say about one code; ``body`` is Markdown without the title."""
+    """Explanation of one code; ``body`` is Markdown without the title."""
 
     code: str
     title: str
@@ -42,12 +42,12 @@ class Page:
 
     @property
     def markdown(self) -> str:
-        """The whole page."""
+        """Return the whole page."""
         return f"# {self.code} {self.title}\n\n{self.body}"
 
     @property
     def snippets(self) -> list[Snippet]:
-        """The files that the page shows, in order; each is a complete document or mesh whose first line names it."""
+        """Return the files that the page shows: complete documents or meshes whose first line names them."""
         leads = re.split(r"^\*\*([^*]+?)\.?\*\*", self.body, flags=re.MULTILINE)
         return [
             Snippet(lead, name, text)
@@ -57,31 +57,31 @@ class Page:
 
 
 def page(code: str) -> Page:
-    """The page of a code; raises ``FileNotFoundError`` where there is none."""
+    """Return the page of a code; raises ``FileNotFoundError`` for an unknown one."""
     title, _, body = (FOLDER / f"{code}.md").read_text(encoding="utf-8").partition("\n\n")
     return Page(code, title.removeprefix(f"# {code} "), body)
 
 
 @cache
 def pages() -> tuple[Page, ...]:
-    """Every page, by code."""
+    """Return every page, by code."""
     return tuple(page(path.stem) for path in sorted(FOLDER.glob("SF*.md")))
 
 
 def titles() -> dict[str, str]:
-    """The title of each code."""
+    """Return the title of each code."""
     return {found.code: found.title for found in pages()}
 
 
 def code_of(text: str) -> str | None:
-    """The code that a person means by ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None where there is none."""
+    """Return the code meant by ``SF201``, ``sf201``, ``201`` or ``error[SF201]``; None for an unknown one."""
     match = _CODE.fullmatch(text.strip())
     code = f"SF{int(match[1]):03}" if match else ""
     return code if code in titles() else None
 
 
 def grouped() -> dict[str, dict[str, str]]:
-    """The title of each group of codes, with the titles of its codes."""
+    """Return the title of each group of codes, with the titles of its codes."""
     return {title: {c: t for c, t in titles().items() if c.startswith(start)} for start, title in GROUPS.items()}
 
 
@@ -97,7 +97,7 @@ pages, and [checking.md](checking.md) says how to check at each commit and on a 
 
 
 def findings_page() -> str:
-    """``docs/findings.md``: every page in one, with a table of contents."""
+    """Return ``docs/findings.md``: all pages in one, with a table of contents."""
     lines = [_INTRODUCTION]
     for title, codes in grouped().items():
         lines += [f"{title}:\n", *(f"- [{c} {t}](#{_slug(f'{c} {t}')})" for c, t in codes.items()), ""]
@@ -107,5 +107,5 @@ def findings_page() -> str:
 
 
 def _slug(heading: str) -> str:
-    """The anchor that GitHub gives to a heading."""
+    """Return the anchor that GitHub gives to a heading."""
     return re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-")

@@ -1,4 +1,4 @@
-"""What a density may be: the lint that catches a mass in grams or a size in millimetres."""
+"""Plausible densities: they reveal a mass in grams or a size in millimetres."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ LIGHTEST, HEAVIEST = 5.0, 23_000.0
 
 
 def implausible(density: float) -> str:
-    """The hint for a density [kg/m^3] that nothing on a table has; empty for any other."""
+    """Return a hint for a density [kg/m^3] that no object on a table has; empty for a plausible one."""
     if LIGHTEST <= density <= HEAVIEST:
         return ""
     return f"things weigh {LIGHTEST:g} to {HEAVIEST:g} kg/m^3; are all masses in kg and all lengths in m?"
 
 
 def volume(shape: Shape) -> float:
-    """Volume of a primitive [m^3]; infinite where it is beyond all numbers."""
+    """Return the volume of a primitive [m^3]; infinite if it overflows."""
     try:
         value = _volume(shape)
     except OverflowError:

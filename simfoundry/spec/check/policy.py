@@ -1,4 +1,4 @@
-"""Policies: what their keys say together."""
+"""Check policies: keys that depend on each other."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from simfoundry.spec.models.policy import PolicySpec
 
 
 def check_policy(c: Checker, spec: PolicySpec) -> None:
-    """Findings of a policy."""
+    """Check a policy."""
     for key, view in spec.cameras.items():
         if view.render is not None and (view.render[0] < view.size[0] and view.render[1] < view.size[1]):
             path = ("cameras", key, "render")

@@ -16,7 +16,7 @@ FORMATS = ("text", "json", "sarif", "github")
 
 @dataclass(frozen=True)
 class Checked:
-    """What checking one document gave: its findings, those of the documents that it uses, and which those are."""
+    """Result of checking one document: its findings, with those of the documents that it uses."""
 
     findings: tuple[Diagnostic, ...]
     uses: tuple[str, ...] = ()
@@ -24,7 +24,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """The documents asked for, how many were read with those that they use, and every finding once, in order."""
+    """The documents asked for, the number of documents read, and every finding once, in order."""
 
     files: tuple[str, ...]
     documents: int
@@ -32,17 +32,17 @@ class CheckReport:
 
     @property
     def errors(self) -> int:
-        """How many findings are errors."""
+        """Number of errors."""
         return sum(d.severity is Severity.ERROR for d in self.findings)
 
     @property
     def warnings(self) -> int:
-        """How many findings are warnings."""
+        """Number of warnings."""
         return len(self.findings) - self.errors
 
 
 def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
-    """The report of documents that were checked one by one; what several of them use counts, and is reported, once."""
+    """Combine the results of documents that were checked one by one; shared documents and findings count once."""
     files, checked = tuple(files), tuple(checked)
     seen: dict[Path, str] = {}
     for name in (*files, *(use for each in checked for use in each.uses)):
@@ -56,12 +56,12 @@ def gather(files: Iterable[str], checked: Iterable[Checked]) -> CheckReport:
 
 
 def absolute(file: str) -> Path:
-    """The same for every spelling of a path; a link is a file of its own: its folder decides what it refers to."""
+    """Return one form for every spelling of a path; links are not followed, as their folder matters."""
     return Path(os.path.normpath(Path(file).absolute()))
 
 
 def checkout() -> Path:
-    """The folder from which other programs count the paths of files: that of a CI job, or else the current one."""
+    """Return the folder that other programs count paths from: that of a CI job, else the current one."""
     return absolute(os.environ.get("GITHUB_WORKSPACE") or ".")
 
 
@@ -75,12 +75,12 @@ def renderer(form: str) -> Callable[[CheckReport], str]:
 
 
 def findings_text(found: Iterable[Diagnostic], colour: bool = False) -> str:
-    """Every finding with its line, its file relative to the current folder; empty where there is none."""
+    """Return every finding with its line; files are relative to the current folder."""
     return diagnostics.render((replace(d, file=_relative(d.file)) for d in found), colour)
 
 
 def summary(report: CheckReport) -> str:
-    """``3 errors and 1 warning in 2 of 14 documents``."""
+    """Summarize the report: ``3 errors and 1 warning in 2 of 14 documents``."""
     if not report.findings:
         return f"no findings in {_count(report.documents, 'document')}"
     counts = [_count(n, what) for n, what in ((report.errors, "error"), (report.warnings, "warning")) if n]
@@ -90,7 +90,7 @@ def summary(report: CheckReport) -> str:
 
 
 def render_text(report: CheckReport) -> str:
-    """The findings and the summary, without colour."""
+    """Return the findings and the summary, without colour."""
     return "\n".join(part for part in (findings_text(report.findings), summary(report)) if part)
 
 
@@ -140,10 +140,10 @@ def _command(d: Diagnostic, folder: Path) -> str:
 
 
 def _data(text: str) -> str:
-    """What may follow the second ``::``."""
+    """Escape a text for use behind the second ``::``."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
 
 
 def _property(text: str) -> str:
-    """What may stand between the commas."""
+    """Escape a text for use between the commas."""
     return _data(text).replace(":", "%3A").replace(",", "%2C")

@@ -1,4 +1,4 @@
-"""For code scanning: SARIF 2.1.0, with the page of each code as the help of its rule.
+"""SARIF 2.1.0 for code scanning, with the page of each code as the help of its rule.
 
 https://docs.oasis-open.org/sarif/sarif/v2.1.0/sarif-v2.1.0.html
 """
@@ -20,7 +20,7 @@ _ROOT = "%SRCROOT%"
 
 
 def render_sarif(report: CheckReport) -> str:
-    """One run with one result for each finding; files are relative to the checkout, columns count characters."""
+    """Return one run with one result for each finding; files are relative to the checkout, columns in characters."""
     folder = checkout()
     explained = pages()
     rules = [page.code for page in explained]
@@ -66,7 +66,7 @@ def _result(d: Diagnostic, rules: list[str], folder: Path) -> dict[str, Any]:
 
 
 def _artifact(file: str, folder: Path) -> dict[str, str]:
-    """A file by a relative URI, or by an absolute one where it lies elsewhere."""
+    """Return a file by a relative URI, or by an absolute one if it lies outside the checkout."""
     path = absolute(file)
     if not path.is_relative_to(folder):
         return {"uri": path.as_uri()}
@@ -74,5 +74,5 @@ def _artifact(file: str, folder: Path) -> dict[str, str]:
 
 
 def _plain(text: str) -> str:
-    """A text that holds no link: plain messages of SARIF write them as ``[text](target)``."""
+    """Return a text without links: plain messages of SARIF write them as ``[text](target)``."""
     return text.replace("](", "] (")

@@ -1,4 +1,4 @@
-"""Scenes: materials, assets, joints, places, robots, cameras and relations."""
+"""Check scenes: materials, assets, joints, places, robots, cameras and relations."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROBOT_SUFFIXES = {
 
 
 def check_scene(c: Checker, spec: SceneSpec) -> None:
-    """Findings of a scene."""
+    """Check a scene."""
     for name, item in spec.objects.items():
         _object(c, name, item, spec, ("objects", name))
         _variants(c, name, item, spec)
@@ -63,7 +63,7 @@ def check_scene(c: Checker, spec: SceneSpec) -> None:
 
 
 def _names(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
-    """What the scene names must mean one thing each, here and in every format."""
+    """Check that each name of the scene means one thing, here and in every format."""
     for section, what in (("objects", names.objects), ("robots", names.robots)):
         if WORLD in what:
             c.reserved((section, WORLD), section.removesuffix("s"))
@@ -92,7 +92,7 @@ def _object(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec, path: Path
 
 
 def _variants(c: Checker, name: str, item: ObjectSpec, spec: SceneSpec) -> None:
-    """Each variant is an object of its own; what is wrong with the object itself is said once."""
+    """Check each variant as an object of its own; errors of the object itself are reported once."""
     if item.variant is not None and item.variant != DEFAULT_VARIANT:
         c.name(item.variant, item.variants, ("objects", name, "variant"), f"variant of `{name}`")
     said = {(d.code, d.message) for d in c.findings}
@@ -149,7 +149,7 @@ def _robot(c: Checker, robot: RobotSpec, path: Path_) -> None:
 
 
 def _robot_file(c: Checker, key: str, reference: str, path: Path_) -> None:
-    """Whether a robot file is one, which is read as the language is: without any model."""
+    """Check a robot file; no model is opened."""
     if key == "file":
         file = c.loaded.file(reference)
         try:
@@ -171,7 +171,7 @@ def _mount(c: Checker, names: SceneNames, mount: str, path: Path_) -> None:
 
 
 def _relations(c: Checker, names: SceneNames, spec: SceneSpec) -> None:
-    """The relations as the text has them, which may hold faulty ones between them."""
+    """Yield the relations as the text has them, faulty ones included."""
     written = c.document.data.get("relations") if spec.relations else ()
     for k, text in enumerate(written if isinstance(written, tuple) else ()):
         if isinstance(text, str):

@@ -1,4 +1,4 @@
-"""Tasks: the names of the scene that goals, starts and resets speak of."""
+"""Check tasks: the names in goals, starts and resets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from simfoundry.spec.models.task import Start, TaskSpec
 
 
 def check_task(c: Checker, spec: TaskSpec) -> None:
-    """Findings of a task."""
+    """Check a task."""
     scene = c.use(spec.scene, ("scene",), ("scene/1",), (".scene.yaml", ".yaml"))
     names = scene_names(scene)
     _goal(c, names, spec.goal, ("goal",))
@@ -34,14 +34,14 @@ def check_task(c: Checker, spec: TaskSpec) -> None:
 
 
 def scene_names(scene: Loaded | None) -> SceneNames | None:
-    """What can be named in a scene; None where there is none to be read."""
+    """Return the names in a scene; None if the scene cannot be read."""
     if scene is None or scene.document is None or not isinstance(scene.document.data, dict):
         return None
     return SceneNames(scene, scene.spec if isinstance(scene.spec, SceneSpec) else None)
 
 
 def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) -> None:
-    """The names in a goal; and that it asks for something, since what asks for nothing succeeds at once."""
+    """Check the names in a goal, and that it asks for something: an empty goal succeeds at once."""
     from simfoundry.spec.models.expressions import parts, texts
 
     if names is not None:
@@ -54,7 +54,7 @@ def _goal(c: Checker, names: SceneNames | None, goal: str | Model, path: Path_) 
 
 
 def _groups(condition: Any, path: Path_, parts: Any) -> list[tuple[Path_, tuple[str, tuple[Any, ...]]]]:
-    """Every group of a condition with the path of its list."""
+    """Yield every group of a condition with the path of its list."""
     tag, below = parts(condition)
     if tag == "text":
         return []
@@ -88,7 +88,7 @@ def _start(c: Checker, names: SceneNames | None, start: Start, path: Path_) -> N
 
 
 def _moves(c: Checker, names: SceneNames, name: str, path: Path_) -> None:
-    """What is welded to the world cannot start elsewhere."""
+    """Check that nothing welded to the world starts elsewhere."""
     item = names.spec.objects.get(name) if names.spec is not None else None
     if item is not None and item.fixed:
         message = f"`{name}` is fixed in the scene, so it cannot start elsewhere"

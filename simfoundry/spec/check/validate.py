@@ -1,4 +1,4 @@
-"""Data to typed model, and pydantic's findings to ours: with a place, what was expected and what to do."""
+"""Validate data against a model; pydantic's errors become findings with a place and a hint."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _UNITS = {
 
 
 def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnostic]]:
-    """The typed document, or every finding of its text."""
+    """Return the typed document, or every finding of its text."""
     findings = [*document.duplicates, *_without_value(model, document)]
     try:
         spec = model.model_validate(document.data)
@@ -81,7 +81,7 @@ def validate(model: type[M], document: Document) -> tuple[M | None, list[Diagnos
 
 
 def _new_members_first(findings: list[Diagnostic], document: Document) -> list[Diagnostic]:
-    """The findings, of which those say so that are about a member that a document adds to what it extends.
+    """Reword findings about members that a document adds to its base.
 
     Mostly such a member was meant to be one that is there, and its name is misspelt: one finding says so.
     """
@@ -101,7 +101,7 @@ def _new_members_first(findings: list[Diagnostic], document: Document) -> list[D
 
 
 def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
-    """A finding for each key and item without a value: null removes what a document extends, and is nothing else."""
+    """Return a finding for each key or item without a value; null is only for removing what a base says."""
     found: list[tuple[str | int, ...]] = []
     todo: list[tuple[tuple[str | int, ...], Any]] = [((), document.data)] if isinstance(document.data, dict) else []
     while todo:
@@ -120,7 +120,7 @@ def _without_value(model: type[Model], document: Document) -> list[Diagnostic]:
 
 
 def sound_part(model: type[M], document: Document) -> M | None:
-    """What a document with errors says without its faulty members, so that the others can be checked further.
+    """Return a document with errors without its faulty members, so that the rest can be checked further.
 
     Left out is the whole member of a section (one object, one relation), or else the whole key. None where nothing
     sound remains.
@@ -165,7 +165,7 @@ def _finding(model: type[Model], document: Document, error: Any) -> Diagnostic:
 
 
 def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> tuple[str, str]:
-    """Message and hint of one pydantic error."""
+    """Return message and hint of one pydantic error."""
     last = loc[-1] if loc else ""
     description = _description(model, loc)
     if kind.startswith("sf"):
@@ -219,7 +219,7 @@ def _words(model: type[Model], kind: str, loc: tuple[Any, ...], error: Any) -> t
 
 
 def _expected(error: Any) -> str:
-    """What pydantic expected, in the words of a document."""
+    """Return the value that pydantic expected, in the words of a document."""
     words: str = error["msg"].removeprefix("Input should be ")
     if error["type"].startswith(("greater", "less")):
         return f"a number {words}"
@@ -258,12 +258,12 @@ def _as_name(text: str) -> str:
 
 
 def _is_guess(error: Any) -> bool:
-    """Whether a missing key is one of several that would do; beside an unknown key it is the same mistake."""
+    """True for a missing key that is one of several alternatives; beside an unknown key it is the same mistake."""
     return error["type"] == "missing" and (error["loc"][-1] in SHAPE_KEYS or error["loc"][-1] in _JOINED)
 
 
 def _only_key(model: type[Model], loc: tuple[Any, ...]) -> str:
-    """The key that a mapping needs, where it needs one only; empty where it may be one of several kinds."""
+    """Return the only key that a mapping needs; empty if there are several or alternatives."""
     found = models_at(model, loc)
     needed = [n for m in found for n, info in m.model_fields.items() if info.is_required()]
     return needed[0] if len(found) == len(needed) == 1 and needed[0] not in (*SHAPE_KEYS, *_JOINED) else ""
@@ -276,7 +276,7 @@ def _is_shape(model: type[Model], loc: tuple[Any, ...]) -> bool:
 
 
 def _description(model: type[Model], loc: tuple[Any, ...]) -> str:
-    """What the documentation says of the nearest field at or above ``loc``."""
+    """Return the description of the nearest field at or above ``loc``."""
     for end in range(len(loc), 0, -1):
         for owner in models_at(model, loc[: end - 1]):
             info = owner.model_fields.get(str(loc[end - 1]))

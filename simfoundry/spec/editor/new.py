@@ -1,4 +1,4 @@
-"""Starting files: a valid document of each kind that teaches its keys."""
+"""Starting files: a valid document of each kind that introduces its keys."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ REGION = 0.05
 
 
 class NewError(Exception):
-    """Why no file can be made, in one sentence."""
+    """Reason why no file can be created, in one sentence."""
 
 
 @dataclass(frozen=True)
 class New:
-    """A file to write, and what its project gets with it where it lacks them: schemas for editors, and its marker."""
+    """A file to write, with the schemas and the marker that its project still lacks."""
 
     path: Path
     text: str
@@ -44,7 +44,7 @@ class New:
 
 
 def kind_and_path(words: tuple[str, ...]) -> tuple[str, Path]:
-    """Kind and path from what was typed: ``desk.scene.yaml``, or ``scene desk``, where the kind completes the path."""
+    """Interpret the arguments: ``desk.scene.yaml``, or ``scene desk``, whose kind completes the path."""
     *before, last = words
     path = Path(last)
     by_name = next((kind for kind in WORDS if path.name.endswith(f".{kind}.yaml")), None)
@@ -69,7 +69,7 @@ def _file(kind: str) -> str:
 
 
 def make(kind: str, path: Path, name: str | None, source: Path | None, extends: Path | None) -> New:
-    """A starting file; raises :class:`NewError` where there can be none, :class:`SpecError` where a source is wrong."""
+    """Return a starting file; raises :class:`NewError` if there can be none, :class:`SpecError` for a faulty source."""
     try:
         project = common_project(path, *(named for named in (source, extends) if named is not None))
     except NoProjectError as error:
@@ -98,7 +98,7 @@ def make(kind: str, path: Path, name: str | None, source: Path | None, extends: 
 
 
 def _name(path: Path, name: str | None) -> str:
-    """What a document is called: as asked, or as its file (a capture: as its folder)."""
+    """Return the name of a document: as asked, or after its file (a capture: its folder)."""
     if name is not None:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,63}", name):
             message = "a name is lower-case letters, digits and `_`, and starts with a letter"
@@ -116,18 +116,18 @@ def _relative(target: Path, path: Path) -> str:
 
 
 def _named(source: Path, path: Path) -> dict[str, str]:
-    """The path of another document, as a value and for a comment."""
+    """Return the path of another document, as a value and for a comment."""
     relative = _relative(source, path)
     return {"quoted": json.dumps(relative), "source": _comment(relative)}
 
 
 def _comment(text: str) -> str:
-    """A text that does not end a comment."""
+    """Replace characters that would end a comment."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Path) -> Loaded:
-    """The document that another is made from: the one that was named, or the only one beside it."""
+    """Return the document to start from: the one that was named, or the only one beside the new file."""
     if source is None:
         folder = path.parent
         beside = sorted(p for p in folder.glob("*.yaml") if p.name.endswith(suffixes)) if folder.is_dir() else []
@@ -142,7 +142,7 @@ def _source(path: Path, source: Path | None, suffixes: tuple[str, ...], root: Pa
 
 
 def _scene(loaded: Loaded) -> SceneSpec:
-    """The scene that a document is, or is about."""
+    """Return the scene that a document is, or refers to."""
     spec = loaded.spec
     if isinstance(spec, TaskSpec):
         used = loaded.used(spec.scene)
@@ -154,7 +154,7 @@ def _scene(loaded: Loaded) -> SceneSpec:
 
 
 def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
-    """The objects that can move."""
+    """Return the objects that can move."""
     free = {name: item for name, item in _scene(loaded).objects.items() if not item.fixed}
     if not free:
         raise NewError(f"nothing in {loaded.path.name} can move: every object is fixed")
@@ -162,7 +162,7 @@ def _free(loaded: Loaded) -> dict[str, ObjectSpec]:
 
 
 def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Put the first thing that carries nothing and does not roll on another such; where there is none, lift it."""
+    """Fill in a task: put the first free object that does not roll onto another; without another, lift it."""
     loaded = _source(path, source, (".scene.yaml",), root)
     free = _free(loaded)
     carriers = {_carrier(item) for item in free.values()}
@@ -188,7 +188,7 @@ def _task(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _carrier(item: ObjectSpec) -> str:
-    """The object that another stands on or lies in, as far as its document says so."""
+    """Return the support of an object, if its place names one."""
     return "" if item.place is None else (item.place.on or item.place.inside or "").partition(".")[0]
 
 
@@ -197,7 +197,7 @@ def _said(name: str) -> str:
 
 
 def _where(item: ObjectSpec) -> tuple[float, float] | None:
-    """Where an object stands in the world [m], as far as its document says so."""
+    """Return the horizontal position of an object in the world [m], if its document says it."""
     return (item.pose.xyz[0], item.pose.xyz[1]) if item.place is None else item.place.xy
 
 
@@ -207,7 +207,7 @@ def _region(x: float, y: float) -> str:
 
 
 def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
-    """Move the first thing that can move around another, or around what is fixed."""
+    """Fill in a recipe: move the first free object around another."""
     loaded = _source(path, source, (".scene.yaml", ".task.yaml"), root)
     thing, *others = _free(loaded)
     anchors = [*others, *(name for name in _scene(loaded).objects if name != thing)]
@@ -217,7 +217,7 @@ def _cousins(path: Path, source: Path | None, root: Path) -> dict[str, str]:
 
 
 def _overlay(kind: str, path: Path, base: Path, root: Path) -> dict[str, str]:
-    """A change of the first thing that can move: it is turned."""
+    """Fill in a change of the first free object: it is turned."""
     loaded = load(base, root)
     if loaded.errors:
         raise SpecError(loaded.errors)

@@ -1,4 +1,4 @@
-"""The schema of a document that extends another: the same parts, looser."""
+"""Schemas of documents that extend another: the same parts with fewer demands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NULL: Schema = {"type": "null", "description": REMOVES["description"], "defaultS
 
 
 def loose(part: Any) -> Any:
-    """The same schema without required keys, in which null may stand for any member; lists are replaced whole."""
+    """Return a schema without required keys that allows null for any member; lists are replaced whole."""
     if isinstance(part, list):
         return [loose(item) for item in part]
     if not isinstance(part, dict):
@@ -31,7 +31,7 @@ def loose(part: Any) -> Any:
 
 
 def _nullable(item: Schema) -> Schema:
-    """A value, or null to remove it; the words that an editor shows stay outside."""
+    """Allow null for a value; the texts for editors stay outside."""
     kept = ("title", "description", "markdownDescription", "defaultSnippets")
     words = {key: item[key] for key in kept if key in item}
     core = {key: value for key, value in item.items() if key not in kept}

@@ -1,4 +1,4 @@
-"""``docs/reference.md``: every key of every document, written from the models, with an example of each kind."""
+"""Write ``docs/reference.md``: every key of every document, from the models, with an example of each kind."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def example(kind: str) -> str:
 
 
 def reference() -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     schemas = {kind: model_of(kind).model_json_schema() for kind in KINDS}
     uses = [set(schema["$defs"]) for schema in schemas.values()]
     shared = {name for name in set().union(*uses) if sum(name in names for names in uses) > 1}
@@ -48,7 +48,7 @@ def reference() -> str:
 
 
 def _sections(parts: dict[str, Schema]) -> Iterator[str]:
-    """A heading and a table of each part, by title; the shapes, of one key each, share theirs."""
+    """Yield a heading and a table for each part, by title; the shapes, of one key each, share a table."""
     by_title: dict[str, list[Schema]] = {}
     for name, part in parts.items():
         by_title.setdefault(_title(name), []).append(part)
@@ -71,7 +71,7 @@ def _table(model: Schema) -> Iterator[str]:
 
 
 def _title(name: str) -> str:
-    """``CameraSpec`` is shown as ``Camera``, ``DepthImage`` as ``Depth image``, every shape as ``Shape``."""
+    """Return the title of a model: ``Camera`` for ``CameraSpec``, ``Depth image`` for ``DepthImage``."""
     if name.endswith("Shape"):
         return "Shape"
     words = re.findall(r"[A-Z][a-z]+", name.removesuffix("Spec"))
@@ -79,7 +79,7 @@ def _title(name: str) -> str:
 
 
 def _type(field: Schema) -> str:
-    """What a value may be, in words, with links to the tables of mappings."""
+    """Describe the type of a value, with links to the tables of mappings."""
     match field:
         case {"anyOf": options} | {"oneOf": options}:
             return " or ".join(dict.fromkeys(_type(o) for o in options if o.get("type") != "null"))
@@ -123,7 +123,7 @@ def _length(field: Schema) -> str:
 
 
 def _range(field: Schema) -> str:
-    """The bounds of a number: `` > 0``, `` 0 to 1``, or nothing."""
+    """Describe the bounds of a number: `` > 0``, `` 0 to 1``, or nothing."""
     match field:
         case {"minimum": low, "maximum": high}:
             return f" {low} to {high}"

@@ -1,4 +1,4 @@
-"""JSON Schemas of the documents, for editors: what they complete, what they show and what they underline.
+"""JSON Schemas of the documents for editors: completion, hover texts and errors.
 
 They are the schemas of the models, rewritten for what a person sees. Alternatives (a number, or a mapping with a range)
 are joined into one schema wherever their types differ, so that a slip is reported where it is and not as "no match". A
@@ -38,7 +38,7 @@ FRAGMENT = r"^[^(]*\)$|^[-+]?[0-9.]+$"
 
 
 def _predicate_pattern() -> str:
-    """The pattern of a predicate, or what plain YAML makes of one in brackets: its start or its end."""
+    """Return the pattern of a predicate, or of its start or end as plain YAML splits it in brackets."""
     aliases = (alias for predicate in built_in_predicates().values() for alias in predicate.aliases)
     return rf"^\s*({'|'.join((*PREDICATES.built_in, *aliases))})\s*\([^()]*\)?\s*$|^[^()]*\)$"
 
@@ -55,12 +55,12 @@ _BY_NAME = ("$defs", "patternProperties", "properties")
 
 
 def schemas(standard: bool = False) -> dict[str, str]:
-    """File name to text of every schema, as checked in below ``schemas/``; ``standard`` without words for editors."""
+    """Return file name and text of every schema below ``schemas/``; ``standard`` omits keywords for editors."""
     return {f"{kind.split('/')[0]}.schema.json": _text(kind, standard) for kind in KINDS}
 
 
 def without_editor_words(part: Any) -> Any:
-    """The same schema in the keywords of the standard; it accepts the same documents."""
+    """Return an equivalent schema in keywords of the standard only."""
     if isinstance(part, list):
         return [without_editor_words(item) for item in part]
     if not isinstance(part, dict):
@@ -75,7 +75,7 @@ def without_editor_words(part: Any) -> Any:
 
 
 def schema(kind: str) -> Schema:
-    """The JSON Schema of one kind of document, as ``scene/1``.
+    """Return the JSON Schema of a kind of document, as ``scene/1``.
 
     A document that extends another is held against a looser copy: nothing is required, and null removes.
     """
@@ -99,13 +99,13 @@ def schema(kind: str) -> Schema:
 
 @dataclass
 class _Parts:
-    """The parts of a model's own schema, rewritten."""
+    """Parts of a model's own schema, rewritten for editors."""
 
     raw: Schema
     joined: dict[str, Schema] = field(default_factory=dict)
 
     def all(self) -> dict[str, Schema]:
-        """Every part by name; the document itself is ``Document``."""
+        """Return every part by name; the document itself is ``Document``."""
         models = {**self.raw["$defs"], "Document": {k: v for k, v in self.raw.items() if k != "$defs"}}
         apart = set().union(*UNIONS.values())
         owners = {"Document": self.raw["title"]}
@@ -117,7 +117,7 @@ class _Parts:
         return dict(sorted((parts | self.joined).items()))
 
     def model(self, owner: str, body: Schema) -> Schema:
-        """A mapping of known keys; the key of the kind comes first."""
+        """Return the schema of a mapping with known keys; the key of the kind comes first."""
         keys = sorted(body["properties"], key=lambda key: key != "simfoundry")
         properties = {key: self.key(owner, key, body["properties"][key]) for key in keys}
         required = sorted(body.get("required", ()), key=keys.index)
@@ -131,7 +131,7 @@ class _Parts:
         return whole | _fragments(properties)
 
     def key(self, owner: str, key: str, body: Schema) -> Schema:
-        """The value of a key with its words and a first value."""
+        """Return the schema of a key, with its texts and a first value."""
         core, text = self.core(body), self.text(owner, key, body)
         default = body.get("default")
         if default not in (None, [], {}) and not isinstance(default, dict) and "efault" not in text:
@@ -145,12 +145,12 @@ class _Parts:
         return words | ({"anyOf": [core]} if first is None else _snippet(first, text) | {"allOf": [core]})
 
     def text(self, owner: str, key: str, body: Schema) -> str:
-        """What is said of a key; the models leave it out where it is what they say of its value."""
+        """Return the description of a key; without one of its own, that of its value."""
         said = body.get("description") or snippets.description(owner, key)
         return str(said or self.raw["$defs"][body["$ref"].rpartition("/")[2]]["description"])
 
     def core(self, body: Schema) -> Schema:
-        """What may stand at a place, without words."""
+        """Return the schema of a value without texts."""
         options = _options(body)
         if len(options) > 1:
             named = {option["$ref"].rpartition("/")[2] for option in options if "$ref" in option}
@@ -190,7 +190,7 @@ class _Parts:
         return plain | (_pattern(plain["pattern"]) if "pattern" in plain else {})
 
     def item(self, body: Schema) -> Schema:
-        """What may stand in a list."""
+        """Return the schema of an item of a list."""
         core = self.core(body)
         if core == {"type": "string"}:  # the only texts of free form in lists are relations
             return {"type": ["string", "number"], **_special("Condition")}
@@ -203,7 +203,7 @@ class _Parts:
         return core
 
     def member(self, body: Schema) -> Schema:
-        """What may stand at a name of one's own choice."""
+        """Return the schema of a member under a free name."""
         core = self.core(body)
         model = core.get("$ref", "").rpartition("/")[2]
         described = self.raw["$defs"].get(model, {}).get("description", "")
@@ -214,7 +214,7 @@ class _Parts:
         return words | ({} if first is None else _snippet(first, described)) | {"allOf": [core]}
 
     def join(self, options: list[Schema]) -> Schema:
-        """Alternatives as one schema: each keyword speaks of one type of value only."""
+        """Join alternatives into one schema: each keyword applies to one type of value only."""
         out: Schema = {}
         types: list[str] = []
         models = [o["$ref"].rpartition("/")[2] for o in options if "$ref" in o]
@@ -231,7 +231,7 @@ class _Parts:
         return {"type": types if len(types) > 1 else types[0], **out}
 
     def join_models(self, names: list[str]) -> Schema:
-        """Models of which one may stand here; several become a mapping with keys of any of them."""
+        """Join alternative models; several become a mapping with the keys of all of them."""
         bodies = [self.raw["$defs"][name] for name in names]
         if len(names) == 1:
             whole = self.model(names[0], bodies[0])
@@ -247,7 +247,7 @@ class _Parts:
 
 
 def _options(body: Schema) -> list[Schema]:
-    """The alternatives of a value, flat and without null."""
+    """Return the alternatives of a value, flat and without null."""
     for key in ("anyOf", "oneOf"):
         if key in body:
             return [inner for option in body[key] for inner in _options(option)]
@@ -255,7 +255,7 @@ def _options(body: Schema) -> list[Schema]:
 
 
 def _special(union: str) -> Schema:
-    """What the words of a model cannot say about alternatives."""
+    """Return keywords for alternatives that the models cannot express."""
     if union == "Condition":
         message = f"expected a predicate, as `OnTop(cup, desk)`; valid: {', '.join(PREDICATES.built_in)}"
         return {"pattern": _predicate_pattern(), "patternErrorMessage": message, "defaultSnippets": predicates()}
@@ -269,7 +269,7 @@ def _pattern(pattern: str) -> Schema:
 
 
 def _fragments(properties: Schema) -> Schema:
-    """Leave for the rest of a text with commas, where texts of any form may stand."""
+    """Allow the rest of a text with commas, where free texts may stand."""
     cores = [core for value in properties.values() for core in (value, *value.get("allOf", ()))]
     free = any("pattern" not in core and core.get("type") == "string" and "const" not in core for core in cores)
     conditions = any(core.get("$ref") == "#/$defs/Condition" for core in cores)
@@ -277,13 +277,13 @@ def _fragments(properties: Schema) -> Schema:
 
 
 def _words(title: str, text: str) -> Schema:
-    """Title and description; as Markdown too where an editor would show signs of Markdown as they are."""
+    """Return title and description; also as Markdown if editors would show Markdown signs literally."""
     markdown = {"markdownDescription": text} if re.search(r"[\\`*_{}\[\]#+!]", text) else {}
     return {"title": title, "description": text, **markdown}
 
 
 def _title(model: str) -> str:
-    """``CameraSpec`` is called ``camera``, ``DepthImage`` ``depth image``."""
+    """Return the title of a model: ``camera`` for ``CameraSpec``, ``depth image`` for ``DepthImage``."""
     return " ".join(re.findall(r"[A-Z][a-z]+", model.removesuffix("Spec"))).lower()
 
 
@@ -296,14 +296,14 @@ def _plain(value: Any) -> str:
 
 
 def _holes(value: Any) -> str:
-    """A value as a snippet in which each number and each word can be filled in."""
+    """Return a value as a snippet in which each number and each word can be replaced."""
     if isinstance(value, list):
         return f"[{', '.join(f'${{{k}:{_plain(item)}}}' for k, item in enumerate(value, 1))}]"
     return f"${{1:{_plain(value)}}}"
 
 
 def _snippet(body: Body, text: str) -> Schema:
-    """A first value for an editor to offer, shown on one line without its holes."""
+    """Return a first value for an editor to offer, shown on one line without its placeholders."""
     label = re.sub(r"\$\{\d+:([^{}]*)\}", r"\1", _flow(body))
     return {"defaultSnippets": [{"label": label, "description": text, "body": body}]}
 

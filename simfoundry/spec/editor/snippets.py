@@ -1,4 +1,4 @@
-"""Texts for editors beside what the models say: first values of keys, and the meaning of the words of a choice."""
+"""Texts for editors beyond those of the models: first values of keys, and the meanings of choices."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def sentence(words: str) -> str:
 
 
 def predicates() -> list[dict[str, str]]:
-    """A snippet for each predicate."""
+    """Return a snippet for each predicate."""
     words = {"thing": "object", "body": "object", "joint": "object.joint", "robot": "robot"}
     out = []
     for name, predicate in built_in_predicates().items():
@@ -64,7 +64,7 @@ def predicates() -> list[dict[str, str]]:
 
 
 def robots() -> list[dict[str, str]]:
-    """A snippet for each robot that is known by name."""
+    """Return a snippet for each robot that is known by name."""
     return [
         {
             "label": name,

@@ -1,4 +1,4 @@
-"""``asset/1``: a thing with parts, links and joints, used by scenes."""
+"""``asset/1``: an object with links, parts and joints, for use in scenes."""
 
 import math
 from typing import Literal, Self
@@ -37,7 +37,7 @@ class PartSpec(Model):
     color: Color | None = Field(None, description="sRGB colour, 0 to 1.")
     use: Literal["both", "visual", "collision"] = Field(
         "both",
-        description="`visual` is only seen: nothing touches it and it weighs nothing; `collision` touches and weighs, "
+        description="`visual` is only rendered: it neither collides nor has mass; `collision` collides and has mass, "
         "and is not seen.",
     )
 
@@ -74,7 +74,7 @@ ROUNDING = 1e-6
 
 
 def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> bool:
-    """Whether the tensor is positive definite and its principal moments keep the triangle inequality."""
+    """True if the tensor is positive definite and its principal moments satisfy the triangle inequality."""
     trace = sum(inertia[:3])
     if not 0 < trace < math.inf:
         return False
@@ -85,7 +85,7 @@ def _is_of_a_body(inertia: tuple[float, float, float, float, float, float]) -> b
 
 
 def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: float) -> bool:
-    """Whether a symmetric tensor is positive definite: whether its leading minors are positive (Sylvester)."""
+    """True if a symmetric tensor is positive definite: its leading minors are positive (Sylvester)."""
     minor = xx * yy - xy * xy
     return xx > 0 and minor > 0 and minor * zz + 2 * xy * xz * yz - xx * yz * yz - yy * xz * xz > 0
 
@@ -93,7 +93,7 @@ def _is_positive(xx: float, yy: float, zz: float, xy: float, xz: float, yz: floa
 class LinkSpec(BodySpec):
     """A rigid body of the asset, made of parts; one without parts has an `inertial`."""
 
-    parts: dict[Name, PartSpec] = Field({}, description="The pieces it is made of, by name.")
+    parts: dict[Name, PartSpec] = Field({}, description="Its parts, by name.")
     inertial: Inertial | None = Field(None, description="Measured centre of mass and inertia; needs `mass`.")
 
     @model_validator(mode="after")
@@ -107,7 +107,7 @@ class LinkSpec(BodySpec):
 
     @property
     def weighed(self) -> bool:
-        """Whether its mass, centre of mass and inertia are given, so that its parts need not weigh anything."""
+        """True if mass, centre of mass and inertia are given, so that its parts need no mass."""
         return self.inertial is not None and self.inertial.inertia is not None
 
 
@@ -115,23 +115,23 @@ JointKind = Literal["fixed", "revolute", "prismatic", "continuous", "ball", "fre
 
 
 class MimicSpec(Model):
-    """A joint that follows another: its position is ``multiplier`` times the other's, plus ``offset``."""
+    """A joint that follows another: its position is ``multiplier`` times that joint's position, plus ``offset``."""
 
     joint: Name = Field(description="The joint that it follows.")
-    multiplier: Number = Field(1.0, description="How far it moves for a motion of one unit of the other.")
-    offset: Number = Field(0.0, description="Its position where the other is at zero [m, or rad].")
+    multiplier: Number = Field(1.0, description="Motion of the joint for one unit of motion of the other.")
+    offset: Number = Field(0.0, description="Position when the other joint is at zero [m, or rad].")
 
 
 class DriveSpec(Model):
-    """A motor that holds a position like a spring, or resists motion, up to a force.
+    """A motor that holds a position like a spring, or damps motion, up to a maximum force.
 
     Its force is `stiffness` times the way to the target, minus `damping` times the velocity.
     """
 
-    stiffness: NonNegative = Field(0.0, description="Force for a unit of deviation [N/m, or N m/rad].")
-    damping: NonNegative = Field(0.0, description="Force against a unit of velocity [N s/m, or N m s/rad].")
-    target: Number | None = Field(None, description="Where it holds the joint [m, or rad]; default: where it starts.")
-    force_limit: Positive | None = Field(None, description="The greatest force that it exerts [N, or N m].")
+    stiffness: NonNegative = Field(0.0, description="Force per unit of deviation [N/m, or N m/rad].")
+    damping: NonNegative = Field(0.0, description="Force per unit of velocity, against it [N s/m, or N m s/rad].")
+    target: Number | None = Field(None, description="Target position [m, or rad]; default: where the joint starts.")
+    force_limit: Positive | None = Field(None, description="Maximum force [N, or N m].")
 
     @model_validator(mode="after")
     def _acts(self) -> Self:
@@ -143,27 +143,27 @@ class DriveSpec(Model):
 class JointSpec(Model):
     """A joint between two links; it acts at the origin of the child's frame."""
 
-    type: JointKind = Field(description="How the child moves in the parent.")
-    parent: Name = Field(description="The link that carries.")
+    type: JointKind = Field(description="Type of motion of the child in the parent.")
+    parent: Name = Field(description="The link that the joint is attached to.")
     child: Name = Field(description="The link that moves.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of the child's frame in the parent's at position zero.")
     axis: Vec3 = Field((0.0, 0.0, 1.0), description="Direction of the axis in the child's frame.")
     limits: tuple[Number, Number] | None = Field(
-        None, description="Lowest and highest position of a prismatic joint [m]."
+        None, description="Minimum and maximum position of a prismatic joint [m]."
     )
     limits_deg: tuple[Number, Number] | None = Field(
-        None, description="Lowest and highest position of a revolute joint [deg]."
+        None, description="Minimum and maximum position of a revolute joint [deg]."
     )
     closed: Literal["lower", "upper"] | None = Field(
         None,
-        description="The limit at which `Open` and `Closed` take it for closed; default: zero, or the limit nearest "
+        description="The limit at which `Open` and `Closed` regard it as closed; default: zero, or the limit nearest "
         "to zero.",
     )
     damping: NonNegative = Field(0.0, description="Viscous damping [N s/m, or N m s/rad].")
     friction: NonNegative = Field(0.0, description="Coulomb friction [N, or N m].")
     armature: NonNegative = Field(0.0, description="Inertia added to the joint itself [kg, or kg m^2].")
     mimic: MimicSpec | None = Field(None, description="Another joint that it follows.")
-    drive: DriveSpec | None = Field(None, description="A motor in it.")
+    drive: DriveSpec | None = Field(None, description="A motor that drives the joint.")
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -197,13 +197,13 @@ class AssetSpec(DocumentSpec):
     """A reusable object of one or more links."""
 
     simfoundry: Literal["asset/1"] = Field(description="The kind and version of this document.")
-    category: Name | None = Field(None, description="What it is, as `drawer_cabinet`.")
+    category: Name | None = Field(None, description="Category, as `drawer_cabinet`.")
     materials: dict[Name, Material] = Field({}, description="Materials of its links, by name.")
     links: dict[Name, LinkSpec] = Field(min_length=1, description="Its rigid bodies; the first is the root.")
-    joints: dict[Name, JointSpec] = Field({}, description="What connects them, by name.")
+    joints: dict[Name, JointSpec] = Field({}, description="Joints between its links, by name.")
     no_contact: tuple[tuple[Name, Name], ...] = Field(
         (),
         max_length=1000,
-        description="Pairs of links that pass through each other, besides those that a joint connects.",
+        description="Pairs of links that do not collide, besides those that a joint connects.",
     )
-    origin: Origin | None = Field(None, description="Where it comes from.")
+    origin: Origin | None = Field(None, description="Origin of the asset.")

@@ -1,4 +1,4 @@
-"""Types that every document shares: names, numbers with units, poses, shapes, quantities with doubt."""
+"""Types that all documents share: names, numbers with units, poses, shapes and estimates."""
 
 # Here and in the other modules of models annotations stay what they are: as texts each would be compiled at start-up.
 
@@ -18,7 +18,7 @@ VARIABLE = "^[A-Z_][A-Z0-9_]*$"
 
 
 class PatternText(NamedTuple):
-    """What editors, messages and the reference say of a text of a pattern.
+    """Texts about a string pattern for editors, messages and the reference.
 
     Its name where editors offer one, its name in the reference, and the rule that a text must follow.
     """
@@ -72,7 +72,7 @@ Color = Annotated[
 
 @dataclass(frozen=True)
 class Reference:
-    """Marks a text that names a file relative to its document, so that another document can take it over."""
+    """Marks a text that is a file path relative to its document, so that an overlay can adjust it."""
 
 
 FileName = Annotated[str, Reference()]
@@ -80,7 +80,7 @@ FileName = Annotated[str, Reference()]
 
 @dataclass(frozen=True)
 class FormerKey:
-    """Marks a field by the key that it had before; `check` names the new one, and `migrate` writes it."""
+    """Marks a field with its former key; `check` names the present key, and `migrate` writes it."""
 
     key: str
 
@@ -105,7 +105,7 @@ def exclusive(model: Model, *names: str, needed: bool = False) -> None:
 
 
 class PoseSpec(Model):
-    """Where a frame is in its parent; the rotation is given in at most one of three ways."""
+    """Pose of a frame in its parent; the rotation is given in at most one of three ways."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
@@ -123,7 +123,7 @@ class PoseSpec(Model):
 
 
 class CameraPose(Model):
-    """Where a camera is: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
+    """Pose of a camera: a position with a point to look at, or with a rotation (x right, y down, z forward)."""
 
     xyz: Point3 = Field((0.0, 0.0, 0.0), description="Position of the optical centre in the world [m].")
     look_at: Point3 | None = Field(None, description="A point on the optical axis [m]; the image is kept upright.")
@@ -142,13 +142,15 @@ class CameraPose(Model):
 
 
 class Estimate(Model):
-    """A number that was estimated, not measured."""
+    """A number that was estimated rather than measured."""
 
     value: Positive = Field(description="The value to use [kg, or kg/m^3].")
     range: tuple[Positive, Positive] | None = Field(
         None, description="The lowest and highest plausible value [kg, or kg/m^3]."
     )
-    source: Annotated[str, FormerKey("by")] = Field("unknown", max_length=64, description="Who or what estimated it.")
+    source: Annotated[str, FormerKey("by")] = Field(
+        "unknown", max_length=64, description="Person or method that estimated it, as `category_table`."
+    )
 
     @model_validator(mode="after")
     def _inside(self) -> Self:
@@ -164,7 +166,7 @@ Quantity = Annotated[
 
 
 def quantity_value(quantity: float | Estimate | None) -> float | None:
-    """The plain number of a quantity."""
+    """Return the plain number of a quantity."""
     return quantity.value if isinstance(quantity, Estimate) else quantity
 
 
@@ -176,7 +178,7 @@ class Round(Model):
 
 
 class Prism(Model):
-    """An outline extruded along z: table tops, trays, tiles."""
+    """An extrusion of an outline along z: table tops, trays, tiles."""
 
     outline: tuple[Point2, ...] = Field(
         min_length=3, max_length=512, description="Corners in xy [m], in order; the last joins the first."
@@ -185,7 +187,7 @@ class Prism(Model):
 
 
 class Lathe(Model):
-    """A profile turned about z: bowls, cups, bottles, plates, rings of any section that reaches the axis."""
+    """A solid of revolution about z: bowls, cups, bottles, plates."""
 
     profile: tuple[tuple[Annotated[NonNegative, Field(le=FARTHEST)], Coordinate], ...] = Field(
         min_length=3,
@@ -219,13 +221,13 @@ class CapsuleShape(Model):
 
 
 class PrismShape(Model):
-    """A prism along z, centred on its frame in height."""
+    """An extrusion along z, centred on its frame in height."""
 
     prism: Prism
 
 
 class LatheShape(Model):
-    """A body of revolution about z; its heights are those of the profile."""
+    """A solid of revolution about z; its heights are those of the profile."""
 
     lathe: Lathe
 
@@ -250,44 +252,44 @@ Shape = Annotated[
 
 
 class CousinOf(Model):
-    """Which cousin of its twin a document is: the same recipe, seed and index give the same again."""
+    """Origin of a cousin; the same recipe, seed and index produce it again."""
 
-    recipe: Name = Field(description="The recipe by name.")
-    seed: Annotated[int, Field(ge=0)] = Field(description="What the recipe's random choices started from.")
-    index: Annotated[int, Field(ge=1)] = Field(description="Which of the recipe's candidates it is, from 1 on.")
+    recipe: Name = Field(description="Name of the recipe.")
+    seed: Annotated[int, Field(ge=0)] = Field(description="Seed of the recipe's random choices.")
+    index: Annotated[int, Field(ge=1)] = Field(description="Number of the candidate, from 1.")
     generator: Annotated[str, FormerKey("by")] = Field(
-        "simfoundry", max_length=64, description="The program that made it."
+        "simfoundry", max_length=64, description="The program that generated it."
     )
 
 
 class Origin(Model):
-    """Where a description comes from, and how well it fits what was seen."""
+    """Origin of a description, and how well it fits the observations."""
 
     capture: str | None = Field(None, description="The capture it was estimated from.")
     fit_error: Annotated[NonNegative | None, FormerKey("fit")] = Field(
         None, description="Median distance of the observed points from the fitted surface [m]."
     )
-    confidence: Fraction | None = Field(None, description="How far to trust it, 0 to 1.")
-    note: str | None = Field(None, max_length=200, description="What was assumed.")
-    cousin: CousinOf | None = Field(None, description="Which cousin it is, where a recipe made it.")
+    confidence: Fraction | None = Field(None, description="Confidence in the description, 0 to 1.")
+    note: str | None = Field(None, max_length=200, description="Assumptions that were made.")
+    cousin: CousinOf | None = Field(None, description="The cousin that it is, if a recipe generated it.")
 
 
 class Material(Model):
-    """What things are made of."""
+    """Physical properties and colour of a material."""
 
     density: Positive | None = Field(None, description="Density [kg/m^3].")
-    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair slides at the geometric mean.")
+    friction: NonNegative = Field(0.5, description="Coulomb friction coefficient; a pair uses the geometric mean.")
     torsional_friction: NonNegative = Field(
         0.0,
-        description="Resistance against spinning on a contact: its torque over the normal force [m]; a pair has the "
+        description="Resistance to spinning at a contact: torque over normal force [m]; a pair uses the "
         "larger of its two.",
     )
     rolling_friction: NonNegative = Field(
         0.0,
-        description="Resistance against rolling on a contact: its torque over the normal force [m]; a pair has the "
+        description="Resistance to rolling at a contact: torque over normal force [m]; a pair uses the "
         "larger of its two.",
     )
-    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair bounces at the geometric mean.")
+    restitution: Fraction = Field(0.0, description="Restitution, 0 to 1; a pair uses the geometric mean.")
     color: Color | None = Field(None, description="sRGB colour, red, green, blue and optionally opacity, each 0 to 1.")
 
 
@@ -300,26 +302,27 @@ class BodySpec(Model):
 
     material: Name | None = Field(None, description="A name from `materials`.")
     mass: Quantity | None = Field(None, description="Mass [kg].")
-    density: Quantity | None = Field(None, description="Density [kg/m^3], over the solid volume.")
+    density: Quantity | None = Field(None, description="Density [kg/m^3] of the solid volume.")
     friction: NonNegative | None = Field(None, description="Coulomb friction coefficient; default: the material's.")
     restitution: Fraction | None = Field(None, description="Restitution; default: the material's.")
     color: Color | None = Field(None, description="sRGB colour, 0 to 1; default: the material's, or the mesh's own.")
     collision: Collision = Field(
         "auto",
-        description="Colliders of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, cylinder, "
-        "sphere or hull where it is nearly convex and parts where not, `none` no contact. A primitive collides as one.",
+        description="Collision shapes of a mesh: `hull` one convex hull, `decompose` convex parts, `auto` a box, "
+        "cylinder, sphere or hull if it is nearly convex, else parts, `none` no contact. Primitives collide unchanged.",
     )
     solid: Solid = Field(
-        "exact", description="What carries the mass of a mesh: its own volume (it must be closed), or its convex hull."
+        "exact",
+        description="Volume that carries the mass of a mesh: its own (it must be closed), or its convex hull's.",
     )
 
 
 class Conflict(Model):
-    """Two edits of one value that a merge could not unite; the document holds ours until somebody decides."""
+    """Two edits of one value that a merge could not unite; the document holds ours until someone decides."""
 
-    base: Any = Field(None, description="What both started from.")
-    ours: Any = Field(None, description="What this side made of it; it stands in the document.")
-    theirs: Any = Field(None, description="What the other side made of it.")
+    base: Any = Field(None, description="Value that both sides started from.")
+    ours: Any = Field(None, description="Value of this side, which stands in the document.")
+    theirs: Any = Field(None, description="Value of the other side.")
 
 
 Silence = Annotated[
@@ -329,20 +332,20 @@ Silence = Annotated[
 
 
 class DocumentSpec(Model):
-    """What every kind of document can say."""
+    """Keys that every kind of document has."""
 
     extends: FileName | None = Field(
         None,
         description="A document of the same kind that this one changes, relative to this document. Mappings are joined "
         "key by key, all else is replaced, and `null` removes.",
     )
-    name: Name = Field(description="What it is called: lower-case letters, digits and `_`.")
-    description: str | None = Field(None, description="For people.")
+    name: Name = Field(description="Name of the document: lower-case letters, digits and `_`.")
+    description: str | None = Field(None, description="Description for people.")
     allow: dict[Code, Silence] = Field(
         {},
-        description="Warnings that are meant to be, each with the reason: `SF402: why`, or for one thing alone "
+        description="Warnings to silence, each with the reason: `SF402: why`, or for one object only "
         "`SF402: {cup: why}`.",
     )
     conflicts: dict[str, Conflict] = Field(
-        {}, description="What a merge left to decide, by path: mend the value there, then remove the entry."
+        {}, description="Open conflicts of a merge, by path: write the right value there, then remove the entry."
     )

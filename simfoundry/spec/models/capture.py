@@ -1,4 +1,4 @@
-"""``capture/1``: the pictures of a real scene and the camera that took them."""
+"""``capture/1``: images of a real scene, and the camera that took them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Intrinsics(Model):
 
 
 class DepthImage(Model):
-    """A depth picture: 16-bit PNG, TIFF or NumPy array; the value is the distance along the optical axis."""
+    """A depth image: 16-bit PNG, TIFF or NumPy array; values are distances along the optical axis."""
 
     image: FileName = Field(description="File, relative to this document.")
-    scale: Positive = Field(0.001, description="Metres of one unit of the picture; 0.001 where it is in millimetres.")
+    scale: Positive = Field(0.001, description="Metres per unit of the image; 0.001 for millimetres.")
     invalid: tuple[int, ...] = Field((0,), max_length=16, description="Values that mean no measurement.")
-    camera: Intrinsics | None = Field(None, description="The depth camera, where it is not the colour camera.")
+    camera: Intrinsics | None = Field(None, description="The depth camera, if it is not the colour camera.")
     pose: PoseSpec | None = Field(
         None, description="Pose of the depth camera in the colour camera's frame (x right, y down, z forward)."
     )
@@ -38,17 +38,17 @@ class DepthImage(Model):
 
 
 class Masks(Model):
-    """Instance masks: a picture in which each object has a number of its own."""
+    """Instance masks: an image in which each object has its own number."""
 
-    image: FileName = Field(description="File, relative to this document; as large as the colour picture.")
-    background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that are no object.")
+    image: FileName = Field(description="File, relative to this document; as large as the colour image.")
+    background: tuple[int, ...] = Field((0,), max_length=256, description="Numbers that belong to no object.")
     names: dict[Name, Annotated[int, Field(ge=1)]] = Field({}, description="Names of objects by their number.")
 
 
 class Shot(Model):
-    """One picture: colour, depth, the camera, and masks where there are some."""
+    """One view: colour, depth, the camera, and masks if there are any."""
 
-    color: FileName = Field(description="Colour picture, relative to this document.")
+    color: FileName = Field(description="Colour image, relative to this document.")
     depth: DepthImage
     camera: Intrinsics = Field(description="The colour camera.")
     masks: Masks | None = Field(None, description="Instance masks.")
@@ -58,7 +58,5 @@ class CaptureSpec(DocumentSpec):
     """A capture of a real scene."""
 
     simfoundry: Literal["capture/1"] = Field(description="The kind and version of this document.")
-    frames: dict[Name, Shot] = Field(
-        min_length=1, description="Pictures by name; the first is reconstructed by default."
-    )
-    truth: FileName | None = Field(None, description="A scene that says what is really there.")
+    frames: dict[Name, Shot] = Field(min_length=1, description="Views by name; the first is reconstructed by default.")
+    truth: FileName | None = Field(None, description="A scene with the ground truth.")

@@ -1,4 +1,4 @@
-"""``cousins/1``: a recipe for variants of a scene that keep what can be done in it."""
+"""``cousins/1``: a recipe for variations of a scene that keep its affordances."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 class Bounds(Model):
     """A range; a bound that is left out is open."""
 
-    min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Smallest value that is allowed.")
-    max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Largest value that is allowed.")
+    min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Minimum.")
+    max: Annotated[Positive | None, FormerKey("most")] = Field(None, description="Maximum.")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -35,18 +35,18 @@ class SceneAxis(Model):
     """Other layouts: objects are placed anew around an anchor, which stays."""
 
     anchor: Name | None = Field(
-        None, description="The object that stays; default: the one that the task's goal is about."
+        None, description="The object that stays in place; default: the object of the task's goal."
     )
     objects: dict[Name, tuple[Side, ...]] = Field(
-        min_length=1, description="The objects that move, each with the predicates it may have to the anchor."
+        min_length=1, description="Objects to place anew, each with the relations to the anchor that it may have."
     )
     relations_per_object: Annotated[int, Field(ge=1, le=3), FormerKey("together")] = Field(
         1, description="Number of predicates that each object must satisfy at once."
     )
     gap: tuple[NonNegative, NonNegative] = Field(
-        (0.02, 0.2), description="Least and greatest free space between an object and the anchor [m]."
+        (0.02, 0.2), description="Minimum and maximum gap between an object and the anchor [m]."
     )
-    yaw_deg: tuple[Number, Number] = Field((-180.0, 180.0), description="Lowest and highest turn about z [deg].")
+    yaw_deg: tuple[Number, Number] = Field((-180.0, 180.0), description="Minimum and maximum rotation about z [deg].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -58,33 +58,35 @@ class SceneAxis(Model):
 
 
 class ObjectVariants(Model):
-    """Other things in the place of an object, which can do the same."""
+    """Other objects in place of one, with the same affordances."""
 
     sources: tuple[Source, ...] = Field(
-        ("procedural",), min_length=1, description="Where they come from: rules, a library of meshes, or models."
+        ("procedural",), min_length=1, description="Sources of variants: rules, a library of meshes, or models."
     )
     changes: tuple[Change, ...] = Field(
-        ("geometry", "appearance"), min_length=1, description="What may differ: shape, parts, or colour and material."
+        ("geometry", "appearance"),
+        min_length=1,
+        description="Aspects that may differ: shape, parts, or colour and material.",
     )
     components: tuple[Name, ...] = Field((), description="Functional components that may differ; default: all of them.")
-    count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="How many variants.")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(9, description="Number of variants.")
 
 
 class ObjectModels(Model):
-    """Who makes the variants whose source is `model`; addresses and keys are in the environment."""
+    """Models that generate variants if a source is `model`; addresses and keys are in the environment."""
 
     vlm: ModelName | None = Field(
         None,
-        description="The vision-language model that names parts, proposes changes and judges pictures, as "
+        description="The vision-language model that names parts, proposes changes and judges images, as "
         "`openai:gpt-5`; default: that of `--vlm`.",
     )
     images: ModelName | None = Field(
-        None, description="The model that edits pictures, as its server calls it; default: the environment's."
+        None, description="Image-editing model, by the name that its server uses; default: the environment's."
     )
     meshes: Literal["hunyuan3d"] = Field(
-        "hunyuan3d", description="Whose interface the server speaks that makes a mesh of a picture."
+        "hunyuan3d", description="Interface of the server that turns an image into a mesh."
     )
-    texture: bool = Field(True, description="Whether the meshes are painted, which not every such server can.")
+    texture: bool = Field(True, description="Texture the meshes, which not every server supports.")
 
 
 class ObjectAxis(Model):
@@ -92,19 +94,19 @@ class ObjectAxis(Model):
 
     objects: dict[Name, ObjectVariants] = Field(min_length=1, description="The objects that vary, by name.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
-    models: ObjectModels = Field(ObjectModels(), description="Who makes variants where a source is `model`.")
+    models: ObjectModels = Field(ObjectModels(), description="Models that generate variants if a source is `model`.")
 
 
 class DistractorAxis(Model):
-    """Things beside the task: taken from a library, placed without collision."""
+    """Objects beside the task: taken from a library, placed without collision."""
 
-    count: tuple[Count, Count] = Field((1, 4), description="Fewest and most of them in a scene.")
+    count: tuple[Count, Count] = Field((1, 4), description="Minimum and maximum number in a scene.")
     library: Folder | None = Field(None, description="A folder of assets or meshes to choose from.")
     builtin_library: Annotated[bool, FormerKey("shipped")] = Field(
         True, description="Also choose from the assets that come with SimFoundry."
     )
     categories: tuple[Name, ...] = Field(
-        (), description="Categories to choose from; default: every one that nothing in the twin has."
+        (), description="Categories to choose from; default: all that do not occur in the twin."
     )
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Categories to leave out."
@@ -127,25 +129,24 @@ class DistractorAxis(Model):
 class TaskAxis(Model):
     """Other tasks in the same scene."""
 
-    count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="How many tasks.")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="Number of tasks.")
     proposals: Literal["affordances", "model"] = Field(
-        "affordances", description="Enumerated from what the objects afford, or proposed by a vision-language model."
+        "affordances",
+        description="Enumerate tasks from the affordances, or have a vision-language model propose them.",
     )
-    objects: tuple[Name, ...] = Field(
-        (), description="Objects that the tasks may be about; default: all that are free."
-    )
+    objects: tuple[Name, ...] = Field((), description="Objects that the tasks may involve; default: all free objects.")
     engines: tuple[Engine, ...] = Field(
-        ("mujoco",), min_length=1, description="Engines in which what a task asks for lasts once it is done."
+        ("mujoco",), min_length=1, description="Engines in which the result of a task must last."
     )
 
 
 class CousinsSpec(DocumentSpec):
-    """A recipe: the twin, which axes vary, and how many variants; the same recipe and seed give the same variants."""
+    """A recipe: the twin, the axes that vary, and the number of cousins; the same seed gives the same cousins."""
 
     simfoundry: Literal["cousins/1"] = Field(description="The kind and version of this document.")
     twin: FileName = Field(description="The scene or task to vary, relative to this document.")
-    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="How many variants.")
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="What the random choices start from.")
+    count: Annotated[int, Field(ge=1, le=1_000_000)] = Field(100, description="Number of variants.")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="Seed of the random choices.")
     scene: SceneAxis | None = Field(None, description="Vary the layout.")
     object: ObjectAxis | None = Field(None, description="Vary the objects.")
     distractors: DistractorAxis | None = Field(None, description="Add things beside the task.")

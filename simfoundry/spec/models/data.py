@@ -1,4 +1,4 @@
-"""Typed documents as plain data, without what is as it would be anyway."""
+"""Convert typed documents to plain data without defaults."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from simfoundry.spec.yaml.spelling import rounded
 
 
 def to_data(spec: Model) -> dict[str, Any]:
-    """Plain data of a document, in canonical order, without what equals its default."""
+    """Return the plain data of a document in canonical order, without values that equal their defaults."""
     out: dict[str, Any] = {}
     given = spec.model_fields_set
     for name, needed, default in _fields(type(spec)):
@@ -26,7 +26,7 @@ def to_data(spec: Model) -> dict[str, Any]:
 
 @cache
 def _fields(model: type[Model]) -> tuple[tuple[str, bool, Any], ...]:
-    """Name of each field in canonical order, whether it is always written, and the data of its default."""
+    """Return name, necessity and default of each field in canonical order."""
     fields = model.model_fields
     needed = {name for name, info in fields.items() if name == "simfoundry" or info.is_required()}
     return tuple((name, name in needed, _data(fields[name].default)) for name in field_order(model))
@@ -49,7 +49,7 @@ def _data(value: Any) -> Any:
 
 
 def _written_alike(a: Any, b: Any) -> bool:
-    """Whether two data have the same text: numbers are written with six decimals."""
+    """True if two values have the same text: numbers are written with six decimals."""
     match a, b:
         case (float(), float() | int()) | (int(), float()):
             return rounded(a) == rounded(b)

@@ -1,4 +1,4 @@
-"""Predicates and what is made of them: ``OnTop(cup, desk)``, ``{all: [...]}``, ``{any: [...]}``, ``{not: ...}``."""
+"""Parse predicates and conditions: ``OnTop(cup, desk)``, ``{all: [...]}``, ``{any: [...]}``, ``{not: ...}``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]{1,3})?\Z
 
 
 class ExpressionError(ValueError):
-    """A text that is not a predicate; ``word`` is the part to blame, ``choices`` what it could have been."""
+    """A text that is not a predicate; ``word`` is the faulty part, ``choices`` the valid ones."""
 
     def __init__(self, message: str, word: str = "", choices: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -29,19 +29,19 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class Call:
-    """One predicate with its arguments, each with the kind that it must be of."""
+    """A predicate with its arguments, each with its kind."""
 
     predicate: str
     args: tuple[str, ...]
 
     @property
     def declaration(self) -> Predicate:
-        """The predicate that is called."""
+        """Declaration of the predicate."""
         return PREDICATES.load(self.predicate)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The kind of each argument."""
+        """Kind of each argument."""
         return self.declaration.parameters[: len(self.args)]
 
     def __str__(self) -> str:
@@ -50,7 +50,7 @@ class Call:
 
 @lru_cache(maxsize=1024)  # checks, lowering and predicates read the same few
 def parse_call(text: str) -> Call:
-    """A predicate as people write it, by our name or another's; raises :class:`ExpressionError`."""
+    """Parse a predicate by our name or another's; raises :class:`ExpressionError`."""
     match = _CALL.match(text)
     if match is None:
         raise ExpressionError(f"`{text[:80]}` is not of the form `Predicate(object, object)`")
@@ -81,13 +81,13 @@ def _tag(value: Any) -> str:
 
 
 class AllOf(Model):
-    """True where all of them are."""
+    """True if all conditions hold."""
 
     all: tuple[Condition, ...] = Field(description="Conditions that must all hold.")
 
 
 class AnyOf(Model):
-    """True where one of them is."""
+    """True if at least one condition holds."""
 
     any: tuple[Condition, ...] = Field(description="Conditions of which one must hold.")
 
@@ -115,7 +115,7 @@ else:
 
 
 def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
-    """``text``, ``all``, ``any`` or ``not`` of a condition (typed, or plain data), and what stands below it."""
+    """Return ``text``, ``all``, ``any`` or ``not`` for a condition (typed or plain data), and its operands."""
     tag = _tag(condition)
     if tag == "text":
         return tag, (condition,)
@@ -124,7 +124,7 @@ def parts(condition: Any) -> tuple[str, tuple[Any, ...]]:
 
 
 def texts(condition: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str, tuple[str | int, ...]]]:
-    """Every predicate of a condition as it is written, with its path."""
+    """Yield every predicate of a condition as it is written, with its path."""
     tag, below = parts(condition)
     if tag == "text":
         if isinstance(condition, str):

@@ -1,4 +1,4 @@
-"""The kinds of document, each loaded when it is first needed."""
+"""Kinds of document; each model is imported when it is first needed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ KINDS = ("scene/1", "task/1", "asset/1", "capture/1", "cousins/1", "policy/1")
 
 
 def suffix(kind: str) -> str:
-    """How the file of a kind ends: ``.scene.yaml``."""
+    """Return the file name suffix of a kind: ``.scene.yaml``."""
     return f".{kind.partition('/')[0]}.yaml"
 
 
 def is_document(path: Path) -> bool:
-    """Whether a file is called like a document."""
+    """True if a file is named like a document."""
     return path.name == "capture.yaml" or path.name.endswith(tuple(map(suffix, KINDS)))
 
 

@@ -1,4 +1,4 @@
-"""The order of keys that documents are written in: what people look for first, then as the models have it."""
+"""Canonical order of keys: those that people look for first, then the order of the models."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _RANK = {name: rank - len(_FIRST) for rank, name in enumerate(_FIRST)} | dict.fr
 
 
 def field_order(model: type[Model]) -> list[str]:
-    """The names of a model's fields in the order in which they are written.
+    """Return the names of a model's fields in the order in which they are written.
 
     That is the order of the model, but for bodies and whole documents, whose models begin with what they inherit.
     """
@@ -50,7 +50,7 @@ def field_order(model: type[Model]) -> list[str]:
 
 
 class KeyOrder:
-    """What may stand at a place of a document, as far as the order of its keys goes."""
+    """Order of the keys at a place of a document and below it."""
 
     def __init__(self, *types_: Any) -> None:
         kinds = [kind for type_ in types_ for _, kind in flat(type_)]
@@ -65,12 +65,12 @@ class KeyOrder:
         self._inside: dict[str, KeyOrder] = {}
 
     def ordered(self, keys: Iterable[str]) -> list[str]:
-        """Fields in their order, then other keys as they come; where there are only names, these as they come."""
+        """Return fields in their order, then other keys as they come; names stay as they come."""
         rank = self._rank
         return sorted(keys, key=lambda key: rank.get(key, len(rank))) if rank else list(keys)
 
     def member(self, key: str) -> KeyOrder:
-        """What may stand under a key."""
+        """Return the order below a key."""
         known = key in self._fields
         slot = self._inside.get(key if known else "")
         if slot is None:
@@ -79,11 +79,11 @@ class KeyOrder:
 
     @functools.cached_property
     def item(self) -> KeyOrder:
-        """What may stand in a list."""
+        """Order in the items of a list."""
         return KeyOrder(*self._items)
 
 
 @functools.cache
 def key_order(model: type[Model] | None) -> KeyOrder:
-    """The place of a whole document."""
+    """Return the order of a whole document."""
     return KeyOrder(model)

@@ -1,4 +1,4 @@
-"""Where a thing stands, said as people say it: on the desk, left of the plate, inside the bowl."""
+"""Placement constraints: on the desk, left of the plate, inside the bowl."""
 
 from typing import Annotated, Self
 
@@ -23,25 +23,25 @@ DEPTHS = ("in_front_of", "behind")
 
 
 class Place(Model):
-    """A pose to be solved: what carries the thing and where on it; it is dropped onto the real shapes below it.
+    """A pose to be solved: the support and the position on it; the object is dropped onto the shapes below it.
 
     Left, right, front and behind are seen from the scene's viewpoint. Without any of `xy`, `local_xy` and these four it
     is in the middle of its support; one of the four leaves the other direction at the middle of its anchor.
     """
 
-    on: PartName | None = Field(None, description="What it stands on: an object, or one of its links (`shelf.board`).")
+    on: PartName | None = Field(None, description="Support: an object, or one of its links (`shelf.board`).")
     inside: PartName | None = Field(
-        None, description="What it lies in: an object with a cavity, or one of its links (`cabinet.drawer`)."
+        None, description="Container: an object with a cavity, or one of its links (`cabinet.drawer`)."
     )
     xy: Point2 | None = Field(None, description="Position of its frame in the world [m].")
     local_xy: Annotated[Point2 | None, FormerKey("at")] = Field(
         None, description="Position of its frame in the frame of its support [m]."
     )
-    left_of: Name | None = Field(None, description="The object that it stands left of.")
-    right_of: Name | None = Field(None, description="The object that it stands right of.")
-    in_front_of: Name | None = Field(None, description="The object that it stands in front of, nearer to the viewer.")
-    behind: Name | None = Field(None, description="The object that it stands behind, farther from the viewer.")
-    gap: NonNegative = Field(0.03, le=FARTHEST, description="Free space between it and the object beside it [m].")
+    left_of: Name | None = Field(None, description="Object to the right of it.")
+    right_of: Name | None = Field(None, description="Object to the left of it.")
+    in_front_of: Name | None = Field(None, description="Object behind it, farther from the viewer.")
+    behind: Name | None = Field(None, description="Object in front of it, nearer to the viewer.")
+    gap: NonNegative = Field(0.03, le=FARTHEST, description="Gap to the object beside it [m].")
     yaw_deg: Number | None = Field(None, description="Rotation about z [deg].")
     rpy_deg: Vec3 | None = Field(
         None, description="Roll, pitch, yaw about fixed x, y, z [deg]: Rz(yaw) Ry(pitch) Rx(roll)."

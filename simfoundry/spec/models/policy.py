@@ -1,4 +1,4 @@
-"""``policy/1``: where a policy answers, and what its protocol leaves unsaid."""
+"""``policy/1``: the server of a policy, and the conventions that its protocol leaves open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WireKey = Annotated[str, StringConstraints(pattern=WIRE_KEY, max_length=128)]
 
 
 def _variable(text: str) -> str:
-    """What is said of another text does not repeat it: it may be a key."""
+    """Reject a text that is no variable name, without repeating it: it may be a key."""
     if re.match(VARIABLE, text) is None or len(text) > 128:
         message = "expected the name of an environment variable in capitals, never a key itself"
         raise PydanticCustomError("sf104", "{message}", {"message": message})
@@ -83,7 +83,7 @@ _ADDRESS = re.compile(r"(?:([a-z]+)://)?(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9_.-]+)(?::
 
 
 def address_uri(protocol: str, address: str) -> str:
-    """An address in full, ``ws://localhost:8000`` of ``localhost``; raises :class:`ValueError` with a sentence."""
+    """Return an address in full, ``ws://localhost:8000`` for ``localhost``; raises :class:`ValueError`."""
     found = _ADDRESS.fullmatch(address)
     known = PROTOCOLS.load(protocol)
     schemes = known.schemes
@@ -101,22 +101,22 @@ def address_uri(protocol: str, address: str) -> str:
 
 
 class CameraView(Model):
-    """A picture that the policy takes: a camera of the scene, resized without distortion and padded with black."""
+    """An image that the policy receives: a camera of the scene, resized without distortion and padded with black."""
 
     camera: Name = Field(description="A camera of the scene.")
-    size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy takes [px].")
+    size: tuple[Pixels, Pixels] = Field(description="Width and height that the policy expects [px].")
     render: tuple[Pixels, Pixels] | None = Field(
         None, description="Width and height that the simulator renders, before resizing [px]; default: `size`."
     )
 
 
 class GripperConvention(Model):
-    """How the policy speaks of the gripper, in what it is shown and in what it answers."""
+    """Numbers that the policy uses for the gripper, in observations and in actions."""
 
-    open: Number = Field(0.0, description="The number that means open.")
-    closed: Number = Field(1.0, description="The number that means closed.")
+    open: Number = Field(0.0, description="Number for fully open.")
+    closed: Number = Field(1.0, description="Number for fully closed.")
     threshold: Number | None = Field(
-        None, description="How far closed, 0 to 1, counts as closed altogether; default: it stops in between too."
+        None, description="Closure, 0 to 1, from which the gripper closes fully; default: it also stops in between."
     )
 
     @model_validator(mode="after")
@@ -129,38 +129,38 @@ class GripperConvention(Model):
 
 
 class PolicySpec(DocumentSpec):
-    """A policy behind a server: where it is, and what its protocol does not say."""
+    """A policy behind a server: its address, and the conventions that its protocol does not fix."""
 
     simfoundry: Literal["policy/1"] = Field(description="The kind and version of this document.")
     protocol: ProtocolName = Field(
-        description="How the server speaks: `openpi`, `roboarena`, `groot`, or as an installed package knows it."
+        description="Protocol of the server: `openpi`, `roboarena`, `groot`, or one of an installed package."
     )
     address: Annotated[str, StringConstraints(min_length=1, max_length=300)] = Field(
-        description="Where the server is: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
+        description="Address of the server: `localhost:8000`, `wss://policies.example.org`, `tcp://10.0.0.7:5555`."
     )
     action_space: Literal["joint_position", "joint_velocity"] = Field(
-        description="What the arm's numbers of an action mean; no protocol says it for certain."
+        description="Meaning of the arm's numbers in an action, which no protocol fixes."
     )
     velocity_unit: Positive | None = Field(
         None,
-        description="The velocity [rad/s or m/s] that 1 means, where velocities come as -1 to 1; DROID: 3. "
+        description="Velocity [rad/s or m/s] of the value 1, if velocities range from -1 to 1; DROID: 3. "
         "Default: they come in rad/s or m/s.",
     )
     horizon: Annotated[int, Field(ge=1, le=1000)] = Field(
-        description="Steps of each answer that are carried out before the policy is asked again."
+        description="Steps of each action chunk to execute before the policy is queried again."
     )
-    cameras: dict[WireKey, CameraView] = Field({}, description="Pictures that the policy takes, by its own keys.")
+    cameras: dict[WireKey, CameraView] = Field({}, description="Images that the policy receives, by its own keys.")
     state: dict[WireKey, Reading] | None = Field(
-        None, description="What the policy is told of the robot, by its own keys; default: as the robots of DROID do."
+        None, description="Robot state that the policy receives, by its own keys; default: as in DROID."
     )
     gripper: GripperConvention = Field(
-        GripperConvention(threshold=0.5), description="How the policy speaks of the gripper."
+        GripperConvention(threshold=0.5), description="Numbers that the policy uses for the gripper."
     )
-    timeout: Positive = Field(60.0, le=86400, description="Longest wait for an answer [s].")
+    timeout: Positive = Field(60.0, le=86400, description="Timeout of an answer [s].")
     warm_up: Positive = Field(
-        600.0, le=86400, description="Longest wait for the first answer of a connection, while the server compiles [s]."
+        600.0, le=86400, description="Timeout of the first answer of a connection, while the server compiles [s]."
     )
-    retries: Whole = Field(3, description="How often a lost connection is made anew before a rollout has failed.")
+    retries: Whole = Field(3, description="Attempts to restore a lost connection before a rollout fails.")
     api_key: Variable | None = Field(
         None, description="The environment variable that holds the key of the server; never the key itself."
     )

@@ -1,4 +1,4 @@
-"""Where the joints of an asset are, as a document writes it."""
+"""Joint positions as documents write them."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Written = float | Degrees | PoseSpec
 
 
 def number(position: Written) -> float:
-    """A written position as a number [m or rad]; that of a joint with a pose is 0."""
+    """Convert a written position to a number [m or rad]; 0 for a joint with a pose."""
     if isinstance(position, Degrees):
         return math.radians(position.deg)
     return position if isinstance(position, float | int) else 0.0
 
 
 def position(asset: AssetSpec, name: str, given: Mapping[str, Written]) -> float:
-    """Position [m or rad] of a joint, 0 where none is ``given``; one that follows others is where they lead it.
+    """Return the position [m or rad] of a joint, 0 if not ``given``; a mimic joint follows its leader.
 
     Where they lead in a ring, or to no joint, it is 0.
     """

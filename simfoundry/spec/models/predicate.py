@@ -70,7 +70,7 @@ class Predicate:
 
     @property
     def counts(self) -> str:
-        """The number of arguments in words."""
+        """Number of arguments in words."""
         most = len(self.parameters)
         plural = "" if most == 1 else "s"
         return f"{most - self.optional} or {most} arguments" if self.optional else f"{most} argument{plural}"
@@ -103,12 +103,12 @@ PREDICATES = Registry(
 
 
 def built_in_predicates() -> dict[str, Predicate]:
-    """The predicates of this package by name, for schemas and pages that do not depend on what is installed."""
+    """Return the built-in predicates by name, for schemas and pages that must not depend on installed plug-ins."""
     return {name: PREDICATES.load(name) for name in PREDICATES.built_in}
 
 
 def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
-    """The predicate and its arguments in our spelling; unknown names stay as they are."""
+    """Return a predicate and its arguments in our spelling; unknown names stay as they are."""
     if name in PREDICATES.built_in:
         return name, arguments
     found = _by_alias(tuple(PREDICATES.built_in)).get(name)
@@ -121,7 +121,7 @@ def canonical(name: str, arguments: tuple[str, ...]) -> tuple[str, tuple[str, ..
 
 @lru_cache(maxsize=4)
 def _by_alias(names: tuple[str, ...]) -> Mapping[str, Predicate]:
-    """The predicates by the names that others use, the first that claims one; a broken plug-in has none."""
+    """Return the predicates by the names that others use; the first claim wins, broken plug-ins have none."""
     found: dict[str, Predicate] = {}
     for name in names:
         try:

@@ -1,4 +1,4 @@
-"""Robots in a scene: which model, where, and in which posture."""
+"""Robots in a scene: model, pose and posture."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME, max_length=128)
 
 @dataclass(frozen=True)
 class KnownRobot:
-    """What a scene may rely on about a robot without opening its model, as its file in ``simfoundry/robots`` says.
+    """Facts about a robot that need no model, from its file in ``simfoundry/robots``.
 
     ``reach`` [m]: the farthest a grasp can be from the base, measured along the ground; ``opening`` [m]: the widest
     object that fits between the fingers; ``payload`` [kg]: the heaviest object that it should lift, None if unknown;
@@ -31,7 +31,7 @@ class KnownRobot:
 
 
 class RobotFiles(Model):
-    """A robot of your own: its model in each format that there is one for; targets take their native one.
+    """A robot of your own: its model in one or more formats; each target takes its native one.
 
     Rollouts ask for its hand and, where it has one, its gripper, which no model names: those stand in a robot ``file``.
     """
@@ -66,14 +66,14 @@ class RobotSpec(Model):
         Discriminator(lambda v: "positions" if isinstance(v, dict) else "home"),
     ] = Field("home", description="`home`, or joint positions by name [rad or m]; those not named are at home.")
     reach: Positive | None = Field(
-        None, description="How far from its base it can grasp, along the ground [m]; default: what is known of it."
+        None, description="Horizontal reach from its base [m]; default: that of the known robot."
     )
     opening: Positive | None = Field(
-        None, description="The widest thing that fits between its fingers [m]; default: what is known of it."
+        None, description="Widest opening between its fingers [m]; default: that of the known robot."
     )
 
     def known(self) -> KnownRobot | None:
-        """The known robot that it is, if any; None too if its file is faulty, which `check` reports."""
+        """The known robot with this name; None for another, or if its file is faulty, which `check` reports."""
         from simfoundry.spec.models.robot_file import find_robot
 
         try:

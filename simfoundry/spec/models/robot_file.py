@@ -30,9 +30,9 @@ Travel = tuple[Number, Number]
 
 
 class FrameSpec(Model):
-    """A frame by which scenes call a place of the robot: in a link of the model, at a pose in it."""
+    """A named frame of the robot, at a pose in a link of the model."""
 
-    link: str = Field(description="The link, as the model calls it.")
+    link: str = Field(description="The link, by the model's name.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of the frame in the link.")
 
 
@@ -45,33 +45,35 @@ class FollowSpec(Model):
 
 
 class GripperSpec(Model):
-    """How a gripper is moved, and how far its joints go."""
+    """Command and travel of a gripper."""
 
     command: dict[str, Travel] = Field({}, description="Values of the model's actuators; default: of the joints.")
-    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first tells the opening.")
+    joints: dict[JointName, Travel] = Field(description="Joint positions [rad or m]; the first measures the opening.")
     follow: dict[JointName, FollowSpec] = Field(
-        {}, description="Joints that the model moves by closed loops or equations, for targets that have none."
+        {}, description="Joints that the model moves by closed loops or equations, for targets without those."
     )
 
 
 class AttachSpec(Model):
-    """A model that a link of another carries."""
+    """A model that is attached to a link of another."""
 
     file: Reference | list[Reference]
-    to: str = Field(description="The link that carries it.")
+    to: str = Field(description="The link to attach it to.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its base in that link.")
 
 
 class ModelSpec(Model):
-    """A robot in one format. The names of an attached model have its name before them: `gripper.base`."""
+    """A robot in one format. Names of an attached model are prefixed with its own: `gripper.base`."""
 
-    file: Reference | list[Reference] = Field(description="The file, or several of which the first found is taken.")
-    attach: dict[Name, AttachSpec] = Field({}, description="Models that its links carry, as a gripper, by name.")
+    file: Reference | list[Reference] = Field(
+        description="The file, or several, of which the first that exists is used."
+    )
+    attach: dict[Name, AttachSpec] = Field({}, description="Models attached to its links, as a gripper, by name.")
     links: dict[Name, FrameSpec] = Field({}, description="The frames that scenes may name, as `hand`.")
     joints: list[JointName] = Field([], description="The arm's joints, in the order of `joint1`, `joint2` and so on.")
     gripper: GripperSpec | None = None
     effort: dict[JointName, Positive] = Field(
-        {}, description="Greatest force of a joint [N m or N], where the file's own is not the robot's."
+        {}, description="Maximum force of a joint [N m or N], if the file's differs from the robot's."
     )
 
     @model_validator(mode="after")
@@ -82,35 +84,35 @@ class ModelSpec(Model):
 
     @property
     def files(self) -> list[Reference]:
-        """The files to look for, best first."""
+        """Files to look for, best first."""
         return [self.file] if isinstance(self.file, str) else self.file
 
 
 class RobotFileSpec(Model):
-    """A robot: its model in each format that there is one for, and what no model says of it."""
+    """A robot: its model in each available format, and facts that no model states."""
 
-    reach: Positive | None = Field(None, description="How far from its base it can grasp, along the ground [m].")
-    opening: Positive | None = Field(None, description="The widest object that fits between its fingers [m].")
+    reach: Positive | None = Field(None, description="Horizontal reach from its base [m].")
+    opening: Positive | None = Field(None, description="Widest opening between its fingers [m].")
     payload: Positive | None = Field(None, description="The heaviest object that it should lift [kg].")
-    home: list[Number] | None = Field(None, description="Where its arm starts: `joint1` and so on [rad or m].")
+    home: list[Number] | None = Field(None, description="Home position of the arm: `joint1` and so on [rad or m].")
     mjcf: ModelSpec | None = None
     urdf: ModelSpec | None = None
     usd: Annotated[ModelSpec | None, Field(description="A USD whose default prim is the robot.")] = None
 
     @property
     def models(self) -> dict[str, ModelSpec]:
-        """The models by format."""
+        """Models by format."""
         found = {"mjcf": self.mjcf, "urdf": self.urdf, "usd": self.usd}
         return {key: model for key, model in found.items() if model is not None}
 
     @property
     def home_positions(self) -> dict[str, float]:
-        """Where its arm starts, by the scene's names of the joints [rad or m]."""
+        """Home position of the arm, by the scene's names of the joints [rad or m]."""
         return {f"joint{k}": position for k, position in enumerate(self.home or (), 1)}
 
 
 def read_robot_file(file: Path) -> RobotFileSpec:
-    """Read a robot file; raises :class:`SimfoundryError` where it is not one."""
+    """Read a robot file; raises :class:`SimfoundryError` for a faulty one."""
     try:
         data = yaml.load(file.read_text(encoding="utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         models = RobotFileSpec.model_validate_json(json.dumps(data))
@@ -158,7 +160,7 @@ def robot_names() -> list[str]:
 
 
 def known_robot_file(name: str) -> tuple[RobotFileSpec, Path] | None:
-    """Return what is said of the robot called ``name``, and the document to which its paths are relative.
+    """Return the file of the robot called ``name``, and the document that its paths are relative to.
 
     What one's own folder says of a built-in robot stands in place of what is built in. None if nobody knows the robot;
     raises :class:`SimfoundryError` for a faulty file.

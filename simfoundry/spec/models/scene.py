@@ -1,4 +1,4 @@
-"""``scene/1``: objects, materials, cameras, lights and what should hold among them."""
+"""``scene/1``: objects, materials, cameras, lights and the relations among them."""
 
 import math
 from typing import Annotated, Any, Literal, Self
@@ -58,7 +58,7 @@ DEFAULT_VARIANT = "default"
 
 
 class VariantSpec(BodySpec):
-    """What differs in one variant of an object; all else is as the object has it.
+    """Differences of one variant of an object; everything else is as the object has it.
 
     A new `shape` or `asset` comes without the old one's `scale` and `visual`.
     """
@@ -68,9 +68,9 @@ class VariantSpec(BodySpec):
         None, description="A mesh (.glb, .obj, .stl, .ply) or an `.asset.yaml`, relative to this document."
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
-    visual: FileName | None = Field(None, description="A mesh that is shown in place of the shape.")
-    category: Name | None = Field(None, description="What it is, as `mug`.")
-    labels: Labels = Field((), description="What it is to a vision system; default: the object's.")
+    visual: FileName | None = Field(None, description="A mesh to render in place of the shape.")
+    category: Name | None = Field(None, description="Category, as `mug`.")
+    labels: Labels = Field((), description="Labels for vision systems; default: the object's.")
 
     @model_validator(mode="after")
     def _changes_something(self) -> Self:
@@ -82,7 +82,7 @@ class VariantSpec(BodySpec):
 
 
 class ObjectSpec(BodySpec):
-    """A thing in the scene: a primitive `shape`, or an `asset` (a mesh file, or an asset document)."""
+    """An object of the scene: a primitive `shape`, or an `asset` (a mesh file or an asset document)."""
 
     shape: Shape | None = Field(None, description="A primitive.")
     asset: FileName | None = Field(
@@ -90,27 +90,25 @@ class ObjectSpec(BodySpec):
     )
     scale: Positive = Field(1.0, description="Factor from the units of the mesh to metres.")
     visual: FileName | None = Field(
-        None, description="A mesh that is shown in place of the shape; it has no effect in physics."
+        None, description="A mesh to render in place of the shape; it has no effect on physics."
     )
-    category: Name | None = Field(None, description="What it is, as `mug`; default: its name.")
-    labels: Labels = Field(
-        (), description="What it is to a vision system, the most telling first; default: its category."
-    )
+    category: Name | None = Field(None, description="Category, as `mug`; default: its name.")
+    labels: Labels = Field((), description="Labels for vision systems, the most specific first; default: its category.")
     fixed: bool = Field(False, description="Welded to the world.")
     pose: PoseSpec = Field(PoseSpec(), description="Pose of its frame in the world.")
-    place: Place | None = Field(None, description="Where it stands, to be solved into its pose; in place of `pose`.")
+    place: Place | None = Field(None, description="Placement that is solved for its pose; instead of `pose`.")
     joints: dict[Name, JointPosition] = Field(
         {},
         description="Joint positions by name: metres, radians, or `{deg: 30}`; of a ball joint its rotation, as "
         "`{rpy_deg: [10, 0, 20]}`, of a free joint a pose; default 0.",
     )
     variant: Name | None = Field(
-        None, description="Which of its `variants` is compiled; default: `default`, the object as it is written."
+        None, description="The one of its `variants` to compile; default: `default`, the object as written."
     )
     variants: dict[Name, VariantSpec] = Field(
-        {}, description="What it could be instead, by name, each with what differs; in USD one variant set holds all."
+        {}, description="Alternatives by name, each with its differences; in USD one variant set holds all."
     )
-    origin: Origin | None = Field(None, description="Where the description comes from.")
+    origin: Origin | None = Field(None, description="Origin of the description.")
 
     @model_validator(mode="after")
     def _one_geometry(self) -> Self:
@@ -129,26 +127,28 @@ class CameraSpec(Model):
     """A pinhole camera."""
 
     size: tuple[Annotated[int, Field(ge=1, le=8192)], Annotated[int, Field(ge=1, le=8192)]] = Field(
-        description="Width and height of the picture [px]."
+        description="Width and height of the image [px]."
     )
     fx: Positive = Field(description="Focal length in x [px].")
     fy: Positive = Field(description="Focal length in y [px].")
     cx: Number | None = Field(None, description="Principal point in x [px]; default: the middle, (width - 1) / 2.")
     cy: Number | None = Field(None, description="Principal point in y [px]; default: the middle, (height - 1) / 2.")
-    pose: CameraPose = Field(description="Pose in the world, or in the frame of what it is mounted on.")
+    pose: CameraPose = Field(description="Pose in the world, or in the frame of its mount.")
     mount: PartName | None = Field(
-        None, description="What carries it: a robot's link (`arm.hand`), an object, or a link of one."
+        None, description="Mount of the camera: a robot's link (`arm.hand`), an object, or a link of one."
     )
 
 
 class LightSpec(Model):
     """A light."""
 
-    type: Literal["distant", "point", "dome"] = Field(description="Parallel rays, a point, or from everywhere.")
-    intensity: NonNegative = Field(1.0, description="Relative: 1 lights a white surface that faces it fully.")
+    type: Literal["distant", "point", "dome"] = Field(description="Kind of light: parallel rays, a point, or a dome.")
+    intensity: NonNegative = Field(
+        1.0, description="Relative intensity; 1 fully lights a white surface that faces the light."
+    )
     color: Color = Field((1.0, 1.0, 1.0), description="sRGB colour, 0 to 1.")
-    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Where a distant light shines to.")
-    xyz: Point3 = Field((0.0, 0.0, 2.0), description="Where a point light is [m].")
+    direction: Vec3 = Field((0.0, 0.0, -1.0), description="Direction in which a distant light shines.")
+    xyz: Point3 = Field((0.0, 0.0, 2.0), description="Position of a point light [m].")
 
     @model_validator(mode="after")
     def _shines_somewhere(self) -> Self:
@@ -158,7 +158,7 @@ class LightSpec(Model):
 
 
 class BackgroundSpec(Model):
-    """What is seen around the scene; nothing touches it."""
+    """Visual surroundings of the scene; nothing collides with them."""
 
     mesh: FileName | None = Field(None, description="A mesh (.glb, .obj, .stl, .ply), relative to this document.")
     splat: FileName | None = Field(None, description="A 3D Gaussian splat (.ply), relative to this document.")
@@ -172,24 +172,24 @@ class BackgroundSpec(Model):
 
 
 class SceneSpec(DocumentSpec):
-    """A scene: what a person writes and reviews. World frame: right-handed, z up; SI units."""
+    """A scene. World frame: right-handed, z up; SI units."""
 
     simfoundry: Literal["scene/1"] = Field(description="The kind and version of this document.")
     viewpoint: Name | None = Field(
         None,
-        description="The camera or robot from which left, right, front and behind are seen; default: x away, y left.",
+        description="Camera or robot that defines left, right, front and behind; default: x points away, y left.",
     )
     gravity: Vec3 = Field((0.0, 0.0, -9.81), description="Acceleration of gravity [m/s^2].")
-    materials: dict[Name, Material] = Field({}, description="What things are made of, by name.")
-    objects: dict[Name, ObjectSpec] = Field({}, description="The things in the scene, by name.")
+    materials: dict[Name, Material] = Field({}, description="Materials by name.")
+    objects: dict[Name, ObjectSpec] = Field({}, description="Objects by name.")
     robots: dict[Name, RobotSpec] = Field({}, description="Robots by name.")
     cameras: dict[Name, CameraSpec] = Field({}, description="Cameras by name.")
     lights: dict[Name, LightSpec] = Field({}, description="Lights by name.")
-    background: BackgroundSpec | None = Field(None, description="What is seen around the scene.")
+    background: BackgroundSpec | None = Field(None, description="Visual surroundings of the scene.")
     no_contact: tuple[Touching, ...] = Field(
         (),
         max_length=1000,
-        description="Pairs that pass through each other: objects, or links of them as `cabinet.door`.",
+        description="Pairs that do not collide: objects, or links of them as `cabinet.door`.",
     )
-    relations: tuple[str, ...] = Field((), description="What should hold, as `OnTop(cup, desk)`.")
-    origin: Origin | None = Field(None, description="Where the scene comes from.")
+    relations: tuple[str, ...] = Field((), description="Relations that should hold, as `OnTop(cup, desk)`.")
+    origin: Origin | None = Field(None, description="Origin of the scene.")

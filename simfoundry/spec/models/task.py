@@ -1,4 +1,4 @@
-"""``task/1``: what is to be done in a scene, when it is done, and how it starts."""
+"""``task/1``: instruction, goal, steps and starts of a task in a scene."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Range = tuple[Number, Number]
 
 
 class Start(Model):
-    """What differs from the scene at the start."""
+    """Differences from the scene at the start."""
 
-    place: dict[Name, Place] = Field({}, description="Objects that stand elsewhere, by name.")
-    pose: dict[Name, PoseSpec] = Field({}, description="Objects that have another pose, by name.")
+    place: dict[Name, Place] = Field({}, description="Objects with another place, by name.")
+    pose: dict[Name, PoseSpec] = Field({}, description="Objects with another pose, by name.")
     joints: dict[Name, dict[Name, JointPosition]] = Field(
         {}, description="Joint positions by object and joint, as in a scene."
     )
@@ -38,19 +38,21 @@ class Start(Model):
 class Subtask(Model):
     """A step of the task, done once its goal has held."""
 
-    goal: Condition = Field(description="When the step is done: a predicate, or `all`, `any`, `not` of some.")
-    instruction: Instruction | None = Field(None, description="What a policy is told where the step is done alone.")
-    start: Start | None = Field(
-        None, description="How the step starts where it is done alone; on top of the `start` of the task."
+    goal: Condition = Field(
+        description="Condition that ends the step: a predicate, or `all`, `any`, `not` of conditions."
     )
+    instruction: Instruction | None = Field(None, description="Instruction for the policy if the step is run alone.")
+    start: Start | None = Field(None, description="Start of the step if it is run alone, on top of the task's `start`.")
 
 
 class ResetRegion(Model):
-    """Where an object may start: its frame, at the height that the scene gives it."""
+    """Region in which an object starts; its height is that of the scene."""
 
-    x: Point2 = Field(description="Lowest and highest x in the world [m].")
-    y: Point2 = Field(description="Lowest and highest y in the world [m].")
-    yaw_deg: Range = Field((0.0, 0.0), description="Lowest and highest turn about z, on top of the scene's pose [deg].")
+    x: Point2 = Field(description="Minimum and maximum x in the world [m].")
+    y: Point2 = Field(description="Minimum and maximum y in the world [m].")
+    yaw_deg: Range = Field(
+        (0.0, 0.0), description="Minimum and maximum rotation about z, added to the scene's pose [deg]."
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -62,10 +64,10 @@ class ResetRegion(Model):
 
 
 class Reset(Model):
-    """How the starts of rollouts differ: each object takes another cell of its region's grid in each rollout."""
+    """Variation of the starts: in each rollout, each object takes another cell of its region's grid."""
 
     grid: tuple[Cells, Cells] = Field((5, 5), description="Cells of each region along x and y.")
-    objects: dict[Name, ResetRegion] = Field({}, description="The objects that move, by name.")
+    objects: dict[Name, ResetRegion] = Field({}, description="Objects that start elsewhere, by name.")
 
 
 class TaskSpec(DocumentSpec):
@@ -73,14 +75,18 @@ class TaskSpec(DocumentSpec):
 
     simfoundry: Literal["task/1"] = Field(description="The kind and version of this document.")
     scene: FileName = Field(description="The scene, relative to this document.")
-    instruction: Instruction = Field(description="What a policy is told.")
+    instruction: Instruction = Field(description="Instruction for the policy.")
     robots: tuple[Name, ...] | None = Field(
-        None, min_length=1, max_length=8, description="The robots that act; default: all of the scene."
+        None, min_length=1, max_length=8, description="Robots that act; default: all of the scene."
     )
-    goal: Condition = Field(description="When it is done: a predicate, or `all`, `any`, `not` of some.")
-    subtasks: dict[Name, Subtask] = Field({}, description="Its steps by name, in order.")
-    start: Start = Field(Start(), description="What differs from the scene at the start.")
-    reset: Reset = Field(Reset(), description="How the starts of rollouts differ.")
-    control_hz: Positive = Field(15.0, le=1000, description="Control steps in a second [Hz].")
-    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(600, description="Control steps until it has failed.")
-    origin: Origin | None = Field(None, description="Where the task comes from.")
+    goal: Condition = Field(
+        description="Condition that ends the task: a predicate, or `all`, `any`, `not` of conditions."
+    )
+    subtasks: dict[Name, Subtask] = Field({}, description="Steps by name, in order.")
+    start: Start = Field(Start(), description="Differences from the scene at the start.")
+    reset: Reset = Field(Reset(), description="Variation of the starts of rollouts.")
+    control_hz: Positive = Field(15.0, le=1000, description="Control frequency [Hz].")
+    horizon: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
+        600, description="Control steps until the task counts as failed."
+    )
+    origin: Origin | None = Field(None, description="Origin of the task.")

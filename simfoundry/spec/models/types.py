@@ -1,4 +1,4 @@
-"""What may stand where: the types of the models, walked along the paths of documents."""
+"""Walk the types of the models along paths of documents."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Pattern = tuple[str, ...]
 
 
 def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
-    """The model classes that may stand at ``loc`` below the type ``root``."""
+    """Return the model classes that may stand at ``loc`` below the type ``root``."""
     current = list(flat(root))
     for part in loc:
         following: list[Any] = []
@@ -29,7 +29,7 @@ def models_at(root: Any, loc: tuple[Any, ...]) -> list[type[BaseModel]]:
 
 
 def inside(kind: Any, part: Any) -> Iterator[Any]:
-    """The types that may stand below ``part`` of a type."""
+    """Yield the types that may stand below ``part`` of a type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if part in kind.model_fields:
             info = kind.model_fields[part]
@@ -41,13 +41,13 @@ def inside(kind: Any, part: Any) -> Iterator[Any]:
 
 
 def former_keys(model: type[BaseModel]) -> dict[str, str]:
-    """The present key of each key that fields of a model had before."""
+    """Return the present key for each former key of a model's fields."""
     marks = ((name, mark) for name, info in model.model_fields.items() for mark in info.metadata)
     return {mark.key: name for name, mark in marks if isinstance(mark, FormerKey)}
 
 
 def former_paths(root: Any, data: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Paths of the keys of a document that have another name now, each with that name; the innermost first."""
+    """Yield the paths of former keys in a document, each with the present key; the innermost first."""
     kinds = [kind for _, kind in flat(root)]
     if isinstance(data, dict):
         models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -80,12 +80,12 @@ def _renamed(data: Any, path: tuple[str | int, ...], name: str) -> Any:
 
 
 def is_mapping(model: type[BaseModel], key: str) -> bool:
-    """Whether a field holds a mapping by name."""
+    """True if a field holds a mapping by name."""
     return typing.get_origin(model.model_fields[key].annotation) is dict
 
 
 def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
-    """The plain types of a type, each with its union tag."""
+    """Yield the plain types of a type, each with its union tag."""
     origin = typing.get_origin(kind)
     if origin is typing.Annotated:
         inner, *metadata = typing.get_args(kind)
@@ -99,7 +99,7 @@ def flat(kind: Any, tag: str | None = None) -> Iterator[tuple[str | None, Any]]:
 
 
 def file_patterns(model: type[Model], seen: tuple[type, ...] = ()) -> Iterator[Pattern]:
-    """Where a kind of document names files relative to itself."""
+    """Yield the patterns of the paths at which a kind of document names files."""
     for name, info in model.model_fields.items():
         whole = typing.Annotated[info.annotation, *info.metadata] if info.metadata else info.annotation
         yield from ((name, *below) for below in _files(whole, (*seen, model)))

@@ -1,4 +1,4 @@
-"""Variants of an object: the object as each of them changes it."""
+"""Variants of an object."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ OF_GEOMETRY = ("scale", "visual")
 
 
 def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
-    """The object as its variant ``name`` has it, without variants of its own; ``default`` is as it is written.
+    """Return the object as its variant ``name`` has it, without variants; ``default`` is the object as written.
 
     Raises :class:`pydantic.ValidationError` where the two do not fit together, as a `scale` for a primitive.
     """
@@ -33,5 +33,5 @@ def variant_of(item: ObjectSpec, name: str) -> ObjectSpec:
 
 
 def variant_names(item: ObjectSpec) -> list[str]:
-    """The names of all variants of an object, ``default`` first; empty where it has none."""
+    """Return the names of all variants of an object, ``default`` first; empty if it has none."""
     return [DEFAULT_VARIANT, *item.variants] if item.variants else []

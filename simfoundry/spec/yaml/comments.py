@@ -1,4 +1,4 @@
-"""Where the comments of a text belong: every one of them is found, exactly, and given to what it is about."""
+"""Assign every comment of a text to the value that it is about."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _HEADER = re.compile("[|>][-+0-9]*[ \t]+(#[^\r\n\x85\u2028\u2029]*)")
 
 @dataclass(slots=True)
 class Notes:
-    """The comments of one place, and of what is inside it by key or index."""
+    """Comments of a value, and of its members by key or index."""
 
     above: list[str] = field(default_factory=list)
     beside: str = ""
@@ -30,12 +30,12 @@ class Notes:
     inside: dict[str | int, Notes] = field(default_factory=dict)
 
     def at(self, part: str | int) -> Notes:
-        """The comments of what is inside at a key or index."""
+        """Return the comments of a member by key or index."""
         return self.inside.setdefault(part, Notes())
 
 
 def read_notes(text: str, root: Node, first: str) -> Notes:
-    """The comments of a text that was read to ``root``, without byte order mark and without a key that is there twice.
+    """Return the comments of a text that was read to ``root``.
 
     Comments on top are the document's where ``first`` is its first key.
     """
@@ -44,7 +44,7 @@ def read_notes(text: str, root: Node, first: str) -> Notes:
 
 @dataclass(slots=True)
 class _Frame:
-    """A mapping or list whose end has not come yet; ``indent`` is its column, or -1 in brackets."""
+    """A mapping or list that is still open; ``indent`` is its column, or -1 in brackets."""
 
     node: Node
     path: Path_
@@ -60,7 +60,7 @@ class _Frame:
 
 @dataclass(slots=True)
 class _Pending:
-    """A comment whose place the next event decides; ``alone`` on its line or after a dash."""
+    """A comment whose owner the next event decides; ``alone`` on its line or after a dash."""
 
     start: int
     column: int
@@ -69,7 +69,7 @@ class _Pending:
 
 
 class _Reader:
-    """Goes through the events of a text and gives each comment between them to the place where it belongs.
+    """Walks the events of a text and assigns the comments between them.
 
     A comment on a line of its own belongs to what comes next, or to the end of the mapping or list that ends next if it
     is indented deeper than what holds that one. A comment behind something belongs to what is before it.
@@ -168,7 +168,7 @@ class _Reader:
         self.stack.append(_Frame(node, path, -1 if event.flow_style else self._column(start)))
 
     def _about_whole(self, start: int, in_list: bool) -> int:
-        """How many of the pending comments are about all of what starts here, not about its first entry.
+        """Count the pending comments that are about the whole value that starts here, not its first entry.
 
         They stand above the dash of an item, beside its dash, or beside a colon that has a line of its own.
         """
@@ -194,7 +194,7 @@ class _Reader:
             self.owner = ("close", frame.path, event.end_mark.index)
 
     def _next_path(self, plain: str) -> Path_:
-        """The path of the value that starts here."""
+        """Return the path of the value that starts here."""
         if not self.stack:
             return ()
         frame = self.stack[-1]
@@ -262,7 +262,7 @@ class _Reader:
         return notes
 
     def _start(self, event: Any) -> int:
-        """Where the value itself starts, behind its anchor."""
+        """Return where the value itself starts, behind its anchor."""
         start: int = event.start_mark.index
         anchor = _ANCHOR.match(self.text, start) if event.anchor is not None else None
         if anchor is None:

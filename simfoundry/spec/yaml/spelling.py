@@ -1,4 +1,4 @@
-"""How scalars are written: numbers in their shortest form, texts with quotes only where they need them."""
+"""Spell scalars: numbers in their shortest form, texts with quotes only if they need them."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ _ARGUMENT = re.compile(r"\s*[\w.+-]+\s*\Z")
 
 
 def number(value: float) -> str:
-    """A number with at most six decimals, without an exponent where it is of ordinary size."""
+    """Spell a number with at most six decimals, without an exponent if it is of ordinary size."""
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be written in a spec")
     return exact(rounded(value))
 
 
 def rounded(value: float) -> float:
-    """A number to six decimals; a tiny one to four digits, which is finer."""
+    """Round a number to six decimals; a tiny one to four significant digits, which is finer."""
     if value == 0 or not math.isfinite(value) or abs(value) >= LARGE:
         return value
     return float(f"{value:.3e}" if abs(value) < 10 ** (2 - DIGITS) else f"{value:.{DIGITS}f}")
 
 
 def exact(value: float) -> str:
-    """The shortest text that is read back as the same number."""
+    """Spell a number in the shortest text that is read back as the same number."""
     if isinstance(value, int):
         return str(value)
     if not math.isfinite(value):
@@ -68,7 +68,7 @@ def exact(value: float) -> str:
 
 
 def call(text: str) -> str:
-    """A predicate as it is spelled, by our name, ``OnTop(cup, desk)``; any other text as it is."""
+    """Spell a predicate by our name, ``OnTop(cup, desk)``; any other text stays as it is."""
     match = _CALL.match(text)
     if match is None or not all(map(_ARGUMENT.match, match[2].split(","))):
         return text
@@ -77,7 +77,7 @@ def call(text: str) -> str:
 
 
 def scalar(value: Any, where: Where) -> str:
-    """A value that is no mapping and no list."""
+    """Spell a scalar."""
     match value:
         case None:
             return "null"
@@ -90,7 +90,7 @@ def scalar(value: Any, where: Where) -> str:
 
 @functools.lru_cache(maxsize=8192)
 def string(text: str, where: Where) -> str:
-    """A text on one line: plain where a reader gets the same text back, else in double quotes."""
+    """Spell a text on one line: plain if a reader gets the same text back, else in double quotes."""
     if _is_word(text):
         return text
     closed = where == "block" or text.count("(") == text.count(")")
@@ -100,7 +100,7 @@ def string(text: str, where: Where) -> str:
 
 
 def key_text(key: str) -> str:
-    """A key: plain where it is a word that cannot be taken for anything else."""
+    """Spell a key: plain if it is an unambiguous word."""
     return key if _is_word(key) else quoted(key)
 
 
@@ -109,13 +109,13 @@ def _is_word(text: str) -> bool:
 
 
 def quoted(text: str) -> str:
-    """In double quotes; what YAML does not allow, or takes for the end of a line, is written as an escape."""
+    """Spell a text in double quotes; characters that YAML forbids or takes for line breaks are escaped."""
     return _ESCAPED.sub(lambda m: f"\\u{ord(m.group()):04x}", json.dumps(text, ensure_ascii=False))
 
 
 @functools.lru_cache(maxsize=1024)
 def literal(text: str) -> tuple[str, ...] | None:
-    """A text of several lines as they are: the head ``|`` and the lines; None where it has one or cannot be held."""
+    """Return head ``|`` and lines of a text of several lines; None if it has only one or cannot be written so."""
     if "\n" not in text.rstrip("\n"):
         return None
     lines = tuple(text.removesuffix("\n").split("\n"))
@@ -126,7 +126,7 @@ def literal(text: str) -> tuple[str, ...] | None:
 
 @functools.lru_cache(maxsize=1024)
 def folded(text: str, width: int) -> tuple[str, ...] | None:
-    """A long text of one line, broken at spaces: the head ``>-`` and the lines; None where that cannot be."""
+    """Return head ``>-`` and lines of a long text, broken at spaces; None if it cannot be written so."""
     if not text.isprintable():
         return None
     lines = tuple(_filled(text.split(" "), width))

@@ -1,4 +1,4 @@
-"""YAML in: a strict reading of YAML 1.2 that remembers where everything stands.
+"""Read YAML 1.2 strictly, and remember the position of every value.
 
 Specs are data: mappings with string keys, sequences, strings, numbers, booleans and null. Tags, merge keys, duplicate
 keys and more than one document are errors. Depth, size and the expansion of aliases are bounded.
@@ -46,7 +46,7 @@ Path_ = tuple[str | int, ...]
 
 @dataclass(slots=True)
 class Node:
-    """A value with its place (counted from 1); a mapping knows the places of its keys, an unquoted scalar its text.
+    """A value with its position (from 1); a mapping has the positions of its keys, an unquoted scalar its text.
 
     ``weight`` counts the values in it, each as often as an alias repeats it. ``file`` is set where the value, and the
     key before it, comes from another file than the document itself: one that it extends.
@@ -63,20 +63,20 @@ class Node:
 
 
 class YamlError(Exception):
-    """One finding that stops the reading of a text."""
+    """An error that stops the reading of a text."""
 
     def __init__(self, code: str, message: str, line: int = 0, column: int = 0, hint: str = "") -> None:
         super().__init__(message)
         self.code, self.message, self.line, self.column, self.hint = code, message, line, column, hint
 
     def diagnostic(self, file: str) -> Diagnostic:
-        """The same as a :class:`Diagnostic` of ``file``."""
+        """Return the error as a :class:`Diagnostic` of ``file``."""
         return Diagnostic(self.code, Severity.ERROR, self.message, file, self.line, self.column, "", self.hint)
 
 
 @dataclass(frozen=True)
 class Document:
-    """A read text: plain ``data`` (mappings, tuples, scalars) and the tree of places behind it."""
+    """A text that was read: plain ``data`` (mappings, tuples, scalars) and the tree of positions."""
 
     file: str
     text: str
@@ -87,7 +87,7 @@ class Document:
     """The members that it adds to what it extends, by path, with the names of those that are there."""
 
     def place(self, path: Sequence[str | int], of_key: bool = False) -> tuple[int, int]:
-        """Line and column of the value at ``path`` (or of its key); of the nearest ancestor where there is none.
+        """Return line and column of the value at ``path`` (or its key), or of the nearest ancestor.
 
         A mapping is pointed at by its key: its own text starts with a key of something else. Parts of ``path`` that the
         data does not have (the tags of a union) are passed over.
@@ -98,7 +98,7 @@ class Document:
         return key if of_key else leaf
 
     def source(self, path: Sequence[str | int]) -> str:
-        """The file in which :meth:`place` finds ``path``."""
+        """Return the file that :meth:`place` refers to."""
         files = [self.root.file, *(node.file for _, _, node in self._walk(path))]
         return files[-1] or self.file
 
@@ -111,17 +111,17 @@ class Document:
         severity: Severity = Severity.ERROR,
         of_key: bool = False,
     ) -> Diagnostic:
-        """A finding at ``path``."""
+        """Return a finding at ``path``."""
         line, column = self.place(path, of_key)
         dotted = ".".join(map(str, path))
         return Diagnostic(code, severity, message, self.source(path), line, column, dotted, hint)
 
     def known(self, path: Sequence[str | int]) -> Path_:
-        """The parts of ``path`` that the data has."""
+        """Return the parts of ``path`` that exist in the data."""
         return tuple(part for part, _, _ in self._walk(path))
 
     def _walk(self, path: Sequence[str | int]) -> Iterator[tuple[str | int, tuple[int, int], Node]]:
-        """Each part of ``path`` that the data has, with the place of its key (or item) and its value."""
+        """Yield each existing part of ``path``, with the position of its key (or item) and its value."""
         node = self.root
         for part in path:
             if isinstance(node.children, dict) and isinstance(part, str) and part in node.children:
@@ -135,7 +135,7 @@ class Document:
 
 
 def read(path: Path) -> Document:
-    """Read a file; raises :class:`YamlError` with a place where the text cannot be read."""
+    """Read a file; raises :class:`YamlError` with a place if the text cannot be read."""
     try:
         if path.exists() and not path.is_file():
             raise YamlError("SF001", "this is not a file")
@@ -163,7 +163,7 @@ _MARKERS = tuple(re.compile(pattern) for pattern in (r"<{7,}(?: |$)", r"={7,}$",
 
 
 def _conflict(text: str) -> int:
-    """The line in which a conflict of git's starts, from 1; 0 where there is none."""
+    """Return the line, from 1, in which a conflict of git starts; 0 without one."""
     start, wanted = 0, 0
     for number, line in enumerate(text.splitlines() if "<<<<<<<" in text else (), 1):
         if _MARKERS[wanted].match(line):
@@ -174,7 +174,7 @@ def _conflict(text: str) -> int:
 
 
 def parse(text: str, file: str = "<text>") -> Document:
-    """Read a text; raises :class:`YamlError` with a place where it cannot be read."""
+    """Read a text; raises :class:`YamlError` with a place if it cannot be read."""
     conflict = _conflict(text)
     if conflict:
         hint = "choose between the lines and remove the markers; or merge by meaning: `simfoundry git install`, then "
@@ -238,7 +238,7 @@ def _syntax_error(error: yaml.YAMLError, text: str) -> YamlError:
 
 @dataclass(slots=True)
 class _Open:
-    """A collection that has not ended: how it started, what is in it, and in a mapping the key that waits for a value.
+    """An open collection: its start, its members, and in a mapping the key that waits for a value.
 
     ``key`` is the key's name, line, column, and text where it is plain.
     """
@@ -250,12 +250,12 @@ class _Open:
 
     @property
     def wants_key(self) -> bool:
-        """Whether a key comes next."""
+        """True if a key comes next."""
         return self.key is None and type(self.children) is dict
 
 
 class _Composer:
-    """Turns parser events into :class:`Node` trees without recursion, so that depth cannot exhaust the stack."""
+    """Builds :class:`Node` trees from parser events without recursion, so that depth cannot exhaust the stack."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -267,7 +267,7 @@ class _Composer:
         self.duplicates: list[Diagnostic] = []
 
     def _nothing(self, event: Any) -> None:
-        """Pass over an event that says nothing."""
+        """Ignore an event."""
 
     def _scalar(self, event: Any) -> None:
         mark = event.start_mark
@@ -279,7 +279,7 @@ class _Composer:
             self._add(Node(_value(event), mark.line + 1, mark.column + 1, None, _NO_KEYS, plain), event.anchor)
 
     def _key(self, top: _Open, event: Any, line: int, column: int, plain: str) -> None:
-        """A key of the mapping on top of the stack; it counts as a value."""
+        """Start a key of the mapping on top of the stack; it counts as a value."""
         if event.tag is not None:
             raise _tag_error(event)
         if plain == "<<":
@@ -364,7 +364,7 @@ class _Composer:
 
 
 def _rejoined(items: list[Node]) -> list[Node]:
-    """A bracketed sequence in which parentheses group, so that ``[OnTop(cup, desk), Closed(box)]`` holds two texts.
+    """Rejoin a bracketed sequence that plain YAML splits inside parentheses: ``[OnTop(cup, desk), Closed(box)]``.
 
     Plain YAML splits such a text at its comma. Only plain scalars carry ``plain``; quoted ones stay as they are.
     """
@@ -382,7 +382,7 @@ def _rejoined(items: list[Node]) -> list[Node]:
 
 
 def _is_open(node: Node) -> bool:
-    """Whether a plain text has a parenthesis that is not closed."""
+    """True if a plain text has an unclosed parenthesis."""
     return bool(node.plain) and node.plain.count("(") > node.plain.count(")")
 
 
@@ -395,7 +395,7 @@ def _tag_error(event: Any) -> YamlError:
 
 
 def _value(event: Any) -> Any:
-    """The value of a scalar."""
+    """Return the value of a scalar."""
     if event.tag is not None:
         raise _tag_error(event)
     text: str = event.value

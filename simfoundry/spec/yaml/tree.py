@@ -1,4 +1,4 @@
-"""A document as a tree that keeps its comments, so that it can be formatted, merged and edited without losing one."""
+"""Documents as trees that keep their comments through formatting, merging and editing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KIND = "simfoundry"
 
 @dataclass(frozen=True, slots=True)
 class YamlTree:
-    """A value with the comments around it; each comment is a text from its ``#`` to the end of its line.
+    """A value with the comments around it; each comment is the text from its ``#`` to the end of the line.
 
     ``value`` is a scalar, a mapping of trees or a tuple of trees. ``above`` are the comments before it (before its
     key), ``beside`` the one at the end of its line, ``end`` those after the last entry of a mapping or list. Of the
@@ -31,7 +31,7 @@ class YamlTree:
 
     @property
     def data(self) -> Any:
-        """The plain data: mappings, tuples and scalars, as in :class:`Document`."""
+        """Plain data: mappings, tuples and scalars, as in :class:`Document`."""
         if isinstance(self.value, dict):
             return {key: child.data for key, child in self.value.items()}
         if isinstance(self.value, tuple):
@@ -39,7 +39,7 @@ class YamlTree:
         return self.value
 
     def comments(self) -> Iterator[tuple[Path_, str]]:
-        """Every comment with the path of what it belongs to, in the order of the text."""
+        """Yield every comment with the path of its value, in the order of the text."""
         yield from (((), text) for text in (*self.above, *[self.beside] * bool(self.beside)))
         for part, child in _children(self):
             yield from (((part, *path), text) for path, text in child.comments())
@@ -47,7 +47,7 @@ class YamlTree:
 
 
 def plain_tree(data: Any) -> YamlTree:
-    """A tree without comments."""
+    """Return a tree without comments."""
     if isinstance(data, dict):
         return YamlTree({key: plain_tree(item) for key, item in data.items()})
     if isinstance(data, tuple | list):
@@ -56,7 +56,7 @@ def plain_tree(data: Any) -> YamlTree:
 
 
 def with_data(tree: YamlTree, data: Any) -> YamlTree:
-    """Other plain data with the comments of ``tree``, in the order of ``data``.
+    """Return other plain data with the comments of ``tree``, in the order of ``data``.
 
     What remains keeps its comments, what is gone takes them along, and what is new has none. An entry of a mapping
     remains where its key does, whatever becomes of its value; an item of a list remains where there is an equal one,
@@ -75,7 +75,7 @@ def with_data(tree: YamlTree, data: Any) -> YamlTree:
 
 
 def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, ...]:
-    """The items of a list with new data, each with the comments of the item that it was."""
+    """Return the items of a list with new data, each with the comments of the item that it was."""
     before, after = [repr(item.data) for item in old], [repr(item) for item in new]
     source: dict[int, int] = {}  # of each new item
     for _, first, last, start, end in difflib.SequenceMatcher(None, before, after, autojunk=False).get_opcodes():
@@ -89,7 +89,7 @@ def _items(old: tuple[YamlTree, ...], new: tuple[Any, ...]) -> tuple[YamlTree, .
 
 
 def read_tree(document: Document) -> YamlTree:
-    """The tree of a document as it was read (without what it extends) with all its comments; aliases are written out.
+    """Return the tree of a document (without its bases) with all comments; aliases are written out.
 
     Raises :class:`SpecError` where a key is written twice: one of the two would be lost.
     """

@@ -1,4 +1,4 @@
-"""YAML out: one canonical form, short enough to read and stable enough to diff; comments keep their place."""
+"""Write YAML in one canonical form: short to read, stable to diff, with comments in place."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Line = tuple[str, str]
 
 
 def to_yaml(spec: Model, comment: str = "") -> str:
-    """The canonical text of a document: fields in the order of the model, defaults left out, six decimals."""
+    """Return the canonical text of a document: fields in order, defaults left out, six decimals."""
     above = tuple(f"# {line}".rstrip() for line in comment.splitlines())
     return write_tree(replace(plain_tree(_rounded(to_data(spec))), above=above), type(spec))
 
@@ -53,7 +53,7 @@ def _rounded(data: Any) -> Any:
 
 
 def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
-    """The canonical text of a document with its comments.
+    """Return the canonical text of a document with its comments.
 
     Keys of ``model`` come in its order, other keys after them, and names as they are. Numbers are exact: the text
     reads back as the data of the tree, but for the spelling of predicates.
@@ -73,7 +73,7 @@ def write_tree(tree: YamlTree, model: type[Model] | None) -> str:
 
 
 def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None, indent: int) -> list[str]:
-    """The lines of one entry of a block mapping of a document, key and value, indented by ``indent`` columns.
+    """Return the lines of one entry of a block mapping, indented by ``indent`` columns.
 
     The comments above it are left out; those beside and inside it are written.
     """
@@ -86,7 +86,7 @@ def entry_lines(tree: YamlTree, path: tuple[str, ...], model: type[Model] | None
 
 
 def inline_text(data: Any, path: tuple[str, ...], model: type[Model] | None, in_braces: bool) -> str | None:
-    """A value as it stands behind its key on one line; None where it needs lines of its own."""
+    """Return a value as it stands behind its key on one line; None if it needs lines of its own."""
     tree = _spelled(plain_tree(data), path[-1] in _PREDICATES or path[-2:-1] == ("relations",))
     blocks: set[int] = set()
     needs_lines = _collect_blocks(tree, blocks)
@@ -104,7 +104,7 @@ def _slot_at(path: tuple[str, ...], model: type[Model] | None) -> KeyOrder:
 
 
 def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
-    """The same tree with predicates as they are spelled."""
+    """Return the tree with canonical predicates."""
     value: Any = tree.value
     if isinstance(value, str):
         return replace(tree, value=call(value)) if predicate and call(value) != value else tree
@@ -120,7 +120,7 @@ def _spelled(tree: YamlTree, predicate: bool) -> YamlTree:
 
 
 def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
-    """Collect what cannot be written on one line: it holds a comment, a text of several lines, or a predicate.
+    """Collect values that cannot be on one line: they hold a comment, a long text, or a predicate.
 
     Inside brackets other YAML readers, editors among them, would split ``OnTop(cup, desk)`` at its comma. Returns
     whether what holds the tree is of that kind because of it.
@@ -143,13 +143,13 @@ def _collect_blocks(tree: YamlTree, blocks: set[int]) -> bool:
 
 
 class _Writer:
-    """Lines of mappings and lists; ``blocks`` are the trees that cannot be written on one line, by identity."""
+    """Writes mappings and lists; ``blocks`` are the trees that cannot be on one line, by identity."""
 
     def __init__(self, blocks: set[int]) -> None:
         self.blocks = blocks
 
     def sections(self, tree: YamlTree, slot: KeyOrder, started: bool) -> Iterator[Line]:
-        """The entries of a document, a blank line before each that is written as a block."""
+        """Return the entries of a document, with a blank line before each block."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             written = [*self.entry(key, child, slot.member(key), 0, key)]
@@ -161,7 +161,7 @@ class _Writer:
         yield from _comments(tree.end, 0)
 
     def entries(self, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """The entries of a mapping, one below the other."""
+        """Return the entries of a mapping, one below the other."""
         for key in slot.ordered(tree.value):
             child = tree.value[key]
             yield from _comments(_above(child), indent)
@@ -169,7 +169,7 @@ class _Writer:
         yield from _comments(tree.end, indent)
 
     def items(self, tree: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
-        """The items of a list, one below the other."""
+        """Return the items of a list, one below the other."""
         for item in tree.value:
             nested = isinstance(item.value, dict | tuple) and self.is_block(item, slot.item, indent + 2)
             above = (*_above(item), *[item.beside] * (nested and bool(item.beside)))
@@ -181,7 +181,7 @@ class _Writer:
         yield from _comments(tree.end, indent)
 
     def nested_item(self, item: YamlTree, slot: KeyOrder, indent: int) -> Iterator[Line]:
-        """An item that is a mapping or list over several lines, which start behind the dash."""
+        """Return an item over several lines, which start behind the dash."""
         inside = indent + 2
         mapping = isinstance(item.value, dict)
         first, *lines = self.entries(item, slot, inside, "") if mapping else self.items(item, slot, inside)
@@ -193,7 +193,7 @@ class _Writer:
         yield from lines
 
     def entry(self, key: str, tree: YamlTree, slot: KeyOrder, indent: int, section: str) -> Iterator[Line]:
-        """One key with its value."""
+        """Return one key with its value."""
         pad, value, beside = " " * indent, tree.value, tree.beside
         head = f"{pad}{key_text(key)}:"
         if len(key) > MAX_KEY:
@@ -212,7 +212,7 @@ class _Writer:
         yield from self.short(head, tree, slot, indent, beside)
 
     def short(self, head: str, tree: YamlTree, slot: KeyOrder, indent: int, beside: str) -> Iterator[Line]:
-        """What is no block: on one line, or a long list or text over several."""
+        """Return a value that is no block: on one line, or a long list or text over several."""
         if isinstance(tree.value, str):
             yield from self.text(head, tree.value, indent, beside)
             return
@@ -226,7 +226,7 @@ class _Writer:
             yield f"{head} {flow}", beside
 
     def text(self, head: str, text: str, indent: int, beside: str) -> Iterator[Line]:
-        """A text: on one line, or over several where it has several or does not fit."""
+        """Return a text on one line, or over several if it has several or is too long."""
         lines = literal(text)
         line = f"{head} {string(text, 'block')}"
         if lines is None and len(line) > WIDTH:
@@ -238,7 +238,7 @@ class _Writer:
         yield from ((f"{' ' * (indent + 2)}{part}" if part else "", "") for part in lines[1:])
 
     def is_block(self, tree: YamlTree, slot: KeyOrder, column: int) -> bool:
-        """Whether a mapping or list that starts at a column is written over several lines."""
+        """True if a mapping or list that starts at a column is written over several lines."""
         if not tree.value:
             return False
         if isinstance(tree.value, tuple):
@@ -246,14 +246,14 @@ class _Writer:
         return id(tree) in self.blocks or column + len(self.flow(tree, slot, "block")) > WIDTH
 
     def is_list_of_lines(self, tree: YamlTree, slot: KeyOrder, indent: int) -> bool:
-        """Whether each item of a list has a line of its own: predicates, and what does not fit on one."""
+        """True if each item of a list has its own line: predicates, and items too long for one line."""
         if id(tree) in self.blocks or any(isinstance(t.value, str) and "(" in t.value for t in tree.value):
             return True
         nested = [item for item in tree.value if isinstance(item.value, dict | tuple)]
         return any(indent + 1 + len(self.flow(item, slot.item, "item")) > WIDTH for item in nested)
 
     def flow(self, tree: YamlTree, slot: KeyOrder, where: Any) -> str:
-        """A value on one line."""
+        """Return a value on one line."""
         value = tree.value
         if isinstance(value, dict):
             inside = (
@@ -266,7 +266,7 @@ class _Writer:
 
 
 def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
-    """A long list in brackets, as many items a line as fit."""
+    """Return a long list in brackets with as many items a line as fit."""
     line = head
     for k, item in enumerate(items):
         text = item + ("]" if k == len(items) - 1 else ",")
@@ -279,7 +279,7 @@ def _wrapped(head: str, items: list[str], indent: int) -> Iterator[str]:
 
 
 def _above(tree: YamlTree) -> tuple[str, ...]:
-    """The comments on the lines above; an empty mapping or list has no lines to hold its own."""
+    """Return the comments on the lines above; an empty collection has no lines for its own."""
     return tree.above if tree.value or not isinstance(tree.value, dict | tuple) else (*tree.above, *tree.end)
 
 
@@ -288,12 +288,12 @@ def _comments(comments: Iterable[str], indent: int) -> Iterator[Line]:
 
 
 def _spaced(comment: str) -> str:
-    """A comment with a space after its ``#``."""
+    """Return a comment with a space after its ``#``."""
     return comment if comment[1:2] in ("", " ", "\t", "!", "#") else f"# {comment[1:]}"
 
 
 def _joined(lines: list[Line]) -> Iterator[str]:
-    """The lines with their comments, which are aligned in a run of neighbours of like length."""
+    """Return lines with their comments, which are aligned among neighbours of similar length."""
     run: list[Line] = []
     for line in lines:
         if line[1]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd.compiled.importing import Imported, import_usd
+from simfoundry.frontends.usd.compiled.loading import Imported, import_usd
 from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec
 from simfoundry.scene.lower import lower_file
 from simfoundry.scene.model import Scene

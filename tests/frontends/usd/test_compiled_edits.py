@@ -12,7 +12,7 @@ import pytest
 
 from simfoundry.backends.usd import compile_usd
 from simfoundry.errors import OutputError
-from simfoundry.frontends.usd.compiled.importing import import_stage, import_usd
+from simfoundry.frontends.usd.compiled.loading import import_stage, import_usd
 from simfoundry.frontends.usd.compiled.stage import StageError
 from simfoundry.scene.lower import lower_file
 from simfoundry.spec.load import load

@@ -10,7 +10,7 @@ import pytest
 
 from simfoundry.backends import compile_scene
 from simfoundry.backends.usd import compile_usd
-from simfoundry.frontends.usd.compiled.importing import Imported, import_usd
+from simfoundry.frontends.usd.compiled.loading import Imported, import_usd
 from simfoundry.scene.lower import lower_file
 
 if TYPE_CHECKING:

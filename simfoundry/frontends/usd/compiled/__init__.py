@@ -1,7 +1,6 @@
 """Stages that were compiled from a document, and perhaps edited since, back into that document."""
 
-from simfoundry.frontends.usd.compiled.importing import Imported, import_stage, import_usd
-from simfoundry.frontends.usd.compiled.loading import load_usd
+from simfoundry.frontends.usd.compiled.loading import Imported, import_stage, import_usd, load_usd
 from simfoundry.frontends.usd.compiled.reading import StageReading, read_spec, read_stage
 from simfoundry.frontends.usd.compiled.stage import StageError, carrier
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from simfoundry.frontends.usd.compiled.joints import edited_joints
-from simfoundry.frontends.usd.compiled.shapes import scaled
 from simfoundry.frontends.usd.compiled.stage import StageMember, fallback, links_of
 from simfoundry.frontends.usd.compiled.values import StageNote, short, srgb
 from simfoundry.frontends.usd.compiled.variants import edited_variants
-from simfoundry.geometry.frames import Pose
+from simfoundry.geometry.frames import Array, Pose
 from simfoundry.scene.poses import UPRIGHT_DEG, pose_spec
 from simfoundry.spec.files import is_document
 from simfoundry.spec.yaml.write import to_data
@@ -250,8 +249,8 @@ def _surface(part: StageMember, data: dict[str, Any], handled: set[tuple[str, st
 def _own(built: tuple[float, float], now: tuple[float, float]) -> float | None:
     """A coefficient that was changed, either our own note of it or the root of it that simulators read; or None."""
     if differs(built[1], now[1]):
-        return short(now[1])
-    return short(now[0] ** 2) if differs(built[0], now[0]) else None
+        return float(short(now[1]))
+    return float(short(now[0] ** 2)) if differs(built[0], now[0]) else None
 
 
 def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]]) -> None:
@@ -267,3 +266,39 @@ def _fixed(part: StageMember, data: dict[str, Any], handled: set[tuple[str, str]
             data["fixed"] = True
         elif free:
             data.pop("fixed", None)
+
+
+_EVEN = 1e-6
+"""Share by which factors may differ and still be one: single precision, in which stages hold them."""
+
+
+def scaled(data: dict[str, Any], factors: Array) -> tuple[dict[str, Any], str]:
+    """Return the changed data of an object that is stretched by ``factors`` along its axes, shape (3,).
+
+    Or else the reason why the language has no shape for the result.
+    """
+    x, y, z = (float(f) for f in factors)
+    if min(x, y, z) <= 0:
+        return {}, "it is mirrored or flat, which no shape of a scene is"
+    even, round_ = max(x, y, z) - min(x, y, z) <= _EVEN * x, abs(x - y) <= _EVEN * x
+    shape = data.get("shape")
+    if not isinstance(shape, dict):
+        if str(data.get("asset", "")).endswith(".yaml"):
+            return {}, "it was scaled, and an asset document has its own size"
+        return ({"scale": short(data.get("scale", 1.0) * x)}, "") if even else ({}, "a mesh scales alike in all axes")
+    kind, value = next(iter(shape.items()))
+    if (kind in ("sphere", "capsule") and not even) or (kind in ("cylinder", "lathe") and not round_):
+        return {}, f"stretched by {x:.4g}, {y:.4g}, {z:.4g} it is no {kind} any more"
+    match kind:
+        case "box":
+            new: Any = tuple(short(v * f) for v, f in zip(value, (x, y, z), strict=True))
+        case "sphere":
+            new = short(value * x)
+        case "cylinder" | "capsule":
+            new = {"radius": short(value["radius"] * x), "height": short(value["height"] * z)}
+        case "lathe":
+            new = {"profile": tuple((short(r * x), short(h * z)) for r, h in value["profile"])}
+        case _:
+            outline = tuple((short(a * x), short(b * y)) for a, b in value["outline"])
+            new = {"outline": outline, "height": short(value["height"] * z)}
+    return {"shape": {kind: new}}, ""

@@ -1,1 +1,1 @@
-"""What changed between two documents: as data that can be applied, and in the words of the scene."""
+"""Differences between two documents, as data and in words."""

@@ -1,4 +1,4 @@
-"""Changes between two documents as data: what to do to the one to get the other.
+"""Changes between two documents as data: the edits that turn one into the other.
 
 Documents are plain data: mappings with text keys, tuples, scalars. Members of named mappings are matched by name, and
 where one vanishes while a nearly equal one appears, by a rename (:mod:`simfoundry.spec.change.diff.renames`). Lists are
@@ -23,7 +23,7 @@ PAIR_LISTS = ("no_contact",)
 
 @dataclass(frozen=True)
 class Set:
-    """The value at ``path`` becomes ``new``."""
+    """Change of the value at ``path`` to ``new``."""
 
     path: Path_
     old: Any
@@ -32,7 +32,7 @@ class Set:
 
 @dataclass(frozen=True)
 class Add:
-    """A member ``value`` appears at ``path``, as the ``position``-th of its mapping (counted from 0)."""
+    """Addition of a member ``value`` at ``path``, as the ``position``-th of its mapping (counted from 0)."""
 
     path: Path_
     value: Any
@@ -41,7 +41,7 @@ class Add:
 
 @dataclass(frozen=True)
 class Remove:
-    """The member at ``path`` goes."""
+    """Removal of the member at ``path``."""
 
     path: Path_
     old: Any
@@ -49,7 +49,7 @@ class Remove:
 
 @dataclass(frozen=True)
 class Reorder:
-    """The members of the mapping at ``section`` stand in another order."""
+    """New order of the members of the mapping at ``section``."""
 
     section: Path_
     order: tuple[str, ...]
@@ -68,12 +68,12 @@ def diff(a: Any, b: Any) -> tuple[Change, ...]:
 
 
 def to_json(change: Change) -> dict[str, Any]:
-    """A plain mapping with the ``kind`` of the change."""
+    """Return a plain mapping with the ``kind`` of the change."""
     return {"kind": type(change).__name__.lower(), **asdict(change)}
 
 
 def members(value: Any, path: Path_) -> dict[str, Any] | None:
-    """The members of a mapping by name, of a list of expressions by text; None for what is replaced as a whole."""
+    """Return the members of a mapping by name, or of a list of expressions by text; None for other values."""
     if isinstance(value, dict):
         return value
     if path and path[-1] in (*EXPRESSION_LISTS, *PAIR_LISTS) and isinstance(value, tuple | list):
@@ -83,7 +83,7 @@ def members(value: Any, path: Path_) -> dict[str, Any] | None:
 
 
 def expression(item: Any) -> str:
-    """An expression of a goal, or a pair, as one text: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
+    """Spell a goal or a pair as one text: ``any(OnTop(cup, plate), not Open(box))``, ``cup and plate``."""
     match item:
         case str():
             return item
@@ -120,5 +120,5 @@ def _value(a: Any, b: Any, path: Path_) -> Iterator[Change]:
 
 
 def _other_kind(a: Any, b: Any) -> bool:
-    """Whether two shapes are of different kinds, so that nothing of the one is left in the other."""
+    """True if two shapes are of different kinds, so that they have no key in common."""
     return isinstance(a, dict) and isinstance(b, dict) and not a.keys() & b.keys()

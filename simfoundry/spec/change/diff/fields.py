@@ -1,4 +1,4 @@
-"""What changed about one member of a document, field by field, in words."""
+"""Describe the changes of one member of a document, field by field."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _CARRIER = ("on", "inside", "left_of", "right_of", "in_front_of", "behind", "gap
 
 
 class Verbs(list[str]):
-    """Sentences that follow a name; ``moved`` says whether one of them is a movement."""
+    """Phrases that follow a name; ``moved`` is true if one of them is a movement."""
 
     moved = False
 
 
 class Describing:
-    """Two documents, the old one with its new names, and what is known of their fields."""
+    """Context of a description: both documents, the old one with its new names, and the units of their fields."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class Describing:
         self.a, self.b, self.model, self.joint_units, self.verbose = a, b, model, joint_units, verbose
 
     def member(self, path: Path_, old: Any, new: Any) -> tuple[Verbs, list[str]]:
-        """Verbs and facts of what changed about the member at ``path`` of both documents."""
+        """Return verbs and facts for the changes of the member at ``path``."""
         verbs, facts = Verbs(), list[str]()
         if not isinstance(old, dict) or not isinstance(new, dict):
             return verbs, [] if same(old, new) else [values.pair(path[-1], old, new)]
@@ -57,7 +57,7 @@ class Describing:
         return verbs, facts
 
     def field(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> list[str]:
-        """Facts of one field, which ``was`` in the old document or not and ``is_`` in the new."""
+        """Return facts for one field, which the old document has if ``was`` and the new one if ``is_``."""
         key = path[-1]
         if key == "goal" or key in (*EXPRESSION_LISTS, *PAIR_LISTS):
             return list(_expressions(key, old if was else (), new if is_ else (), self.verbose))
@@ -75,7 +75,7 @@ class Describing:
         return [self._leaf(path, old, new, was, is_)]
 
     def summary(self, section: str, item: Any) -> str:
-        """What a new member is, in a few words."""
+        """Summarize a new member in a few words."""
         if not isinstance(item, dict):
             return values.value("", item)
         words = [values.shape(item["shape"])] if "shape" in item else []
@@ -95,7 +95,7 @@ class Describing:
     # -- where it is ------------------------------------------------------------------------------------------------
 
     def _where(self, path: Path_, old: dict[str, Any], new: dict[str, Any], verbs: Verbs, facts: list[str]) -> Path_:
-        """Movement from poses or places; returns the keys that are dealt with."""
+        """Describe movement between poses or places; return the keys that this covers."""
         if any("place" in side for side in (old, new)):
             self._placed(old, new, verbs)
         elif path[0] == "joints" and len(path) == 2:  # a joint does not move: its frame is elsewhere
@@ -128,7 +128,7 @@ class Describing:
         verbs.moved = True
 
     def _pose(self, path: Path_, old: dict[str, Any], new: dict[str, Any]) -> list[str]:
-        """A pose inside a thing: of a part, of a joint, of a background."""
+        """Describe the pose of a part, a joint or a background."""
         found = poses.words(poses.motion(old, new))
         label = _label(path)
         if found:
@@ -150,7 +150,7 @@ class Describing:
             yield from self.field(here, old.get(key), new.get(key), key in old, key in new)
 
     def _has_default(self, path: Path_) -> bool:
-        """Whether a member is 0 where it is not written, as the joints of an object are."""
+        """True for a member that is 0 if it is not written, as the joint positions of an object are."""
         return path[0] == "objects" and path[-2] == "joints"
 
     def _leaf(self, path: Path_, old: Any, new: Any, was: bool, is_: bool) -> str:
@@ -170,7 +170,7 @@ class Describing:
         return f"{label} {left} → {right}"
 
     def _side(self, path: Path_, item: Any, given: bool, document: Mapping[str, Any], unit: str) -> str:
-        """A value with its unit, or where it comes from where it is not written."""
+        """Return a value with its unit; if it is not written, where the value comes from."""
         key = path[-1]
         if given:
             return values.with_unit(values.value(key, item), unit)
@@ -192,7 +192,7 @@ class Describing:
         return values.with_unit(values.value(path[-1], item), self._unit(path))
 
     def _users(self, material: str) -> str:
-        """Who is made of a material, for a change of it is a change of them."""
+        """Name the users of a material, as a change of the material changes them."""
         things = {**_mapping_at(self.b, "objects"), **_mapping_at(self.b, "links")}
         users = [name for name, item in things.items() if isinstance(item, dict) and item.get("material") == material]
         more = f" and {len(users) - 3} more" if len(users) > 3 else ""
@@ -200,7 +200,7 @@ class Describing:
 
 
 def _closing(old: Any, new: Any) -> str:
-    """At which end of its way a joint is closed now, and was."""
+    """Say at which end of its range a joint is closed, and was before."""
     now, before = (f"at its {end} limit" if end else "where it is nearest to zero" for end in (new, old))
     return f"closes {now} (was: {before})"
 
@@ -221,7 +221,7 @@ def _expressions(key: str, old: Any, new: Any, verbose: bool) -> Iterator[str]:
 
 
 def _conjuncts(goal: Any) -> tuple[str, ...]:
-    """What must hold at once: the members of an ``all``, nested ones too."""
+    """Return the conditions that must hold at once: the members of an ``all``, nested ones included."""
     match goal:
         case () | None:
             return ()
@@ -252,18 +252,18 @@ def _angles(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _flat(place: dict[str, Any]) -> dict[str, Any]:
-    """A place as a pose on the ground, to compare with another of the same kind."""
+    """Return a place as a pose on the ground, for comparison with another of the same kind."""
     x, y = place.get("xy") or place.get("local_xy") or (0.0, 0.0)
     return {**place, "xyz": (x, y, 0.0)}
 
 
 def _quantity(old: Any, new: Any) -> bool:
-    """Whether one of two mappings is a value of its own: an estimate, or degrees."""
+    """True if one of two mappings is a single value: an estimate, or an angle in degrees."""
     return any(isinstance(side, dict) and ("value" in side or "deg" in side) for side in (old, new))
 
 
 def _material(path: Path_, document: Mapping[str, Any]) -> tuple[str, dict[str, Any]] | None:
-    """The material that a member at ``path[:-1]`` is made of."""
+    """Return the material of the member at ``path[:-1]``."""
     place: Any = document
     name = None
     for part in path[:-1]:
@@ -279,12 +279,12 @@ def _mapping_at(document: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _generic(path: Path_) -> Path_:
-    """The path with ``*`` for names, by which what is known of a field is remembered."""
+    """Return the path with ``*`` for names, under which facts about a field are cached."""
     return tuple("*" if k and path[k - 1] in SECTIONS else part for k, part in enumerate(path))
 
 
 def _label(path: Path_) -> str:
-    """What a field is called in a sentence: the way to it below its member, ``part left color``."""
+    """Return the label of a field in a sentence: its path below the member, ``part left color``."""
     start = 2 if path[0] in SECTIONS and len(path) > 2 else 0
     parts = [part.removesuffix("_deg") for part in path[start:]]
     for k in range(len(parts) - 1):

@@ -1,4 +1,4 @@
-"""How far a thing moved and turned, from poses in any of the forms that a document may write."""
+"""Describe translations and rotations between poses in any form that a document may use."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AXIS_DEG = 1.0
 
 @dataclass(frozen=True)
 class PoseChange:
-    """From one pose to another in one parent: a ``shift`` [m], and a turn by ``angle`` [deg] about a unit ``axis``."""
+    """Motion between two poses in one parent: a ``shift`` [m] and a turn by ``angle`` [deg] about a unit ``axis``."""
 
     shift: Vector
     angle: float
@@ -32,24 +32,24 @@ class PoseChange:
 
     @property
     def moved(self) -> bool:
-        """Whether the position differs by more than rounding."""
+        """True if the positions differ by more than rounding."""
         return math.hypot(*self.shift) > STILL_M
 
     @property
     def turned(self) -> bool:
-        """Whether the rotation differs by more than rounding."""
+        """True if the rotations differ by more than rounding."""
         return self.angle > STILL_DEG
 
 
 def motion(old: Mapping[str, Any], new: Mapping[str, Any]) -> PoseChange:
-    """What takes the pose ``old`` to the pose ``new``; both as documents write them."""
+    """Return the motion from the pose ``old`` to the pose ``new``, both as documents write them."""
     before, after = _xyz(old), _xyz(new)
     angle, axis = _turn(rotation(old), rotation(new))
     return PoseChange((after[0] - before[0], after[1] - before[1], after[2] - before[2]), angle, axis)
 
 
 def words(found: PoseChange) -> list[str]:
-    """``moved 3.2 cm (+x 3.0, +y 1.1)`` and ``turned 12.0° about z``, each where it is so."""
+    """Describe a motion: ``moved 3.2 cm (+x 3.0, +y 1.1)``, ``turned 12.0° about z``, or both."""
     out = []
     if found.moved:
         out.append(f"moved {_distance(found.shift)}")
@@ -59,7 +59,7 @@ def words(found: PoseChange) -> list[str]:
 
 
 def rotation(pose: Mapping[str, Any]) -> Matrix:
-    """The rotation matrix of a pose, by rows."""
+    """Return the rotation matrix of a pose, by rows."""
     if pose.get("quat_wxyz") is not None:
         return _of_quaternion(pose["quat_wxyz"])
     if pose.get("look_at") is not None:
@@ -89,7 +89,7 @@ def _of_quaternion(quaternion: tuple[float, float, float, float]) -> Matrix:
 
 
 def _of_look_at(eye: Vector, target: Vector) -> Matrix:
-    """Camera axes (x right, y down, z forward) of an upright camera; one that looks along z keeps x along x."""
+    """Return the axes (x right, y down, z forward) of an upright camera; looking along z keeps x along x."""
     forward = _unit((target[0] - eye[0], target[1] - eye[1], target[2] - eye[2]))
     right = _cross(forward, (0.0, 0.0, 1.0))
     if math.hypot(*right) < 1e-6:
@@ -100,7 +100,7 @@ def _of_look_at(eye: Vector, target: Vector) -> Matrix:
 
 
 def _turn(a: Matrix, b: Matrix) -> tuple[float, Vector]:
-    """Angle [deg] and unit axis, in the parent's axes, of the rotation ``b a^T`` that takes ``a`` to ``b``."""
+    """Return angle [deg] and unit axis, in the parent's axes, of the rotation ``b a^T`` from ``a`` to ``b``."""
     r = [[sum(b[i][k] * a[j][k] for k in range(3)) for j in range(3)] for i in range(3)]
     odd = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1])  # 2 sin(angle) axis
     sine, cosine = math.hypot(*odd) / 2, (r[0][0] + r[1][1] + r[2][2] - 1) / 2
@@ -123,7 +123,7 @@ def _distance(shift: Vector) -> str:
 
 
 def _scale(length: float) -> tuple[float, str, int]:
-    """Factor from metres, unit and decimals in which a length is easy to read."""
+    """Return factor from metres, unit and decimals in which a length is easy to read."""
     if length >= 0.9995:
         return 1.0, "m", 3
     if length >= 0.00995:

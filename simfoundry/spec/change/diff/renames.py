@@ -1,4 +1,4 @@
-"""Which member of a document became which, and every reference to it in the new name."""
+"""Find renamed members of a document, and rename every reference to them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ _ARGUMENT = re.compile(r"(?<=[(,])(\s*)([a-z][a-z0-9_]*)(?=\s*[.,)])")
 
 @dataclass(frozen=True)
 class Rename:
-    """A member of the mapping at ``section`` is called ``new`` and no longer ``old``, wherever it is named."""
+    """New name of the member ``old`` of the mapping at ``section``, and of every reference to it."""
 
     section: Path_
     old: str
@@ -79,7 +79,7 @@ class Rename:
 
 
 def find_renames(a: Any, b: Any) -> list[Rename]:
-    """The members of ``a`` that have another name in ``b``, best match first within a section."""
+    """Return the members of ``a`` that have another name in ``b``, the best match first in each section."""
     found: dict[tuple[Path_, str], Rename] = {}
     while True:
         # A name that is mended lets others match whose references now agree, so this is repeated until none is found.
@@ -97,7 +97,7 @@ def find_renames(a: Any, b: Any) -> list[Rename]:
 
 
 def renamed(data: Any, renames: Iterable[Rename]) -> Any:
-    """A copy of ``data`` in which members, and what refers to them, have their new names; its mappings are new."""
+    """Return a copy of ``data`` with the new names of members and of references to them; its mappings are new."""
     local: dict[Path_, dict[str, str]] = {}
     spaces: dict[str, dict[str, str]] = {}
     for rename in renames:
@@ -108,7 +108,7 @@ def renamed(data: Any, renames: Iterable[Rename]) -> Any:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Whether two values are the same, the order of keys included; ``1`` is ``1.0`` but not ``true``."""
+    """True if two values are equal, the order of keys included; ``1`` equals ``1.0`` but not ``true``."""
     if isinstance(a, dict):
         return isinstance(b, dict) and list(a) == list(b) and all(same(a[key], b[key]) for key in a)
     if isinstance(a, tuple | list):
@@ -119,7 +119,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def copied(value: Any) -> Any:
-    """The same value in mappings of its own."""
+    """Copy a value so that its mappings are its own."""
     match value:
         case dict():
             return {key: copied(item) for key, item in value.items()}
@@ -129,7 +129,7 @@ def copied(value: Any) -> Any:
 
 
 def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, Any], dict[str, Any]]]:
-    """Every named mapping that both documents have at the same path."""
+    """Yield every named mapping that both documents have at the same path."""
     if not (isinstance(a, dict) and isinstance(b, dict)):
         return
     if path and path[-1] in SECTIONS:
@@ -140,7 +140,7 @@ def _sections(a: Any, b: Any, path: Path_) -> Iterator[tuple[Path_, dict[str, An
 
 
 def _matches(path: Path_, a: dict[str, Any], b: dict[str, Any]) -> Iterator[Rename]:
-    """The members of ``a`` that are in ``b`` under another name: the most similar pair first, each member once."""
+    """Match members of ``a`` to members of ``b`` with another name: the most similar pair first, each once."""
     gone = [_Member(name, value) for name, value in a.items() if name not in b and isinstance(value, dict) and value]
     come = [_Member(name, value) for name, value in b.items() if name not in a and isinstance(value, dict) and value]
     if len(gone) * len(come) > MAX_PAIRS:
@@ -169,7 +169,7 @@ class _Member:
 
 
 def _likeness(old: _Member, new: _Member) -> float:
-    """The share of all their values in which two members agree; 0 where they are different things."""
+    """Return the share of all their values in which two members agree; 0 for different kinds of object."""
     common = len(old.leaves & new.leaves)
     if common < ALIKE * max(len(old.leaves), len(new.leaves)) or not _same_identity(old.value, new.value):
         return 0.0
@@ -177,7 +177,7 @@ def _likeness(old: _Member, new: _Member) -> float:
 
 
 def _like(old: _Member, new: _Member) -> float:
-    """How much of two names is alike: it decides between members that are equally similar."""
+    """Return the similarity of two names, which decides between members that are equally similar."""
     return difflib.SequenceMatcher(None, old.name, new.name).ratio()
 
 
@@ -194,7 +194,7 @@ def _leaves(value: Any, path: Path_) -> Iterator[tuple[Path_, Any]]:
 
 
 def _space(section: Path_) -> str:
-    """The section in which the names of a mapping are defined; empty where nothing refers to them."""
+    """Return the section in which the names of a mapping are defined; empty if nothing refers to them."""
     if section[-1:] == ("objects",) or section[-2:-1] == ("start",):
         return "objects"
     return section[0] if len(section) == 1 else ""
@@ -223,7 +223,7 @@ def _renamed(value: Any, path: Path_, local: dict[Path_, dict[str, str]], spaces
 
 
 def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[str, dict[str, str]]) -> str:
-    """A dotted path, or a name alone that is looked up in ``spaces``, with the new names of its members."""
+    """Rename the members in a dotted path; a name alone is looked up in ``spaces``."""
     parts = text.split(".")
     if len(parts) == 1:
         return _name(text, _ALLOWED, spaces)
@@ -234,7 +234,7 @@ def _path_renamed(text: str, local: dict[Path_, dict[str, str]], spaces: dict[st
 
 
 def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]:
-    """The new names of the keys of a mapping, less those that would make two keys one."""
+    """Return the new names of the keys of a mapping, without those that would make two keys equal."""
     kept = {key: names[key] for key in mapping if key in names} if names else {}
     while kept:
         count = Counter(kept.get(key, key) for key in mapping)
@@ -247,7 +247,7 @@ def _new_names(mapping: dict[str, Any], names: dict[str, str]) -> dict[str, str]
 
 
 def _expression(value: Any, spaces: dict[str, dict[str, str]]) -> Any:
-    """An expression, or a list of them, with the new names of its arguments."""
+    """Rename the arguments of an expression, or of a list of them."""
     match value:
         case str():
             return _ARGUMENT.sub(lambda m: m[1] + _name(m[2], ("objects", "robots"), spaces), value)

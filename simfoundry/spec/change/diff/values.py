@@ -1,4 +1,4 @@
-"""Values of documents in words: numbers with their units, colours, shapes, places."""
+"""Describe values of documents: numbers with their units, colours, shapes, places."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _TIMES = ("size", "grid", "box")
 
 
 def joined(items: Iterable[str]) -> str:
-    """``(a, b, c)``."""
+    """Join items as ``(a, b, c)``."""
     return f"({', '.join(items)})"
 
 
 @lru_cache(maxsize=4096)
 def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
-    """The unit of a field as its description gives it in brackets; empty where there is none."""
+    """Return the unit of a field from the brackets in its description; empty if it has none."""
     for owner in models_at(model, path[:-1]) if model is not None else ():
         info = owner.model_fields.get(path[-1])
         found = _UNIT.search(info.description or "") if info is not None else None
@@ -45,7 +45,7 @@ def unit(model: type[Model] | None, path: tuple[str, ...]) -> str:
 
 @lru_cache(maxsize=4096)
 def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
-    """What a field is where nothing is written, if that is a plain value; None otherwise."""
+    """Return the default of a field if that is a plain value, else None."""
     for owner in models_at(model, path[:-1]) if model is not None else ():
         info = owner.model_fields.get(path[-1])
         if info is not None and info.default is not PydanticUndefined and not isinstance(info.default, Model | dict):
@@ -54,7 +54,7 @@ def default(model: type[Model] | None, path: tuple[str, ...]) -> Any:
 
 
 def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
-    """``0.20 → 0.31 kg``: both values in the same form, the unit once."""
+    """Describe a change as ``0.20 → 0.31 kg``: both values in the same form, the unit once."""
     if _is_number(old) and _is_number(new):
         left, right = _same_digits(old, new)
     else:
@@ -65,7 +65,7 @@ def pair(key: str, old: Any, new: Any, unit: str = "") -> str:
 
 
 def value(key: str, item: Any) -> str:
-    """A value in words; ``key`` says what it is."""
+    """Describe a value; ``key`` is the key that it stands at."""
     match item:
         case None:
             return "none"
@@ -85,7 +85,7 @@ def value(key: str, item: Any) -> str:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """A number with its unit; what is said about it in brackets stays behind the unit."""
+    """Put a unit behind a number, before anything in brackets."""
     if not unit or text.endswith("°") or not text or not (text[0].isdigit() or text[0] in "-.("):
         return text
     plain, bracket, rest = text.partition(" (")
@@ -93,7 +93,7 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def shape(item: Any) -> str:
-    """``box 0.1 × 0.1 × 0.2 m``, ``cylinder of radius 0.04 and height 0.1 m``, ``lathe of 12 corners``."""
+    """Describe a shape: ``box 0.1 × 0.1 × 0.2 m``, ``cylinder of radius 0.04 and height 0.1 m``."""
     match item:
         case {"box": size}:
             return f"box {_list('box', size)} m"
@@ -109,7 +109,7 @@ def shape(item: Any) -> str:
 
 
 def place(item: dict[str, Any]) -> str:
-    """``on desk at (0.45, 0.1), left of plate``."""
+    """Describe a place: ``on desk at (0.45, 0.1), left of plate``."""
     words = [f"{key} {item[key]}" for key in ("on", "inside") if key in item]
     for key, frame in (("xy", ""), ("local_xy", " of its frame")):
         if key in item:
@@ -122,7 +122,7 @@ def place(item: dict[str, Any]) -> str:
 
 
 def shortened(text: str) -> str:
-    """A text that fits into a line."""
+    """Shorten a text to fit into a line."""
     return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
 
 

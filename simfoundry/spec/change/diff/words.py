@@ -1,4 +1,4 @@
-"""What changed, in the words of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
+"""Describe changes in the words of the scene: ``cup moved 3.2 cm (+x 3.0, +y 1.1); mass 0.20 → 0.31 kg``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MARKS = ("moved", "added", "removed", "renamed", "changed")
 
 @dataclass(frozen=True)
 class MemberChange:
-    """All that changed about one thing.
+    """All changes of one member.
 
     ``section`` and ``name`` say which it is (``name`` is empty for what the document says of itself), ``was`` what it
     was called before; ``marks`` are among moved, added, removed, renamed, changed; ``verbs`` follow its name directly
@@ -41,13 +41,13 @@ class MemberChange:
 
     @property
     def subject(self) -> str:
-        """What it is called in a sentence: ``cup``, ``camera left``."""
+        """Name of the member in a sentence: ``cup``, ``camera left``."""
         kind = self.section.removesuffix("s")
         name = self.was or self.name
         return name if self.section == "objects" else f"{kind} {name}"
 
     def lines(self) -> tuple[str, ...]:
-        """One line where it fits; else the facts one by one, indented."""
+        """Return one line if the changes fit, else the facts one by one, indented."""
         facts = [_single(fact) for fact in self.facts]
         if not self.name:
             return ("; ".join(facts),)
@@ -66,7 +66,7 @@ def describe(
     verbose: bool = False,
     changes: Iterable[Change] | None = None,
 ) -> tuple[MemberChange, ...]:
-    """What changed between the plain data of two documents, thing by thing.
+    """Describe the changes between the plain data of two documents, member by member.
 
     ``model`` knows the units of the fields, ``joint_units`` those of the joints of objects (by object and joint, as
     named in ``b``). What means the same and is only written otherwise, and another order, are said if ``verbose``.
@@ -92,12 +92,12 @@ def describe(
 
 
 def text(entries: Iterable[MemberChange]) -> list[str]:
-    """The lines of all entries."""
+    """Return the lines of all entries."""
     return [line for entry in entries for line in entry.lines()]
 
 
 def summary(entries: Iterable[MemberChange]) -> str:
-    """``2 moved, 1 removed, goal changed``; empty where nothing changed."""
+    """Count the changes: ``2 moved, 1 removed, goal changed``; empty if nothing changed."""
     entries = tuple(entries)
     named = [e for e in entries if e.name]
     counts = [(sum(mark in e.marks for e in named), mark) for mark in _MARKS]
@@ -107,7 +107,7 @@ def summary(entries: Iterable[MemberChange]) -> str:
 
 
 def _single(sentence: str) -> str:
-    """A sentence on one line, whatever the texts in it hold."""
+    """Put a sentence on one line, whatever texts it quotes."""
     return " ".join(sentence.split())
 
 
@@ -126,7 +126,7 @@ def _given(document: Mapping[str, Any], key: str) -> bool:
 def _members(
     words: Describing, section: str, old: dict[str, Any], new: dict[str, Any], was: Mapping[tuple[str, ...], str]
 ) -> Iterable[MemberChange]:
-    """What changed about each member of a section: those of the old document in their order, then those added."""
+    """Yield the changes of each member of a section: the old document's in their order, then those added."""
     for name in dict.fromkeys((*old, *new)):
         before = was.get((section, name), "")
         if name not in new:
@@ -148,7 +148,7 @@ def _members(
 
 
 def _other_renames(renames: Iterable[Rename]) -> Iterable[tuple[int, MemberChange]]:
-    """Renames of what is not a member of a section of its own: parts of links, objects that a task only names."""
+    """Yield renames outside the named sections: parts of links, objects that a task only names."""
     for r in renames:
         if len(r.section) > 1 or r.section[0] not in _NAMED:
             kind = r.section[-1].removesuffix("s")

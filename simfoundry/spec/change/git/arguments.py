@@ -1,4 +1,4 @@
-"""Which states of which documents a person means: files, revisions, or both."""
+"""Interpret the arguments of ``diff`` and ``log``: files, revisions, or both."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from simfoundry.spec.change.git.revisions import commit, differing, export, file
 
 
 class ArgumentError(SimfoundryError):
-    """Arguments that name no two things to compare."""
+    """Arguments that do not name two states to compare."""
 
 
 @dataclass(frozen=True)
 class DocumentState:
-    """One state of a document: the file ``path``, or, of a ``commit``, ``path`` in the repository at ``root``."""
+    """State of a document: the file ``path``, or ``path`` at a ``commit`` of the repository at ``root``."""
 
     path: str
     label: str
@@ -37,7 +37,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Span:
-    """From one revision to another, or (``new`` empty) to the working tree; both as the person wrote them."""
+    """Range from one revision to another, or (``new`` empty) to the working tree, as the person wrote it."""
 
     old: str
     new: str
@@ -45,7 +45,7 @@ class _Span:
 
 
 def pairs(arguments: Sequence[str]) -> list[Pair]:
-    """What to compare; raises :class:`ArgumentError` or a :class:`GitError` where the arguments do not say it."""
+    """Return the pairs of states to compare; raises :class:`ArgumentError` or :class:`GitError` for bad arguments."""
     if len(arguments) == 2 and all(_is_state(a) for a in arguments):
         old, new = (_state(a) for a in arguments)
         return [Pair(new.label, old, new)]
@@ -60,7 +60,7 @@ def pairs(arguments: Sequence[str]) -> list[Pair]:
 
 
 def document_history(arguments: Sequence[str], verbose: bool = False) -> Iterator[HistoryEntry]:
-    """The commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
+    """Return the commits that changed a document: ``FILE``, ``REVISION FILE`` or ``A..B FILE``, as :func:`history`."""
     *revisions, file = arguments or [""]
     if not file or len(revisions) > 1:
         raise ArgumentError("give one document, perhaps behind a revision or a range: main..feature a.scene.yaml")
@@ -94,7 +94,7 @@ def _open(source: DocumentState | None, folder: Path) -> Side | None:
 
 
 def _is_state(argument: str) -> bool:
-    """Whether an argument alone names one state of one document."""
+    """True if an argument by itself names one state of one document."""
     return Path(argument).is_file() or _is_rev_path(argument)
 
 
@@ -104,7 +104,7 @@ def _is_rev_path(argument: str) -> bool:
 
 
 def _is_file(argument: str) -> bool:
-    """Whether an argument is a path: one that exists, or one that is called like a document and no longer does."""
+    """True if an argument is an existing path, or is named like a document that no longer exists."""
     return Path(argument).exists() or (argument.endswith(".yaml") and ":" not in argument)
 
 
@@ -117,7 +117,7 @@ def _state(argument: str) -> DocumentState:
 
 
 def _span(root: Path, revisions: Sequence[str]) -> _Span:
-    """``A``, ``A B``, ``A..B`` (an empty end is HEAD) or ``A...B`` (from where the two parted to B)."""
+    """Resolve ``A``, ``A B``, ``A..B`` (an empty end is HEAD) or ``A...B`` (from the merge base to B)."""
     if len(revisions) == 2:
         old, new = revisions
     elif "..." in revisions[0]:
@@ -132,7 +132,7 @@ def _span(root: Path, revisions: Sequence[str]) -> _Span:
 
 
 def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
-    """One document, or every one below a folder that differs."""
+    """Yield the pair for one document, or for every document below a folder that differs."""
     root, inside = _inside(path)
     span = _span(root, revisions)
     if path.is_dir():
@@ -142,7 +142,7 @@ def _of_file(path: Path, revisions: Sequence[str]) -> Iterator[Pair]:
 
 
 def _inside(path: Path) -> tuple[Path, str]:
-    """The repository of a file or folder, and its path in there."""
+    """Return the repository of a file or folder, and its path there."""
     folder = path if path.is_dir() else path.parent
     while not folder.is_dir():  # a folder that a later revision no longer has
         folder = folder.parent
@@ -154,7 +154,7 @@ def _inside(path: Path) -> tuple[Path, str]:
 
 
 def _below(span: _Span, root: Path, folder: Path) -> Iterator[Pair]:
-    """Every document below a folder that differs."""
+    """Yield every document below a folder that differs."""
     below = "" if folder == root else folder.relative_to(root).as_posix()
     for found in differing(root, span.commits[0], span.commits[1] or None, below):
         yield _pair(span, root, found.old, found.new, found.new or found.old or "")

@@ -1,4 +1,4 @@
-"""What git asks of a diff driver: one document, its content before and after, and never a failure."""
+"""Git's external diff driver: one document before and after, without ever failing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NOTHING = "/dev/null"
 
 
 def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
-    """The answer to git's ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
+    """Answer git's ``path old-file old-hex old-mode new-file new-hex new-mode [new-path info]``.
 
     ``top`` is the top folder of the working tree. A document that extends another is compared whole where it is sure
     what that said on both sides, and else by its own fields. What cannot be compared is shown as a plain diff.
@@ -40,7 +40,7 @@ def driver_lines(arguments: Sequence[str], top: Path) -> list[str]:
 
 
 def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
-    """One side; None where git says that there is none."""
+    """Return one side; None if git says that there is none."""
     if file == NOTHING:
         return None
     known = id_ if id_.strip("0.") else ""
@@ -48,7 +48,7 @@ def _blob(path: str, file: str, id_: str, top: Path) -> Blob | None:
 
 
 def _content(file: Path) -> bytes:
-    """What stands in a file, and of a link what it points to, as git has it."""
+    """Return the content of a file, or the target of a link, as git stores it."""
     try:
         return str(file.readlink()).encode() if file.is_symlink() else file.read_bytes()
     except OSError:
@@ -56,7 +56,7 @@ def _content(file: Path) -> bytes:
 
 
 def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None:
-    """What changed; None where a side is unsound, or where anything else goes wrong: `git diff` must go on."""
+    """Compare both sides; None if one is unsound or anything else fails, as `git diff` must go on."""
     try:
         with tempfile.TemporaryDirectory(prefix="simfoundry-") as folder:
             whole = _compared_whole(old, new, top, Path(folder))
@@ -69,7 +69,7 @@ def _compared(old: Blob | None, new: Blob | None, top: Path) -> list[str] | None
 
 
 def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path) -> DocumentComparison | None:
-    """The comparison with what both sides extend; None where it is not known what that said."""
+    """Compare both sides with the documents that they extend; None if those are not known."""
     sides = dict[str, Side | None]()
     for name, blob in (("old", old), ("new", new)):
         read = read_beside(top, blob) if blob is not None else None
@@ -84,7 +84,7 @@ def _compared_whole(old: Blob | None, new: Blob | None, top: Path, folder: Path)
 
 
 def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
-    """What the text of a document says, before and after; raises :class:`ValueError` where that is no answer."""
+    """Compare the text of a document itself; raises :class:`ValueError` if that is not meaningful."""
     present = [blob for blob in (old, new) if blob is not None]
     bases = [extended(blob.path, blob.content) for blob in present]
     data = [parse(blob.content.decode("utf-8")).data for blob in present]
@@ -102,7 +102,7 @@ def _own_fields(old: Blob | None, new: Blob | None) -> Iterator[str]:
 
 
 def _leaves(data: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every value that is no mapping with entries, with its path."""
+    """Yield every value that is not a mapping with entries, with its path."""
     if isinstance(data, dict) and data:
         for key, item in data.items():
             yield from _leaves(item, (*path, key))
@@ -111,7 +111,7 @@ def _leaves(data: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...],
 
 
 def _plain(path: str, old: Blob | None, new_path: str, new: Blob | None) -> list[str]:
-    """A unified diff of the texts."""
+    """Return a unified diff of the texts."""
     before, after = (
         (b"" if side is None else side.content).decode("utf-8", "replace").splitlines() for side in (old, new)
     )

@@ -1,4 +1,4 @@
-"""The commits that changed a document, or one that it extends or refers to, each with what it changed."""
+"""History of a document: commits that changed it, or a file that it extends or refers to."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Commit:
 
 @dataclass(frozen=True)
 class HistoryEntry:
-    """What one commit changed about a document."""
+    """Changes that one commit made to a document."""
 
     commit: Commit
     comparison: DocumentComparison
 
 
 def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = False) -> Iterator[HistoryEntry]:
-    """The commits that changed the document ``path`` of the repository at ``root``, the latest first.
+    """Yield the commits that changed the document ``path`` of the repository at ``root``, the latest first.
 
     ``revisions`` are as for `git rev-list`: commits to start from, and with ``^`` those at which to stop. Each commit
     is compared with its first parent, both with what they extended at that time; one that merges counts only where it
@@ -51,7 +51,7 @@ def history(root: Path, revisions: Sequence[str], path: str, verbose: bool = Fal
 
 
 def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side | None:
-    """The document under the first of its names that a commit has."""
+    """Read the document under the first of its names that a commit has."""
     with files_of(root, revision) as read:
         for name in names:
             found = export(read, name, folder)
@@ -61,7 +61,7 @@ def _side(root: Path, revision: str, names: Sequence[str], folder: Path) -> Side
 
 
 def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], list[Commit]]:
-    """The names that a document had, and every commit that changed it or a file that it refers to."""
+    """Return the names that a document had, and every commit that changed it or a file that it refers to."""
     names, paths, read_already = [path], {path}, set[str]()
     while True:
         commits = list(_listed(root, revisions, sorted(paths)))
@@ -82,7 +82,7 @@ def _trace(root: Path, revisions: Sequence[str], path: str) -> tuple[list[str], 
 
 
 def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Iterator[Commit]:
-    """The commits that change one of the paths, the latest first."""
+    """Return the commits that change one of the paths, the latest first."""
     options = ["--full-history", "--date-order", f"--format={_FORMAT}"]
     found = git(root, "--literal-pathspecs", "rev-list", *options, *revisions, "--", *paths)
     for line in found.decode(errors="replace").splitlines():
@@ -92,7 +92,7 @@ def _listed(root: Path, revisions: Sequence[str], paths: Sequence[str]) -> Itera
 
 
 def _closure(read: Read, path: str) -> set[str]:
-    """The files that a document refers to, and those that the documents among them refer to, itself included."""
+    """Return the files that a document refers to, directly or through other documents, itself included."""
     todo, seen = [path], {path}
     while todo:
         name = todo.pop()
@@ -104,7 +104,7 @@ def _closure(read: Read, path: str) -> set[str]:
 
 
 def _former_name(root: Path, commit: Commit, path: str) -> str | None:
-    """What a document was called before a commit that gave it the name ``path``."""
+    """Return the name of a document before a commit that named it ``path``."""
     for parent in commit.parents[:1]:
         with files_of(root, parent) as read:
             if read(path) is None:

@@ -1,4 +1,4 @@
-"""The documents that lay beside a blob that git shows: git names no revision, so they are used only where that is sure.
+"""Find the documents beside a blob: git names no revision, so they are used only if they are certain.
 
 A diff driver gets two blobs. Each may belong to any commit that has it at its path, to the index, or to the working
 tree. What a document extends counts as known if it is the same in all of them.
@@ -25,7 +25,7 @@ Row = tuple[str | None, ...]
 
 
 class _UnknownError(Exception):
-    """What lay beside a blob cannot be known, or not in time."""
+    """The neighbours of a blob cannot be determined, or not in time."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Blob:
 
 
 def read_beside(top: Path, blob: Blob) -> Read | None:
-    """Reads the documents that lay beside a blob, in the repository at ``top``; None where what it extends is not sure.
+    """Return a reader of the documents beside a blob in the repository at ``top``; None if its base is uncertain.
 
     Other documents that it refers to are read where they are sure, and are missing where they are not.
     """
@@ -79,7 +79,7 @@ class _Lookup:
         self.chain = [self.blob.path]
 
     def read(self) -> Read:
-        """The documents by path, once the search finds no further ones."""
+        """Return the documents by path, once the search finds no further ones."""
         texts = {self.blob.path: self.blob.content}
         while True:
             ids = self._sure([*self.chain, *self.others])
@@ -92,7 +92,7 @@ class _Lookup:
                 return lambda name: texts.get(name)
 
     def _follow(self, texts: dict[str, bytes]) -> None:
-        """Add what the documents in ``texts`` extend, and what else they refer to."""
+        """Add the documents that those in ``texts`` extend or refer to."""
         for path in list(self.chain):
             base = extended(path, texts.get(path, b""))
             if base is not None and base not in self.chain:
@@ -102,7 +102,7 @@ class _Lookup:
             self.others += [r for r in document_references(path, text) if r not in self.chain and r not in self.others]
 
     def _sure(self, paths: list[str]) -> dict[str, str | None]:
-        """The blob of each path that is the same in every state that has ours; raises where the chain has several."""
+        """Return the blob of each path that is the same in all states with ours; raises if the chain is ambiguous."""
         rows = {row for row in self._rows(paths) if row[0] == self.blob.id}
         if not rows:
             raise _UnknownError
@@ -115,7 +115,7 @@ class _Lookup:
         return found
 
     def _rows(self, paths: list[str]) -> set[Row]:
-        """The blobs of the paths in every commit that changes one of them, in the index, and perhaps on the disk."""
+        """Return the blobs of the paths in every commit that changes one, in the index, and perhaps on disk."""
         spec = ["--all", "--reflog", "--ignore-missing", "FETCH_HEAD", "MERGE_HEAD"]
         limit = f"--max-count={MAX_STATES + 1}"
         listed = self._git("rev-list", "--full-history", limit, *spec, "--", *paths).decode().split()

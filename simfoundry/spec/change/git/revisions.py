@@ -1,4 +1,4 @@
-"""Documents as a git revision has them, with the files that they refer to."""
+"""Read documents of a git revision, with the files that they refer to."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ _NAMED = {
 
 
 class GitError(SimfoundryError):
-    """What git cannot do, in its own words."""
+    """A failure of git, in its own words."""
 
 
 @dataclass(frozen=True)
 class Renamed:
-    """A document that differs: its path in the old and in the new revision, None where there is none."""
+    """A document that differs: its path in the old and in the new revision, None if it is absent."""
 
     old: str | None
     new: str | None
 
 
 def git(root: Path, *args: str) -> bytes:
-    """What git prints, called in ``root`` and without a shell; raises :class:`GitError`."""
+    """Run git in ``root`` without a shell and return its output; raises :class:`GitError`."""
     try:
         done = subprocess.run(["git", *args], cwd=root, capture_output=True, check=False, stdin=subprocess.DEVNULL)
     except FileNotFoundError:
@@ -55,7 +55,7 @@ def git(root: Path, *args: str) -> bytes:
 
 
 def repository(folder: Path) -> Path:
-    """The top folder of the repository that ``folder`` lies in."""
+    """Return the top folder of the repository that contains ``folder``."""
     try:
         return Path(git(folder, "rev-parse", "--show-toplevel").decode().rstrip("\n")).resolve()
     except GitError as error:
@@ -65,7 +65,7 @@ def repository(folder: Path) -> Path:
 
 
 def commit(root: Path, revision: str) -> str:
-    """The commit that a person means by ``revision``: ``HEAD~1``, a branch, a tag; as its full name."""
+    """Resolve a ``revision`` (``HEAD~1``, a branch, a tag) to the full name of a commit."""
     if not revision.startswith("-") and "\0" not in revision:
         try:
             found = git(root, "rev-parse", "--verify", "--quiet", f"{revision}^{{commit}}")
@@ -76,12 +76,12 @@ def commit(root: Path, revision: str) -> str:
 
 
 def merge_base(root: Path, a: str, b: str) -> str:
-    """The commit in which two commits parted."""
+    """Return the merge base of two commits."""
     return git(root, "merge-base", a, b).decode().strip()
 
 
 def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Renamed]:
-    """The documents below a folder that differ between two commits, or between one and the working tree."""
+    """Return documents below a folder that differ between two commits, or a commit and the working tree."""
     found = []
     for pair in _renames(root, *([old] if new is None else [old, new])):
         names = [name for name in (pair.old, pair.new) if name is not None]
@@ -91,12 +91,12 @@ def differing(root: Path, old: str, new: str | None, below: str = "") -> list[Re
 
 
 def renamed_from(root: Path, old: str, new: str, path: str) -> str | None:
-    """What the file ``path`` of a commit was called in an older one; None where it was not there."""
+    """Return the name in an older commit of the file ``path``; None if it was not there."""
     return next((pair.old for pair in _renames(root, old, new) if pair.new == path), None)
 
 
 def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
-    """The files that differ between two commits, or between one and the working tree."""
+    """Yield the files that differ between two commits, or between a commit and the working tree."""
     options = ["--name-status", "-z", "-M", "--no-ext-diff", "--no-color", "--ignore-submodules"]
     fields = iter(git(root, "diff", *options, *revisions, "--").decode(errors="surrogateescape").split("\0"))
     for status in fields:
@@ -109,7 +109,7 @@ def _renames(root: Path, *revisions: str) -> Iterator[Renamed]:
 
 @contextmanager
 def files_of(root: Path, revision: str) -> Iterator[Read]:
-    """Reads files of a commit, all through one process."""
+    """Yield a reader of files of a commit; one process serves all of them."""
     process = subprocess.Popen(
         ["git", "cat-file", "--batch"],
         cwd=root,
@@ -136,7 +136,7 @@ def files_of(root: Path, revision: str) -> Iterator[Read]:
 
 
 def export(read: Read, path: str, folder: Path) -> Path | None:
-    """Write a document and all that it refers to below ``folder``, as they lie in the repository.
+    """Write a document and all files that it refers to below ``folder``, as they lie in the repository.
 
     Returns where the document is, or None where there is none. Raises :class:`GitError` where it refers to too much.
     """
@@ -158,12 +158,12 @@ def export(read: Read, path: str, folder: Path) -> Path | None:
 
 
 def document_references(name: str, data: bytes) -> list[str]:
-    """The paths of the documents in the repository that the document ``name`` may refer to."""
+    """Return the paths in the repository of the documents that ``name`` may refer to."""
     return [path for path in references(name, data) if path.endswith(".yaml")]
 
 
 def extended(name: str, data: bytes) -> str | None:
-    """The path in the repository of what the document ``name`` extends; None where it extends nothing."""
+    """Return the path in the repository of the document that ``name`` extends, None without one."""
     try:
         written = parse(data.decode("utf-8")).data
     except (YamlError, UnicodeDecodeError):
@@ -173,7 +173,7 @@ def extended(name: str, data: bytes) -> str | None:
 
 
 def references(name: str, data: bytes) -> Iterator[str]:
-    """The paths in the repository that the file ``name`` may refer to; none that leave the repository."""
+    """Yield the paths in the repository that the file ``name`` may refer to; none that leave the repository."""
     folder = posixpath.dirname(name)
     for written in dict.fromkeys(_file_names(posixpath.splitext(name)[1].lower(), data)):
         path = posixpath.normpath(posixpath.join(folder, written))
@@ -182,7 +182,7 @@ def references(name: str, data: bytes) -> Iterator[str]:
 
 
 def _file_names(kind: str, data: bytes) -> Iterator[str]:
-    """Every text in a file that may name another one, as it stands there."""
+    """Yield every text in a file that may name another file."""
     if kind == ".yaml":
         try:
             document = parse(data.decode("utf-8"))

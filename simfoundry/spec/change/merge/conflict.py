@@ -1,4 +1,4 @@
-"""Two edits of one value that cannot be united, and how a document records them."""
+"""Merge conflicts, and their record in a document."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Path_ = tuple[str, ...]
 
 
 class Absent(Enum):
-    """What stands for a value that a side does not have; ``null`` is a value."""
+    """Marker of a value that a side does not have; ``null`` is a value."""
 
     ABSENT = "absent"
 
@@ -27,7 +27,7 @@ _SHOWN = 60
 
 @dataclass(frozen=True)
 class MergeConflict:
-    """What both sides made of the value at ``path``: plain data, or :data:`ABSENT`.
+    """Conflicting edits of the value at ``path``: plain data, or :data:`ABSENT`.
 
     Where the value is a mapping whose order means something, the three may be lists of its keys: only their order is in
     doubt. Where the three are names, and ``path`` was a member of ``base``'s name, both sides renamed it. The
@@ -41,7 +41,7 @@ class MergeConflict:
     comment: str = ""
 
     def record(self) -> dict[str, Any]:
-        """The entry under ``conflicts``; what is absent is left out."""
+        """Return the entry for ``conflicts``, without absent values."""
         sides = {"base": self.base, "ours": self.ours, "theirs": self.theirs}
         return {name: value for name, value in sides.items() if value is not ABSENT}
 
@@ -52,17 +52,17 @@ class MergeConflict:
 
 
 def dotted(path: Path_) -> str:
-    """A path as the keys of ``conflicts`` spell it; a part that holds a dot or a quote stands in double quotes."""
+    """Spell a path as a key of ``conflicts``; a part with a dot or a quote is in double quotes."""
     return ".".join(json.dumps(p, ensure_ascii=False) if not p or "." in p or '"' in p else p for p in path)
 
 
 def parts(text: str) -> Path_:
-    """The path that a key of ``conflicts`` means."""
+    """Return the path that a key of ``conflicts`` spells."""
     return tuple(_parts(_AGAIN.sub("", text)))
 
 
 def numbered(path: str, taken: dict[str, Any]) -> str:
-    """A key for an entry at ``path`` that is not taken: an older conflict may still be open there."""
+    """Return a free key for an entry at ``path``, as an older conflict may still be open there."""
     count = 2
     key = path
     while key in taken:
@@ -71,7 +71,7 @@ def numbered(path: str, taken: dict[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value on one short line."""
+    """Return a value on one short line."""
     if value is ABSENT:
         return "nothing"
     text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""Equality of values of documents, and lists of conditions or of pairs, which are sets."""
+"""Compare values of documents by meaning; lists of conditions and of pairs are sets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _JOINED = ("all", "any")
 
 
 def is_list_of_conditions(path: Path_, *values: Any) -> bool:
-    """Whether lists at ``path`` are sets of conditions, or of pairs."""
+    """True if lists at ``path`` are sets of conditions or of pairs."""
     if not path or path[-1] not in (*EXPRESSION_LISTS, *PAIR_LISTS):
         return False
     is_item = _is_pair if path[-1] in PAIR_LISTS else _is_condition
@@ -22,7 +22,7 @@ def is_list_of_conditions(path: Path_, *values: Any) -> bool:
 
 
 def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None) -> dict[str, YamlTree]:
-    """The items of a list by what they say; an `all` or `any` that changed is called like the one in ``base``.
+    """Return the items of a list by their meaning; a changed `all` or `any` gets the name of the one in ``base``.
 
     Equal items are told apart by a number.
     """
@@ -40,7 +40,7 @@ def matched(items: tuple[YamlTree, ...], base: dict[str, YamlTree] | None = None
 
 
 def spelled(condition: Any) -> str:
-    """A condition, or a pair, as one text, however it is spaced or ordered."""
+    """Spell a condition or a pair in one way, whatever its spacing and order."""
     return expression(_spelled(condition))
 
 
@@ -80,7 +80,7 @@ def _numbered(texts: list[str]) -> list[str]:
 
 
 def _kind(item: YamlTree) -> str:
-    """``all`` or ``any`` of an item that joins others; empty for any other."""
+    """Return ``all`` or ``any`` for an item that combines others, else an empty text."""
     value = item.value
     key = next(iter(value)) if isinstance(value, dict) and len(value) == 1 else ""
     return key if key in _JOINED else ""
@@ -91,7 +91,7 @@ _CONDITIONS = ("goal", "not")
 
 
 def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
-    """Whether two values at ``path`` say the same: the order of keys and conditions, and spaces in these, mean nothing.
+    """True if two values at ``path`` mean the same; the order of keys and conditions does not matter.
 
     ``1`` is ``1.0`` but not ``true``.
     """
@@ -114,7 +114,7 @@ def same(a: YamlTree | None, b: YamlTree | None, path: Path_ = ()) -> bool:
 
 
 def identical(a: YamlTree, b: YamlTree) -> bool:
-    """Whether two trees are the same to the last comment, and in the same order."""
+    """True if two trees are equal, with the same comments in the same order."""
     if a is b:
         return True
     if (a.above, a.beside, a.end) != (b.above, b.beside, b.end):

@@ -1,4 +1,4 @@
-"""Keys that belong together: what two sides made of them is taken as a whole or not at all."""
+"""Groups of keys that must be merged as a whole."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RIVALS = frozenset(chain.from_iterable(EXCLUSIVE))
 
 
 def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Members], merged: Members) -> set[str]:
-    """The keys of the mapping at ``path`` that exclude each other, and that only both sides together have."""
+    """Return the mutually exclusive keys of the mapping at ``path`` that only the two sides together have."""
     rivals = _RIVALS & merged.keys()
     found = set[str]()
     for group in EXCLUSIVE if len(rivals) > 1 else ():
@@ -32,7 +32,7 @@ def at_odds(model: type[Model] | None, path: Path_, sides: tuple[Members, Member
 
 
 def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) -> set[str]:
-    """The keys of the mapping at ``path`` of which one side changed what leads and the other what follows from it."""
+    """Return the keys at ``path`` where one side changed a leading key and the other a key that depends on it."""
     found = set[str]()
     for lead, led in LED:
         keys = (lead, *led)
@@ -47,14 +47,14 @@ def torn(model: type[Model] | None, path: Path_, base: Members, sides: Sides) ->
 
 
 def rivals_at(model: type[Model] | None, path: Path_) -> set[str]:
-    """The keys that stand and fall with the last one of ``path``."""
+    """Return the keys that must be decided together with the last one of ``path``."""
     groups = [*EXCLUSIVE, *((lead, *led) for lead, led in LED)]
     found = set(chain.from_iterable(group for group in groups if path[-1] in group)) - {path[-1]}
     return found if found and model is not None and _holds_fields(model, path[:-1]) else set()
 
 
 def named_twice(model: type[Model] | None, path: Path_, merged: Members) -> Iterator[str]:
-    """The names that stand under `pose` and under `place` of a start, of which they may be in one."""
+    """Yield the names that a start has under both `pose` and `place`, which exclude each other."""
     place, pose = (merged[key].value if key in merged else None for key in ("place", "pose"))
     if model is not None and isinstance(place, dict) and isinstance(pose, dict) and _is_start(model, path):
         yield from (name for name in place if name in pose)
@@ -65,7 +65,7 @@ def _several(group: tuple[str, ...], keys: Mapping[str, YamlTree] | frozenset[st
 
 
 def _holds_fields(model: type[Model], path: Path_) -> bool:
-    """Whether the keys of a mapping are fields that exclude each other, and not names."""
+    """True if the keys of a mapping are fields rather than names."""
     return bool(models_at(model, path)) and not _is_start(model, path)
 
 

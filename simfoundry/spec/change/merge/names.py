@@ -1,4 +1,4 @@
-"""Renames: the three documents of a merge in the same names."""
+"""Apply the renames of either side to all three documents of a merge."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SameNames:
 
 
 def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
-    """Take over to each side what the other renamed; where both renamed one member, ours counts."""
+    """Apply each side's renames to the other; if both renamed a member, ours wins."""
     if not (_comes_and_goes(base, ours) or _comes_and_goes(base, theirs)):
         return SameNames(base, ours, theirs)
     data, datas = base.data, (ours.data, theirs.data)
@@ -59,7 +59,7 @@ def same_names(base: YamlTree, ours: YamlTree, theirs: YamlTree) -> SameNames:
 
 
 def _comes_and_goes(a: YamlTree, b: YamlTree) -> bool:
-    """Whether a key of some mapping is gone and another has come: it takes both for a rename."""
+    """True if some mapping lost a key and gained another, without which there is no rename."""
     if not (isinstance(a.value, dict) and isinstance(b.value, dict)):
         return False
     if a.value.keys() - b.value.keys() and b.value.keys() - a.value.keys():
@@ -72,7 +72,7 @@ def _renamed(tree: YamlTree, renames: list[Rename]) -> YamlTree:
 
 
 def _with_names(tree: YamlTree, data: Any) -> YamlTree:
-    """The tree with the keys and values of its own renamed data, which stand in the same order."""
+    """Return the tree with the keys and values of its renamed data, which has the same order."""
     if isinstance(data, dict):
         pairs = zip(tree.value.values(), data.items(), strict=True)
         return replace(tree, value={key: _with_names(child, item) for child, (key, item) in pairs})

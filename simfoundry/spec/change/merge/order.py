@@ -1,4 +1,4 @@
-"""The order of the members of a merged mapping or list."""
+"""Order of the members of a merged mapping or list."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Order:
-    """``keys`` in their order; ``clash`` where both sides put the members of the base in different orders."""
+    """``keys`` in order; ``clash`` is true if both sides reordered the members of the base differently."""
 
     keys: list[str]
     clash: bool
@@ -17,7 +17,7 @@ class Order:
 def merged_order(
     base: Collection[str], ours: Collection[str], theirs: Collection[str], kept: Collection[str], ours_first: bool
 ) -> Order:
-    """The ``kept`` keys, each of which one side has at least.
+    """Order the ``kept`` keys, each of which is in at least one side.
 
     A side that reorders what it shares with the base decides; what one side alone has follows what precedes it there.
     Where both sides added something at one place, or both reordered, the names decide, so that it does not matter
@@ -49,7 +49,7 @@ def merged_order(
 
 
 def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
-    """The keys in a wanted order; a key that is not in it stays behind the one before it."""
+    """Return the keys in a wanted order; a key that is not in it stays behind its predecessor."""
     keys = list(keys)
     runs = _runs(keys, [key for key in wanted if key in set(keys)], keys)
     out = runs.get(None, [])
@@ -60,7 +60,7 @@ def reordered(keys: Iterable[str], wanted: Sequence[str]) -> list[str]:
 
 
 def _runs(keys: Iterable[str], core: Sequence[str], kept: Collection[str]) -> dict[str | None, list[str]]:
-    """The kept keys that are not in the core, by the key of the core before them."""
+    """Return the kept keys outside the core, by the core key before them."""
     inside, runs, anchor = set(core), dict[str | None, list[str]](), None
     for key in keys:
         if key in inside:

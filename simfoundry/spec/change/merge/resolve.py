@@ -1,4 +1,4 @@
-"""Deciding recorded conflicts: one side's value takes its place, and the entry goes."""
+"""Resolve recorded conflicts: take one side's value and remove the entry."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Side = Literal["ours", "theirs"]
 
 
 class ResolveError(SimfoundryError):
-    """A conflict that is not there, or whose place is not there any more."""
+    """A conflict that is not recorded, or whose place no longer exists."""
 
 
 def resolve(
     tree: YamlTree, model: type[Model] | None, side: Side, chosen: Iterable[str] = ()
 ) -> tuple[YamlTree, list[str]]:
-    """The document with a side's values where there were conflicts, and the keys of the entries that went.
+    """Resolve conflicts with a side's values; return the document and the keys of the removed entries.
 
     ``chosen`` are keys of ``conflicts``, or paths above some (`objects.cup`); every conflict where there is none. Keys
     that exclude each other are decided together.
@@ -67,7 +67,7 @@ def _chosen(entries: Mapping[str, Any], model: type[Model] | None, chosen: list[
 
 
 def _rivals(entries: Mapping[str, Any], model: type[Model] | None, path: Path_) -> Iterator[str]:
-    """The entries of keys that exclude the one at ``path``."""
+    """Yield the entries of keys that exclude the one at ``path``."""
     if path:
         rivals = {(*path[:-1], key) for key in rivals_at(model, path)}
         yield from (key for key in entries if parts(key) in rivals)
@@ -96,13 +96,13 @@ def _take(data: Any, path: Path_, entry: Mapping[str, Any], value: Any, names: d
 
 
 def _is_order(value: Any, members: Mapping[str, Any]) -> bool:
-    """Whether a value is the order of a mapping, not another value for it."""
+    """True if a value is the order of a mapping rather than a new value for it."""
     names = value if isinstance(value, tuple) and all(isinstance(name, str) for name in value) else ()
     return any(name in members for name in names)
 
 
 def _under_new_name(key: str, names: Mapping[tuple[Path_, str], str]) -> str:
-    """The key of an entry that stays, which may be about a member that has another name now."""
+    """Return the key of a remaining entry, whose member may have a new name now."""
     path = parts(key)
     for (section, old), new in names.items():
         if path[: len(section) + 1] == (*section, old):
@@ -115,7 +115,7 @@ def _renames(names: Mapping[tuple[Path_, str], str]) -> list[Rename]:
 
 
 def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> YamlTree:
-    """The tree with members under their new names, so that these keep their comments."""
+    """Return the tree with members under their new names, so that they keep their comments."""
     for (section, old), new in names.items():
 
         def with_new(members: YamlTree, old: str = old, new: str = new) -> YamlTree:
@@ -126,12 +126,12 @@ def _without_gone(tree: YamlTree, names: Mapping[tuple[Path_, str], str]) -> Yam
 
 
 def _with_comment(tree: YamlTree, path: Path_, comment: str) -> YamlTree:
-    """The tree with the comment that waited beside a conflict."""
+    """Return the tree with the comment that was kept beside a conflict."""
     return _edited(tree, path, lambda member: replace(member, beside=comment)) if comment else tree
 
 
 def _edited(tree: YamlTree, path: Path_, edit: Callable[[YamlTree], YamlTree]) -> YamlTree:
-    """The tree with what is at ``path``, if there is something, after an edit."""
+    """Return the tree with the value at ``path`` edited, if there is one."""
     if not path:
         return edit(tree)
     if not isinstance(tree.value, dict) or path[0] not in tree.value:

@@ -1,4 +1,4 @@
-"""The texts of three documents into one."""
+"""Merge the texts of three documents."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _UNREADABLE = ("SF002", "SF004", "SF005")
 
 
 class UnmergeableError(SimfoundryError):
-    """Texts that are not documents of one kind, so that they can only be merged line by line."""
+    """Texts that are not documents of one kind and can only be merged line by line."""
 
 
 @dataclass(frozen=True)
 class MergedText:
-    """A merged document, its open conflicts recorded in it."""
+    """A merged document with its open conflicts recorded in it."""
 
     text: str
     conflicts: tuple[MergeConflict, ...]
 
 
 def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
-    """Merge three texts by meaning, comments included; ``base`` is empty where both sides added the document.
+    """Merge three texts by meaning, comments included; ``base`` is empty if both sides added the document.
 
     The result is the text of the side that already says it, or else in canonical form. Raises
     :class:`UnmergeableError` where a text is no document, or they are of different kinds.
@@ -50,7 +50,7 @@ def merge_texts(base: str, ours: str, theirs: str) -> MergedText:
 
 
 def new_errors(path: Path, merged: str, ours: str, theirs: str) -> list[Diagnostic]:
-    """Errors of a merged text at ``path`` that neither side has: what each side meant does not hold together.
+    """Return errors of a merged text at ``path`` that neither side has: the edits do not fit together.
 
     Open conflicts are not among them. Files that the other side adds may not be there yet; they are missing in its own
     text, too. Raises :class:`UnmergeableError` where the merged text cannot be read: both together may be too large.

@@ -1,4 +1,4 @@
-"""Three documents into one, by meaning.
+"""Merge three documents by meaning.
 
 Mappings are merged key by key, ``relations``, ``no_contact`` and the lists of goals as sets, all else as a whole. Edits
 of different things never meet; equal edits are one. What cannot be united is a :class:`MergeConflict`: the document
@@ -30,19 +30,19 @@ CONFLICTS = "conflicts"
 
 @dataclass(frozen=True)
 class Merged:
-    """A merged document, its open conflicts recorded in it; ``conflicts`` are those that this merge added."""
+    """A merged document with its open conflicts recorded; ``conflicts`` are those that this merge added."""
 
     tree: YamlTree
     conflicts: tuple[MergeConflict, ...]
 
     @property
     def data(self) -> Any:
-        """The plain data of the document."""
+        """Plain data of the document."""
         return self.tree.data
 
 
 def merge(base: Any, ours: Any, theirs: Any) -> Merged:
-    """Merge three documents as plain data; ``base`` is None where both sides added the document."""
+    """Merge three documents as plain data; ``base`` is None if both sides added the document."""
     return merge_trees(*(plain_tree({} if data is None else data) for data in (base, ours, theirs)))
 
 
@@ -62,7 +62,7 @@ def _model(document: YamlTree) -> type[Model] | None:
 
 
 def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
-    """The document with an entry for each conflict."""
+    """Return the document with an entry for each conflict."""
     if not conflicts or not isinstance(tree.value, dict):
         return tree
     section = tree.value.get(CONFLICTS) or YamlTree({})
@@ -77,7 +77,7 @@ def _recorded(tree: YamlTree, conflicts: list[MergeConflict]) -> YamlTree:
 
 @dataclass
 class _Merging:
-    """One merge: the model of the document, the members that a side renamed, and the conflicts found so far.
+    """State of one merge: the model, the members that a side renamed, and the conflicts found so far.
 
     In an ``overlay``, which extends another document, a list that is not written is that of the other.
     """
@@ -90,7 +90,7 @@ class _Merging:
     def value(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """What the three make of one value; None where it is gone."""
+        """Merge one value; None if it is gone."""
         if ours is None or theirs is None:
             return self.one_sided(base, ours, theirs, path)
         if base is not None and not self.edited and identical(base, theirs):
@@ -109,7 +109,7 @@ class _Merging:
     def one_sided(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """A value that one side does not have: new on the other, or removed here."""
+        """Merge a value that one side does not have: new on the other, or removed here."""
         there = theirs if ours is None else ours
         if there is None or base is None:
             return there
@@ -124,14 +124,14 @@ class _Merging:
         return there
 
     def is_empty_where_absent(self, base: YamlTree, there: YamlTree, path: Path_) -> bool:
-        """Whether a mapping by name, or a list of relations or pairs, is not written where it is empty."""
+        """True for a mapping by name, or a list of relations or pairs, that is left out when empty."""
         if isinstance(base.value, dict) and isinstance(there.value, dict) and path and self.model is not None:
             return not models_at(self.model, path)
         is_set = path in (("relations",), ("no_contact",))
         return is_set and not self.overlay and is_list_of_conditions(path, base.value, there.value)
 
     def whole(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """A value that is taken as it is, from one side."""
+        """Take a value whole, from one side."""
         if same(ours, theirs, path):
             return united(base, ours, theirs)
         taken, other = ours, theirs
@@ -146,7 +146,7 @@ class _Merging:
         return rescued(commented(taken, base, ours, theirs), base, other)
 
     def mapping(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """A mapping, key by key."""
+        """Merge a mapping key by key."""
         before: Members = base.value if base is not None and isinstance(base.value, dict) else {}
         sides = (ours.value, theirs.value)
         merged = dict[str, YamlTree]()
@@ -168,7 +168,7 @@ class _Merging:
         return replace(ours, value={key: merged[key] for key in (*order.keys, *rest)})
 
     def conditions(self, base: YamlTree | None, ours: YamlTree, theirs: YamlTree, path: Path_) -> YamlTree:
-        """A list of conditions as a set; where two edits of one condition clash, the list does."""
+        """Merge a list of conditions as a set; if two edits of one condition clash, so does the list."""
         before = matched(base.value) if base is not None and isinstance(base.value, tuple) else {}
         sides = (matched(ours.value, before), matched(theirs.value, before))
         found, merged = len(self.conflicts), dict[str, YamlTree]()
@@ -186,7 +186,7 @@ class _Merging:
     def condition(
         self, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, path: Path_
     ) -> YamlTree | None:
-        """One condition of a list; however it is spaced, it is the same."""
+        """Merge one condition of a list, whose spacing does not matter."""
         given = [spelled(tree.data) for tree in (base, ours, theirs) if tree is not None]
         if len(set(given)) > 1:
             return self.value(base, ours, theirs, path)
@@ -200,12 +200,12 @@ class _Merging:
     def clash(
         self, path: Path_, base: YamlTree | None, ours: YamlTree | None, theirs: YamlTree | None, comment: str = ""
     ) -> None:
-        """Note a conflict."""
+        """Record a conflict."""
         was, here, there = (tree.data if tree is not None else ABSENT for tree in (base, ours, theirs))
         self.conflicts.append(MergeConflict(path, was, here, there, comment))
 
     def keep_ours(self, keys: set[str], base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """Take the ``keys`` as ours has them, each that differs a conflict."""
+        """Take our values of the ``keys``, with a conflict for each that differs."""
         ours, theirs = sides
         inside = {(*path, key) for key in keys}
         self.conflicts = [c for c in self.conflicts if c.path[: len(path) + 1] not in inside]
@@ -218,7 +218,7 @@ class _Merging:
                 self.clash((*path, key), base.get(key), ours.get(key), theirs.get(key))
 
     def keep_ours_of_start(self, base: Members, sides: Sides, merged: dict[str, YamlTree], path: Path_) -> None:
-        """The same for a name that has a pose by one side and a place by the other at the start of a task."""
+        """Do the same for a name that has a pose on one side and a place on the other at the start of a task."""
         for name in list(named_twice(self.model, path, merged)):
             for key in ("place", "pose"):
                 inner = dict(merged[key].value)
@@ -227,7 +227,7 @@ class _Merging:
                 merged[key] = replace(merged[key], value=inner)
 
     def keep_both(self, base: Members, sides: Sides, merged: dict[str, YamlTree]) -> None:
-        """Entries of ``conflicts`` that the sides have differently: both stay."""
+        """Keep both sides' versions of entries of ``conflicts``."""
         theirs = sides[1]
         for conflict in [c for c in self.conflicts if c.path[:1] == (CONFLICTS,)]:
             self.conflicts.remove(conflict)
@@ -236,7 +236,7 @@ class _Merging:
 
 
 def _is_whole(path: Path_, ours: YamlTree, theirs: YamlTree) -> bool:
-    """Whether mappings are one value: an estimate, whose parts mean nothing alone, or an entry of ``conflicts``."""
+    """True for mappings that are one value: an estimate, or an entry of ``conflicts``."""
     estimate = path[-1:] in (("mass",), ("density",)) and ("value" in ours.value or "value" in theirs.value)
     return estimate or (path[:1] == (CONFLICTS,) and len(path) == 2)
 

@@ -1,22 +1,25 @@
-"""Whether an arm can take a thing from above or from a side: inverse kinematics of the hand before it and at it.
+"""Reach of robots: along the ground by what is known of them, and by inverse kinematics of their arms.
 
-This is about the arm alone: its fingers may not fit the thing, and something may be in the way.
+Both are about the arm alone: its fingers may not fit the object, and something may be in the way.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from simfoundry.evaluate.expert.arm import Arm
-from simfoundry.evaluate.expert.grasps import jaws
 from simfoundry.geometry.frames import Array, Pose
+from simfoundry.robots.arm import Arm
+from simfoundry.robots.fingers import jaws
 from simfoundry.runtime.extras import EXTRAS, install_line
 from simfoundry.scene.model import Scene
+from simfoundry.scene.poses import pose
+from simfoundry.spec.models.robot import RobotSpec
 
 OVER = 0.10
 """From how far its grasp the hand comes [m]."""
@@ -29,6 +32,62 @@ DEEP = 0.03
 middle if that is nearer."""
 
 UP = (0.0, 0.0, 1.0)
+
+
+PAYLOAD = 1.0
+"""Greatest mass that a robot lifts of which nothing is known [kg]: light arms for the desk lift 0.5 to 1.5 kg."""
+
+BEYOND = 0.1
+"""Distance beyond its known reach at which an arm is still solved for [m]: an object is grasped at its near side."""
+
+
+class Hand(NamedTuple):
+    """A robot that acts: its base along the ground [m], how far it reaches [m], opens [m] and lifts [kg].
+
+    ``reach`` and ``opening`` are None if they are unknown; ``kind`` is the known robot that it is, else empty.
+    """
+
+    name: str
+    at: tuple[float, float]
+    reach: float | None
+    opening: float | None
+    payload: float
+    kind: str = ""
+
+
+class Miss(NamedTuple):
+    """The hand that misses a place by least, and the distance of the place from its base [m]."""
+
+    hand: Hand
+    distance: float
+    reach: float
+
+    @property
+    def lacking(self) -> float:
+        """How much farther the robot would have to reach [m]."""
+        return self.distance - self.reach
+
+
+def hands_of(robots: Mapping[str, RobotSpec], payload: float | None = None) -> tuple[Hand, ...]:
+    """Return the hands of robots of a document, whether or not their models are here; ``payload`` [kg] overrides."""
+    found = []
+    for name, robot in robots.items():
+        known, kind = robot.known(), robot.model if isinstance(robot.model, str) else ""
+        reach, opening, lifts = (known.reach, known.opening, known.payload) if known is not None else (None, None, None)
+        x, y, _ = pose(robot.pose).p.tolist()
+        own = (robot.reach or reach, robot.opening or opening, payload or lifts or PAYLOAD)
+        found.append(Hand(name, (x, y), *own, kind))
+    return tuple(found)
+
+
+def nearest_miss(hands: Sequence[Hand], distances: Iterable[float]) -> Miss | None:
+    """Return the hand that misses a place by least, by its distances from their bases along the ground [m].
+
+    None if one of them reaches it, or if it is unknown how far one reaches.
+    """
+    misses = [Miss(h, d, h.reach) for h, d in zip(hands, distances, strict=True) if h.reach is not None]
+    nearest = min(misses, key=lambda miss: miss.lacking, default=None)
+    return nearest if nearest is not None and len(misses) == len(hands) and nearest.lacking > 0 else None
 
 
 @dataclass(frozen=True)
@@ -45,7 +104,7 @@ class Reached:
     why: str = ""
 
 
-class Reach:
+class ArmReach:
     """The arms of a scene."""
 
     def __init__(self, scene: Scene, robots: tuple[str, ...]) -> None:
@@ -97,7 +156,7 @@ class Reach:
             away = math.hypot(*(middle - base)[:2].tolist())
             if away < nearest.away:
                 nearest = Reached(False, True, arm.robot.name, away)
-            if arm.robot.reach is not None and away > arm.robot.reach + 0.1:
+            if arm.robot.reach is not None and away > arm.robot.reach + BEYOND:
                 continue
             if self._takes(arm, grasp + tip * side, side, way):
                 return Reached(True, True, arm.robot.name, away)

@@ -1,0 +1,59 @@
+"""Arguments and options that several commands have."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from simfoundry.cli.output import CannotError
+
+ANY = click.Path(path_type=Path, exists=True)
+FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+NEW_FILE = click.Path(path_type=Path, dir_okay=False)
+NEW_FOLDER = click.Path(path_type=Path, file_okay=False)
+
+scene_argument = click.argument("scene", type=FILE)
+camera_option = click.option("-c", "--camera", help="A camera of the scene. Default: its viewpoint, or its first.")
+
+
+def shard(_context: click.Context, _option: click.Parameter, value: str | None) -> tuple[int, int] | None:
+    """Read ``I/N``, I from 1 to N."""
+    if value is None:
+        return None
+    match = re.fullmatch(r"(\d{1,6})/(\d{1,6})", value)
+    if match is None or not 1 <= int(match[1]) <= int(match[2]):
+        raise click.BadParameter(f"`{value}` is not I/N with I from 1 to N, as 2/4")
+    return int(match[1]), int(match[2])
+
+
+def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """Read ``NAME=VALUE`` pairs."""
+    found = {name: value for name, _, value in (text.partition("=") for text in values)}
+    for name, value in found.items():
+        if not name or not value:
+            raise click.BadParameter(f"`{name}` is not {option.metavar}")
+    return found
+
+
+def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
+    """Yield the files among ``paths``, and those with a suffix below its folders."""
+    for path in paths:
+        inside = sorted(path.rglob(f"*{suffix}")) if path.is_dir() else [path]
+        if not inside:
+            raise CannotError(f"{path} holds no {noun}: their names end in {suffix}")
+        yield from inside
+
+
+@contextmanager
+def resumable(out: Path) -> Iterator[None]:
+    """Say how a run that somebody stops goes on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"stopped; what is done is in {out}, and the same command goes on from there", err=True)
+        sys.exit(130)
