@@ -118,7 +118,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
 
 
 def filter_pairs(scopes: Scopes, scene: Scene) -> None:
-    """State the pairs of links that do not collide. What cannot move has no body to name: its colliders stand for it."""
+    """Exclude pairs of links from contact. What cannot move has no body to name: its colliders stand for it."""
     bodies: dict[str, list[Prim]] = {}
     touched_by_link: dict[str, list[Prim]] = {}
     found: dict[Prim, list[Prim]] = {}

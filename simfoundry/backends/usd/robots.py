@@ -30,7 +30,7 @@ _LAYER = re.compile(r"layer @([^@]+)@")
 
 @dataclass
 class RobotsInUsd:
-    """Additions of robots to a stage: converted ``items``, ``files`` by path, ``losses``; ``frames`` by robot and name."""
+    """Additions of robots: converted ``items``, ``files`` by path, ``losses``, and ``frames`` by robot and name."""
 
     items: list[SceneObject] = field(default_factory=list)
     files: dict[str, bytes] = field(default_factory=dict)
