@@ -18,17 +18,28 @@ def load_scene_document(path: Path) -> SceneDocument:
     return _imported(path) if path.suffix.lower() in IMPORTED else SceneDocument.load(path)
 
 
+def is_compiled_stage(path: Path) -> bool:
+    """Return whether a file is a stage that was compiled from a document, which it carries."""
+    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
+        return False
+    from simfoundry.frontends.errors import refusing_faults
+    from simfoundry.frontends.usd.compiled import StageError, carrier
+    from simfoundry.frontends.usd.compiled.stage import open_stage
+
+    try:
+        with refusing_faults(path):
+            return carrier(open_stage(path)) is not None
+    except StageError:
+        return False  # whoever imports it says why it cannot be read
+
+
 def _imported(path: Path) -> SceneDocument:
     from simfoundry.frontends.importer import import_file
 
-    if path.suffix.lower().startswith(".usd"):
-        from simfoundry.frontends.usd.compiled import load_usd
-
-        loaded = load_usd(path, {})  # a stage that was compiled from a document carries it
-        if loaded.spec is not None:
-            document = SceneDocument(loaded)
-            document.mark_imported(path)
-            return document
+    if is_compiled_stage(path):
+        document = SceneDocument.load(path)
+        document.mark_imported(path)
+        return document
     if not path.is_file():
         raise SimfoundryError(f"there is no file {path}")
     folder = tempfile.TemporaryDirectory(prefix="simfoundry_")

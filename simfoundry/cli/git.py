@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import click
 
 from simfoundry.cli.output import DONE, FINDINGS, CannotError, json_option, print_json, reporting
+from simfoundry.spec.change.git.revisions import GitError, git
 from simfoundry.spec.models.kinds import KINDS, suffix
 
 DRIVER = "simfoundry"
@@ -39,15 +39,6 @@ class Scope:
         return "for every repository of yours" if self.option == "--global" else "in this repository"
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What git says."""
-
-    code: int
-    out: str
-    err: str
-
-
 @click.group()
 def command() -> None:
     """Let git show and merge documents by meaning."""
@@ -69,13 +60,13 @@ def install(everywhere: bool, here: bool, uninstall: bool) -> int:
     if uninstall:
         for section in (f"diff.{DRIVER}", f"merge.{DRIVER}"):
             if _settings(scope, section):
-                _git("config", scope.option, "--remove-section", section)
+                git(Path(), "config", scope.option, "--remove-section", section)
                 click.echo(f"removed {section} {scope.words}")
         if _remove_lines(scope.attributes):
             click.echo(f"removed the patterns from {scope.attributes}")
         return DONE
     for key, value in settings().items():
-        _git("config", scope.option, "--replace-all", key, value)
+        git(Path(), "config", scope.option, "--replace-all", key, value)
         click.echo(f"set {key}")
     added = _add_lines(scope.attributes)
     click.echo(f"{'added the patterns to' if added else 'the patterns are in'} {scope.attributes}")
@@ -184,22 +175,11 @@ def _write(file: Path, text: str) -> None:
     write_atomically(file.resolve(), text.encode("utf-8", "surrogateescape"))
 
 
-def _git(*args: str) -> None:
-    done = _run(*args)
-    if done.code:
-        lines = done.err.splitlines()
-        raise CannotError(lines[0] if lines else f"git {args[0]} failed")
-
-
 def _output(*args: str) -> str:
     """What git prints; empty where it fails."""
-    done = _run(*args)
-    return done.out if done.code == 0 else ""
-
-
-def _run(*args: str) -> Answer:
     try:
-        done = subprocess.run(["git", *args], capture_output=True, check=False, stdin=subprocess.DEVNULL)
-    except FileNotFoundError:
-        raise CannotError("git is not installed, or not on the path") from None
-    return Answer(done.returncode, *(os.fsdecode(stream).strip() for stream in (done.stdout, done.stderr)))
+        return os.fsdecode(git(Path(), *args)).strip()
+    except GitError as error:
+        if "not installed" in str(error):
+            raise
+        return ""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from simfoundry.cli.options import ANY, FILE
+from simfoundry.api.load import is_compiled_stage
+from simfoundry.cli.options import ANY, FILE, pairs
 from simfoundry.cli.output import CANNOT, DONE, FINDINGS, CannotError, print_json, progress_bar, subcommand
 
 if TYPE_CHECKING:
@@ -22,24 +23,6 @@ HEADINGS = {
 }
 
 
-def _packages(_context: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> dict[str, Path]:
-    out = {}
-    for value in values:
-        name, equals, path = value.partition("=")
-        if not equals or not name or not Path(path).is_dir():
-            raise click.BadParameter(f"`{value}` is not NAME=PATH with the path of a folder")
-        out[name] = Path(path)
-    return out
-
-
-def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
-    pairs = [value.partition("=") for value in values]
-    for name, equals, item in pairs:
-        if not name or not equals or not item:
-            raise click.BadParameter(f"`{name}` is not NAME=OBJECT")
-    return {name: item for name, _, item in pairs}
-
-
 @subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
@@ -49,7 +32,7 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
     help="NAME.scene.yaml or NAME.asset.yaml; a folder for several files. Default: named after the file, here.",
 )
 @click.option(
-    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=_packages,
+    "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
     help="The folder of a package that `package://NAME/…` means; may be given more than once.",
 )  # fmt: skip
 @click.option(
@@ -61,7 +44,7 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
     help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
 )  # fmt: skip
 @click.option(
-    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=_bound,
+    "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
     help="Which object of --scene a name of a BDDL task means; may be given more than once.",
 )  # fmt: skip
 @click.option(
@@ -74,7 +57,7 @@ def _bound(_context: click.Context, _option: click.Parameter, values: tuple[str,
 def command(
     files: tuple[Path, ...],
     out: Path | None,
-    packages: dict[str, Path],
+    packages: dict[str, str],
     scene: Path | None,
     onto: Path | None,
     bound: dict[str, str],
@@ -94,11 +77,15 @@ def command(
     from simfoundry.frontends.draft import ImportOptions
     from simfoundry.frontends.importer import import_file
 
-    if onto is not None or (len(files) == 1 and _is_ours(files[0])):
+    if onto is not None or (len(files) == 1 and is_compiled_stage(files[0])):
         if len(files) > 1:
             raise CannotError("--onto takes one stage")
         return _import_stage(files[0], out or onto or Path(_default_name(files[0])), onto, force, strict, as_json)
-    options = ImportOptions(packages, force, scene, bound, density)
+    for name, path in packages.items():
+        if not Path(path).is_dir():
+            raise CannotError(f"`--package {name}={path}` does not name a folder")
+    folders = {name: Path(path) for name, path in packages.items()}
+    options = ImportOptions(folders, force, scene, bound, density)
     if len(files) == 1 and files[0].is_file() and not (out is not None and out.is_dir()):
         with progress_bar(as_json) as progress:
             progress(files[0].name, 0.0)
@@ -111,21 +98,6 @@ def command(
     if out is None or out.name.endswith(".yaml"):
         raise CannotError("several files need a folder to go to: `-o FOLDER`")
     return _import_all(files, out, options, strict, as_json)
-
-
-def _is_ours(path: Path) -> bool:
-    """Whether a file is a stage that was compiled from one of our documents."""
-    if path.suffix.lower() not in (".usd", ".usda", ".usdc", ".usdz"):
-        return False
-    from simfoundry.frontends.errors import refusing_faults
-    from simfoundry.frontends.usd.compiled import StageError, carrier
-    from simfoundry.frontends.usd.compiled.stage import open_stage
-
-    try:
-        with refusing_faults(path):
-            return carrier(open_stage(path)) is not None
-    except StageError:
-        return False  # whoever imports it says why it cannot be read
 
 
 def _import_stage(path: Path, out: Path, onto: Path | None, force: bool, strict: bool, as_json: bool) -> int:
@@ -177,7 +149,8 @@ def _guarded(source: Path, target: Path, options: ImportOptions) -> ImportReport
     from simfoundry.spec.diagnostics import SpecError
 
     try:
-        return _brought_back(source, target, options) if _is_ours(source) else import_file(source, target, options)
+        take = _brought_back if is_compiled_stage(source) else import_file
+        return take(source, target, options)
     except (SimfoundryError, SpecError, OSError) as error:
         return ImportReport(str(source), None, error=str(error))
 

@@ -31,6 +31,15 @@ def shard(_context: click.Context, _option: click.Parameter, value: str | None) 
     return int(match[1]), int(match[2])
 
 
+def pairs(_context: click.Context, option: click.Parameter, values: tuple[str, ...]) -> dict[str, str]:
+    """Read ``NAME=VALUE`` pairs."""
+    found = {name: value for name, _, value in (text.partition("=") for text in values)}
+    for name, value in found.items():
+        if not name or not value:
+            raise click.BadParameter(f"`{name}` is not {option.metavar}")
+    return found
+
+
 def files_below(paths: Iterable[Path], suffix: str, noun: str) -> Iterator[Path]:
     """Yield the files among ``paths``, and those with a suffix below its folders."""
     for path in paths:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,8 @@ MAX_NODES = 10_000
 DECIMALS = 8
 """Decimals of coordinates [m]: pycollada keeps single precision, whose noise at one metre begins at 1e-7."""
 
+_BROKEN_MATERIAL = re.compile(r"Material #(\S+) not found")
+
 HARMLESS = ("DaeBrokenRefError", "DaeUnsupportedError")
 """Errors about what is not needed here: animations, cameras, lights, materials whose pictures are missing."""
 
@@ -44,7 +48,13 @@ def read_collada(path: Path, scale: tuple[float, float, float]) -> tuple[MeshPar
         strips = next((e for tag in ("tristrips", "trifans") for e in root.walk() if e.tag == tag), None)
         if strips is not None:
             raise strips.refused(f"`<{strips.tag}>` is not read", "export plain triangles")
-        document = collada.Collada(str(path), ignore=[DaeError])
+        data = path.read_bytes()
+        document = collada.Collada(io.BytesIO(data), ignore=[DaeError])
+        broken = [match[1] for e in document.errors if (match := _BROKEN_MATERIAL.search(str(e)))]
+        if broken:  # pycollada leaves out what has such a material; without it, it is there and has no colour
+            bindings = b"|".join(re.escape(name.encode()) for name in broken)
+            pattern = rb'<instance_material[^>]*target="#(?:%s)"[^>]*?(?:/>|>.*?</instance_material>)' % bindings
+            document = collada.Collada(io.BytesIO(re.sub(pattern, b"", data, flags=re.DOTALL)), ignore=[DaeError])
         for error in document.errors:
             if type(error).__name__ not in HARMLESS or "Geometry" in str(error):
                 raise error

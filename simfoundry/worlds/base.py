@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.geometry.frames import Array, Pose
-from simfoundry.scene.model import Drive, Joint, JointType, Mimic, Scene
+from simfoundry.geometry.frames import Array
+from simfoundry.scene.model import Joint, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds.robot import WorldRobot
 
@@ -39,44 +39,6 @@ class Contact:
     depth: float
     normal: Array
     position: Array
-
-
-@dataclass(frozen=True, eq=False)
-class LinkFacts:
-    """A link as an engine holds it, in the scene's terms.
-
-    ``mass`` [kg], ``com`` [m] in the link frame, shape (3,), ``inertia`` [kg m^2] about the centre of mass in link
-    axes, shape (3, 3); they are None where the engine keeps none, as PyBullet for a root that is welded to the world.
-    ``X_WL`` is the pose of the link frame; ``friction`` the coefficient of each collider in the scene's sense, as are
-    ``torsional_friction`` and ``rolling_friction`` [m], None where the engine does not tell.
-    """
-
-    mass: float | None
-    com: Array | None
-    inertia: Array | None
-    X_WL: Pose
-    friction: tuple[float, ...]
-    torsional_friction: tuple[float, ...] | None = None
-    rolling_friction: tuple[float, ...] | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class JointFacts:
-    """A joint as an engine holds it, in the scene's terms.
-
-    A revolute joint without limits reads back as continuous. ``axis`` is in the child frame, shape (3,), and None for
-    joints that have none; ``friction`` and ``armature`` are None where the engine does not tell. ``mimic`` and
-    ``drive`` are None where there is none and where the engine does not tell.
-    """
-
-    type: JointType
-    axis: Array | None
-    limits: tuple[float, float] | None
-    damping: float
-    friction: float | None
-    armature: float | None
-    mimic: Mimic | None = None
-    drive: Drive | None = None
 
 
 class Judging:
@@ -153,14 +115,6 @@ class World(Protocol):
         """Why the simulation's numbers can no longer be believed since the last reset; empty while they can."""
         ...
 
-    def read_back(self) -> dict[str, LinkFacts]:
-        """Every link by its qualified name, as the engine holds it."""
-        ...
-
-    def read_back_joints(self) -> dict[str, JointFacts]:
-        """Every joint that moves by ``object.joint``, as the engine holds it."""
-        ...
-
     def close(self) -> None:
         """Let go of the simulator."""
         ...
@@ -174,11 +128,6 @@ class World(Protocol):
     ) -> None:
         """Close."""
         ...
-
-
-def read_back(world: World) -> dict[str, LinkFacts]:
-    """Every link of a world by its qualified name, as the engine holds it."""
-    return world.read_back()
 
 
 def complete_state(scene: Scene, state: SceneState | None) -> SceneState:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Camera, MountedCamera
 from simfoundry.worlds.base import World
 
@@ -16,7 +17,9 @@ def camera_now(world: World, mounted: MountedCamera) -> Camera:
         X_WL = world.robot(mounted.carrier).frame(mounted.link) if mounted.link else robot.X_WB
     else:
         item = scene.object(mounted.carrier)
-        X_WL = world.read_back()[item.qualified(mounted.link or item.root.name)].X_WL
+        state = world.state()
+        X_OL = link_poses(item, state.of_object(item))[mounted.link or item.root.name]
+        X_WL = state.poses[item.name] @ X_OL
     return replace(mounted.camera, X_WC=X_WL @ mounted.camera.X_WC)
 
 

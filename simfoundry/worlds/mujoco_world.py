@@ -7,8 +7,6 @@ from collections.abc import Mapping
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
 from simfoundry.backends.mjcf import compile_mjcf
 from simfoundry.backends.mjcf.bodies import free_joint_name
 from simfoundry.backends.mjcf.contact_rules import exact_model
@@ -16,14 +14,13 @@ from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Array, Pose, frozen_array
 from simfoundry.render.offscreen import MujocoRenderer
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Drive, JointType, Mimic, Scene, SceneObject
+from simfoundry.scene.model import JointType, Scene, SceneObject
 from simfoundry.scene.robot import mujoco_model
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, Judging, complete_state
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.mujoco_robot import MujocoRobotHandle
-from simfoundry.worlds.mujoco_surfaces import own_surfaces
 from simfoundry.worlds.robot_state import check_robots, mjcf_rows
 from simfoundry.worlds.speed import reach
 
@@ -193,82 +190,9 @@ class MujocoWorld(Judging):
             return "the simulation diverged: MuJoCo met numbers that are not finite or huge, and began anew"
         return ""
 
-    def read_back(self) -> dict[str, LinkFacts]:
-        """Every link by its qualified name, as MuJoCo holds it."""
-        self._mujoco.mj_forward(self.model, self.data)
-        facts = {}
-        for item in self.scene.objects:
-            for link in item.links:
-                name = item.qualified(link.name)
-                geoms = [self.model.geom(f"{name}.{collider.name}").id for collider in link.colliders]
-                facts[name] = self._link_facts(self.model.body(name).id, geoms)
-        return facts
-
-    def _link_facts(self, body: int, geoms: list[int]) -> LinkFacts:
-        surfaces = own_surfaces(self.model, geoms)
-        axes = Pose.of(q=self.model.body_iquat[body]).rotation
-        return LinkFacts(
-            mass=float(self.model.body_mass[body]),
-            com=frozen_array(self.model.body_ipos[body]),
-            inertia=frozen_array(axes @ np.diag(self.model.body_inertia[body]) @ axes.T),
-            X_WL=Pose.of(self.data.xpos[body], self.data.xquat[body]),
-            friction=tuple(surface.friction for surface in surfaces),
-            torsional_friction=tuple(surface.spinning for surface in surfaces),
-            rolling_friction=tuple(surface.rolling for surface in surfaces),
-        )
-
-    def read_back_joints(self) -> dict[str, JointFacts]:
-        """Every joint that moves by ``object.joint``, as MuJoCo holds it."""
-        return {name: self._joint_facts(self.model.joint(name).id) for name in self._qpos}
-
-    def _joint_facts(self, joint: int) -> JointFacts:
-        model, dof = self.model, self.model.jnt_dofadr[joint]
-        limited = bool(model.jnt_limited[joint])
-        kind = self._joint_type(joint, limited)
-        low, high = (float(v) for v in model.jnt_range[joint])
-        axis: Array = frozen_array(model.jnt_axis[joint])
-        return JointFacts(
-            type=kind,
-            axis=None if kind in (JointType.BALL, JointType.FREE) else axis,
-            limits=(low, high) if limited else None,
-            damping=float(np.ravel(model.dof_damping[dof])[0]),
-            friction=float(model.dof_frictionloss[dof]),
-            armature=float(model.dof_armature[dof]),
-            mimic=self._mimic(joint),
-            drive=self._drive(joint),
-        )
-
     def robot(self, name: str) -> MujocoRobotHandle:
         """The robot called ``name``; a KeyError lists the names there are."""
         return MujocoRobotHandle(self.model, self.data, self.scene.robot(name))
-
-    def _joint_type(self, joint: int, limited: bool) -> JointType:
-        kinds = self._mujoco.mjtJoint
-        match self.model.jnt_type[joint]:
-            case kinds.mjJNT_FREE:
-                return JointType.FREE
-            case kinds.mjJNT_BALL:
-                return JointType.BALL
-            case kinds.mjJNT_SLIDE:
-                return JointType.PRISMATIC
-        return JointType.REVOLUTE if limited else JointType.CONTINUOUS
-
-    def _mimic(self, joint: int) -> Mimic | None:
-        for k in range(self.model.neq):
-            if self.model.eq_type[k] == self._mujoco.mjtEq.mjEQ_JOINT and self.model.eq_obj1id[k] == joint:
-                leader = self.model.joint(int(self.model.eq_obj2id[k])).name.partition(".")[2]
-                offset, multiplier = (float(v) for v in self.model.eq_data[k][:2])
-                return Mimic(leader, multiplier, offset)
-        return None
-
-    def _drive(self, joint: int) -> Drive | None:
-        for k in range(self.model.nu):
-            if self.model.actuator_trnid[k][0] == joint:
-                bias, limit = self.model.actuator_biasprm[k], float(self.model.actuator_forcerange[k][1])
-                limited = bool(self.model.actuator_forcelimited[k])
-                target = float(self.model.key("initial").ctrl[k])
-                return Drive(-float(bias[1]), -float(bias[2]), target, limit if limited else None)
-        return None
 
     def _object_pose(self, item: SceneObject) -> Pose:
         # From qpos, not xpos: after a step, MuJoCo's body poses are still those before it.

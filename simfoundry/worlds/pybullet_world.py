@@ -23,10 +23,10 @@ from simfoundry.backends.pybullet.pictures import camera_arguments, lighting_arg
 from simfoundry.errors import MissingEngineError
 from simfoundry.geometry.frames import Pose, from_xyzw, frozen_array, to_xyzw
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import JointType, Link, Scene
+from simfoundry.scene.model import JointType, Scene
 from simfoundry.scene.state import SceneState
 from simfoundry.scene.trees import Tree, free_motions, trees
-from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, JointFacts, Judging, LinkFacts, complete_state
+from simfoundry.worlds.base import CONTACT_GAP, Contact, Image, Judging, complete_state
 from simfoundry.worlds.doctor import PYBULLET_REMEDY
 from simfoundry.worlds.mounted import camera_of
 from simfoundry.worlds.pybullet_robot import PybulletRobotHandle
@@ -225,46 +225,6 @@ class PybulletWorld(Judging):
             if not np.isfinite([*p, *q]).all():
                 return f"the simulation diverged: PyBullet has no finite pose of `{name}`"
         return ""
-
-    def read_back(self) -> dict[str, LinkFacts]:
-        """Every link by its qualified name, as PyBullet holds it."""
-        links = {o.qualified(link.name): link for o in self.scene.objects for link in o.links}
-        return {name: self._link_facts(*self._links[name], link) for name, link in links.items()}
-
-    def _link_facts(self, body: int, index: int, link: Link) -> LinkFacts:
-        info = self._call("getDynamicsInfo", body, index)
-        mass, lateral, moments = float(info[0]), float(info[1]), np.array(info[2])
-        X_LI = self._inertial_pose(body, index)
-        axes = X_LI.rotation
-        return LinkFacts(
-            mass=mass or None,
-            com=X_LI.p,
-            inertia=frozen_array(axes @ np.diag(moments) @ axes.T) if mass else None,
-            X_WL=self._link_pose(body, index),
-            friction=(lateral**2,) * len(link.colliders),
-        )
-
-    def read_back_joints(self) -> dict[str, JointFacts]:
-        """Every joint that moves by ``object.joint``, as PyBullet holds it."""
-        found = {name: self._joint_facts(*at) for name, at in self._joints.items()}
-        loose = {f"{o.name}.{j.name}" for o in self.scene.objects for j in o.joints if j.type is JointType.FREE}
-        return found | {name: JointFacts(JointType.FREE, None, None, 0.0, 0.0, None) for name in sorted(loose)}
-
-    def _joint_facts(self, body: int, index: int) -> JointFacts:
-        info = self._call("getJointInfo", body, index)
-        low, high = float(info[8]), float(info[9])
-        limited = low <= high
-        kind = JointType.REVOLUTE if limited else JointType.CONTINUOUS
-        if info[2] == self._bullet.JOINT_SPHERICAL:
-            return JointFacts(JointType.BALL, None, None, float(info[6]), None, None)
-        return JointFacts(
-            type=JointType.PRISMATIC if info[2] == self._bullet.JOINT_PRISMATIC else kind,
-            axis=frozen_array(self._inertial_pose(body, index).rotation @ np.array(info[13])),
-            limits=(low, high) if limited else None,
-            damping=float(info[6]),
-            friction=float(info[7]),
-            armature=None,
-        )
 
     def close(self) -> None:
         """Disconnect; a second call does nothing."""

@@ -51,13 +51,14 @@ class DrakeSession:
         self._bodies: dict[str, RigidBody] = {}
         self._joints: dict[str, Any] = {}
         for name, model in models.items():
+            owner = name.partition(".")[0]  # a part that moves freely is a model of its own, as `pot.lid`
             for k, index in enumerate(plant.GetBodyIndices(model)):
                 body = plant.get_body(index)
-                self._bodies[name if k == 0 else f"{name}.{body.name()}"] = body
+                self._bodies[name if k == 0 else f"{owner}.{body.name()}"] = body
             for index in plant.GetJointIndices(model):
                 joint = plant.get_joint(JointIndex(index))
                 if joint.num_positions() == 1:
-                    self._joints[f"{name}.{joint.name()}"] = joint
+                    self._joints[f"{owner}.{joint.name()}"] = joint
 
     def step(self) -> None:
         """One step of the discrete plant."""

@@ -45,7 +45,7 @@ class GenesisSession:
     def __init__(self, scene: Any, entities: dict[str, Any]) -> None:
         self.scene, self.entities = scene, entities
         self._joints = {
-            f"{name}.{joint.name}": (entity, joint)
+            f"{name.partition('.')[0]}.{joint.name}": (entity, joint)
             for name, entity in entities.items()
             for joint in entity.joints
             if joint.type in _TYPES
@@ -64,7 +64,10 @@ class GenesisSession:
         """Links, joints, gravity."""
         links: dict[str, LinkReadback] = {}
         for name, entity in self.entities.items():
-            called = {link.idx: name if k == 0 else f"{name}.{link.name}" for k, link in enumerate(entity.links)}
+            called = {
+                link.idx: name if k == 0 else f"{name.partition('.')[0]}.{link.name}"
+                for k, link in enumerate(entity.links)
+            }
             masses = _array(entity.get_links_mass())
             for k, (link, X_WL) in enumerate(zip(entity.links, _poses(entity), strict=True)):
                 com, inertia = _array(entity.get_links_COM([k]))[0], _array(entity.get_links_inertia([k]))[0]

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from simfoundry.backends.mjcf.contact_rules import PROXY
+PROXY = ":proxy"
+"""How the name of a proxy body or geom goes on after that of its link or collider."""
 
 
 class Resistance(NamedTuple):

@@ -57,11 +57,12 @@ class PybulletSession:
         self._joints: dict[str, tuple[int, int]] = {}
         for name, body in bodies.items():
             self._links[name] = (body, BASE)
+            owner = name.partition(".")[0]  # a part that moves freely is a body of its own, as `pot.lid`
             for index in range(self._call("getNumJoints", body)):
                 info = self._call("getJointInfo", body, index)
-                self._links[f"{name}.{info[12].decode()}"] = (body, index)
+                self._links[f"{owner}.{info[12].decode()}"] = (body, index)
                 if info[2] != pybullet.JOINT_FIXED:
-                    self._joints[f"{name}.{info[1].decode()}"] = (body, index)
+                    self._joints[f"{owner}.{info[1].decode()}"] = (body, index)
 
     def _call(self, function: str, *args: object, **options: object) -> Any:
         return getattr(pybullet, function)(*args, physicsClientId=self.client, **options)

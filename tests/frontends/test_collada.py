@@ -72,6 +72,12 @@ def test_a_texture_beside_the_file_is_taken_and_no_other(path: Path) -> None:
         assert part.uv.tolist() == [[0, 0], [1, 0], [0, 1]]
 
 
+def test_a_material_that_is_missing_leaves_the_surface_plain(path: Path) -> None:
+    path.write_text(collada(f'<node id="a">{PLACED.replace("#red", "#gone")}</node>'))
+    (part,) = read_collada(path, (1.0, 1.0, 1.0))
+    assert len(part.faces) == 3 and part.rgba is None
+
+
 def _doubling() -> str:
     """Nodes of which each names the next one twice, 40 times over."""
     nodes = "".join(

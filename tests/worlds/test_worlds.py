@@ -15,12 +15,12 @@ import pytest
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.geometry.shapes import Capsule, Cylinder, Primitive, Sphere
 from simfoundry.scene.kinematics import link_poses
-from simfoundry.scene.model import Collider, JointType, Link, Scene, SceneObject
+from simfoundry.scene.model import Collider, Link, Scene, SceneObject
 from simfoundry.scene.state import SceneState
 from simfoundry.worlds import MissingEngineError, World
-from simfoundry.worlds.base import read_back
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from simfoundry.worlds.pybullet_world import PybulletWorld
+from tests.readback import assert_joints, assert_links, poses_of, read_world
 from tests.scenes import (
     all_scenes,
     box,
@@ -53,52 +53,19 @@ SCENES = pytest.mark.parametrize("scene", all_scenes().values(), ids=all_scenes(
 
 
 @SCENES
-def test_links_read_back_as_the_scene_has_them(scene: Scene, engine: Engine) -> None:
+def test_links_and_joints_read_back_as_the_scene_has_them(scene: Scene, engine: Engine) -> None:
     with engine(scene) as world:
-        facts = read_back(world)
-    assert set(facts) == {o.qualified(link.name) for o in scene.objects for link in o.links}
-    for item in scene.objects:
-        X_OL = link_poses(item)
-        for link in item.links:
-            found = facts[item.qualified(link.name)]
-            X_WL = item.X_WO @ X_OL[link.name]
-            assert np.linalg.norm(found.X_WL.p - X_WL.p) < TOLERANCE
-            assert found.X_WL.angle_to(X_WL) < TOLERANCE
-            if found.mass is None:  # PyBullet keeps no mass of a root that is welded to the world
-                assert engine is PybulletWorld
-                assert item.fixed
-                assert link is item.root
-                continue
-            assert found.com is not None
-            assert found.inertia is not None
-            assert found.mass == pytest.approx(link.mass, rel=TOLERANCE)
-            assert np.linalg.norm(found.com - link.com) < TOLERANCE
-            assert np.linalg.norm(found.inertia - link.inertia) < TOLERANCE * np.linalg.norm(link.inertia)
-
-
-@SCENES
-def test_joints_read_back_as_the_scene_has_them(scene: Scene, engine: Engine) -> None:
-    with engine(scene) as world:
-        facts = world.read_back_joints()
-    joints = {f"{o.name}.{j.name}": j for o in scene.objects for j in o.joints if j.type is not JointType.FIXED}
-    assert set(facts) == set(joints)
-    for name, joint in joints.items():
-        found = facts[name]
-        assert found.type is joint.type
-        assert found.axis is not None and np.linalg.norm(found.axis - joint.axis) < TOLERANCE
-        assert found.limits == (None if joint.limits is None else pytest.approx(joint.limits, abs=TOLERANCE))
-        assert found.damping == pytest.approx(joint.damping, rel=TOLERANCE)
-        assert found.friction == pytest.approx(joint.friction, rel=TOLERANCE)
-        assert found.armature is None or found.armature == pytest.approx(joint.armature, rel=TOLERANCE)
+        found = read_world(world)
+    assert_links(scene, found, TOLERANCE, TOLERANCE)
+    assert_joints(scene, found, TOLERANCE)
 
 
 def test_frictions_read_back(engine: Engine) -> None:
     with engine(full_scene()) as world:
-        facts = read_back(world)
-    assert facts["puck"].friction == pytest.approx((0.1,), rel=1e-6)
-    assert facts["cabinet.handle"].friction == pytest.approx((0.8,), rel=1e-6)
+        links = read_world(world).links
     expected = (0.35, 0.35, 0.6) if engine is MujocoWorld else ((0.35 * 0.35 * 0.6) ** (1 / 3),) * 3
-    assert facts["wedge"].friction == pytest.approx(expected, rel=1e-6)
+    for name, wanted in (("puck", (0.1,)), ("cabinet.handle", (0.8,)), ("wedge", expected)):
+        assert [c.friction for c in links[name].colliders or ()] == pytest.approx(wanted, rel=1e-6)
 
 
 def test_the_first_state_is_the_scenes(engine: Engine) -> None:
@@ -126,9 +93,9 @@ def test_reset_goes_to_any_state_and_back_at_rest(engine: Engine) -> None:
         initial = SceneState.initial(scene)
         expected = SceneState.of({**initial.poses, **asked.poses}, {**initial.joints, **asked.joints})
         assert_states_equal(world.state(), expected)
-        facts = read_back(world)
+        links = poses_of(read_world(world))
         X_OL = link_poses(scene.object("cabinet"), {"slide": 0.2})
-        assert np.linalg.norm(facts["cabinet.drawer"].X_WL.p - (poses["cabinet"] @ X_OL["drawer"]).p) < 1e-9
+        assert np.linalg.norm(links["cabinet.drawer"].p - (poses["cabinet"] @ X_OL["drawer"]).p) < 1e-9
         world.step()  # one step from rest falls by g dt^2
         fallen = world.state().poses["wedge"].p - poses["wedge"].p
         np.testing.assert_allclose(fallen, [0, 0, -9.81 * world.timestep**2], atol=1e-7)

@@ -1,4 +1,4 @@
-"""What a compiled stage says, read back in the scene's terms; nothing here shares code with the backend."""
+"""The state and the joint frames of a compiled stage; nothing here shares code with the backend."""
 
 from __future__ import annotations
 
@@ -9,29 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from simfoundry.geometry.frames import Array, Pose, frozen_array
-from simfoundry.scene.model import Drive, JointType, Mimic
 from simfoundry.scene.state import SceneState
-from simfoundry.worlds.base import JointFacts, LinkFacts
 
 if TYPE_CHECKING:
     from pxr import Gf, Usd, UsdGeom
 
 _OBJECTS = "/World/Objects"
 _BALL = "PhysicsSphericalJoint"
-
-
-def read_back(stage: Usd.Stage) -> dict[str, LinkFacts]:
-    """Every link by its qualified name: the object's for its root, which is the first, else ``object.link``."""
-    from pxr import UsdGeom
-
-    cache = UsdGeom.XformCache()
-    return {name: _link_facts(prim, cache) for name, prim in _links(stage)}
-
-
-def read_back_joints(stage: Usd.Stage) -> dict[str, JointFacts]:
-    """Every joint that moves by ``object.joint``."""
-    facts = {name: _joint_facts(prim) for name, prim in _joints(stage) if _moves(prim)}
-    return facts | {name: JointFacts(JointType.FREE, None, None, 0.0, 0.0, 0.0) for name, _ in _free_links(stage)}
 
 
 def read_back_state(stage: Usd.Stage) -> SceneState:
@@ -117,83 +101,6 @@ def _joints(stage: Usd.Stage) -> Iterator[tuple[str, Usd.Prim]]:
         scope = item.GetChild("Joints")
         for prim in scope.GetChildren() if scope else []:
             yield f"{item.GetName()}.{prim.GetName()}", prim
-
-
-def _link_facts(prim: Usd.Prim, cache: UsdGeom.XformCache) -> LinkFacts:
-    from pxr import UsdPhysics
-
-    mass = UsdPhysics.MassAPI(prim)
-    axes = Pose.of(q=_wxyz(mass.GetPrincipalAxesAttr().Get())).rotation
-    moments = np.array(mass.GetDiagonalInertiaAttr().Get(), dtype=np.float64)
-    colliders = prim.GetChild("Colliders")
-    return LinkFacts(
-        mass=float(mass.GetMassAttr().Get()),
-        com=frozen_array(mass.GetCenterOfMassAttr().Get()),
-        inertia=frozen_array(axes @ np.diag(moments) @ axes.T),
-        X_WL=_world_pose(prim, cache),
-        friction=tuple(_friction(child) for child in (colliders.GetChildren() if colliders else [])),
-    )
-
-
-def _friction(collider: Usd.Prim) -> float:
-    """Coefficient of a collider's surface against its like, as the combine mode of its material makes it."""
-    from pxr import UsdPhysics, UsdShade
-
-    material, _ = UsdShade.MaterialBindingAPI(collider).ComputeBoundMaterial("physics")
-    value = float(UsdPhysics.MaterialAPI(material).GetDynamicFrictionAttr().Get())
-    mode = material.GetPrim().GetAttribute("physxMaterial:frictionCombineMode").Get()
-    return value * value if mode == "multiply" else value
-
-
-def _joint_facts(prim: Usd.Prim) -> JointFacts:
-    from pxr import UsdPhysics
-
-    if prim.GetTypeName() == _BALL:
-        damping = _number(prim, "newton:damping") / math.radians(1.0)
-        friction, armature = _number(prim, "newton:friction"), _number(prim, "newton:armature")
-        return JointFacts(JointType.BALL, None, None, damping, friction, armature)
-    kind, unit = _kind(prim)
-    typed = UsdPhysics.PrismaticJoint(prim) if kind == "linear" else UsdPhysics.RevoluteJoint(prim)
-    lower, upper = (float(attr.Get()) * unit for attr in (typed.GetLowerLimitAttr(), typed.GetUpperLimitAttr()))
-    limits = (lower, upper) if math.isfinite(lower) and math.isfinite(upper) else None
-    turns = JointType.CONTINUOUS if limits is None else JointType.REVOLUTE
-    return JointFacts(
-        type=JointType.PRISMATIC if kind == "linear" else turns,
-        axis=frozen_array(Pose.of(q=_wxyz(typed.GetLocalRot1Attr().Get())).apply(_axis(prim))),
-        limits=limits,
-        damping=_own_damping(prim, kind, unit),
-        friction=_number(prim, f"physxJointAxis:{kind}:dynamicFrictionEffort"),
-        armature=_number(prim, f"physxJointAxis:{kind}:armature"),
-        mimic=_mimic(prim, unit),
-        drive=_drive(prim, kind, unit),
-    )
-
-
-def _own_damping(prim: Usd.Prim, kind: str, unit: float) -> float:
-    """The damping of a joint itself: all of its drive's, where no motor shares that."""
-    own = prim.GetAttribute("simfoundry:damping").Get()
-    return _number(prim, f"drive:{kind}:physics:damping") / unit if own is None else float(own)
-
-
-def _drive(prim: Usd.Prim, kind: str, unit: float) -> Drive | None:
-    if not prim.GetAttribute("simfoundry:damping"):
-        return None
-    damping = _number(prim, f"drive:{kind}:physics:damping") / unit - _own_damping(prim, kind, unit)
-    stiffness = _number(prim, f"drive:{kind}:physics:stiffness") / unit
-    target = _number(prim, f"drive:{kind}:physics:targetPosition") * unit
-    limit = prim.GetAttribute(f"drive:{kind}:physics:maxForce")
-    limited = bool(limit) and limit.HasAuthoredValue() and math.isfinite(limit.Get())
-    return Drive(stiffness, damping, target, float(limit.Get()) if limited else None)
-
-
-def _mimic(prim: Usd.Prim, unit: float) -> Mimic | None:
-    """The law of PhysX, in which all terms are on one side."""
-    targets = prim.GetRelationship("physxMimicJoint:rotX:referenceJoint").GetTargets()
-    if not targets:
-        return None
-    leader = prim.GetStage().GetPrimAtPath(targets[0])
-    multiplier = -_number(prim, "physxMimicJoint:rotX:gearing") * unit / _kind(leader)[1]
-    return Mimic(targets[0].name, multiplier, -_number(prim, "physxMimicJoint:rotX:offset") * unit)
 
 
 def _motion(prim: Usd.Prim) -> Pose | None:
