@@ -31,7 +31,7 @@ def action_size(robots: Mapping[str, WorldRobot]) -> int:
 
 
 def checked(actions: object, robots: Mapping[str, WorldRobot]) -> Array:
-    """Return a policy's answer as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
+    """A policy's answer as actions, shape (horizon, numbers of an action); raises :class:`InvalidAnswerError`."""
     size = action_size(robots)
     try:
         array = _numbers(actions)
