@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +30,8 @@ MANY = 100
     "--format", "form", type=click.Choice(FORMATS), default="text", show_default=True,
     help="Choose text for people, or a format for scripts, code scanning or GitHub.",
 )  # fmt: skip
-def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
+@click.option("--lints/--no-lints", default=True, help="Look at geometry too, or at the structure alone.")
+def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> int:
     """Check documents, or every document below folders (default: the working folder).
 
     The exit code is 1 if there is an error or a warning. `simfoundry explain CODE` says more about a finding.
@@ -42,7 +44,7 @@ def command(paths: tuple[Path, ...], form: str, as_json: bool) -> int:
     _known.clear()
     _linted.clear()
     with _progress(len(files)) as progress:
-        checked = map_parallel(_check, files, progress)
+        checked = map_parallel(partial(_check, lints=lints), files, progress)
     report = gather(map(str, files), checked)
     if form == "text":
         print_findings(list(report.findings))
@@ -66,16 +68,20 @@ _linted: set[Path] = set()
 """What this process has held to the lints during a command."""
 
 
-def _check(file: Path) -> Checked:
-    """What one document gives; also called in other processes."""
-    from simfoundry.lint.run import lint
+def _check(file: Path, lints: bool) -> Checked:
+    """Return the findings of one document; also called in other processes."""
     from simfoundry.spec.check.report import Checked
     from simfoundry.spec.load import load
     from simfoundry.spec.project import project_root
 
     root = project_root(file)
     loaded = load(file, root, _known.setdefault(root, {}))
-    return Checked((*loaded.all_findings(), *lint(loaded, _linted)), tuple(map(str, _used(loaded))))
+    findings = loaded.all_findings()
+    if lints:
+        from simfoundry.lint.run import lint
+
+        findings += lint(loaded, _linted)
+    return Checked(tuple(findings), tuple(map(str, _used(loaded))))
 
 
 def _used(loaded: Loaded) -> Iterator[Path]:

@@ -13,7 +13,7 @@ from simfoundry.cli.output import CannotError, print_json, subcommand
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from simfoundry.evaluate.statistics.correlation import Agreement, Interval
+    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement
     from simfoundry.evaluate.statistics.scores import Score
 
 
@@ -86,7 +86,7 @@ def _names(sim: Sequence[Path]) -> list[str]:
     return names
 
 
-def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
+def _json(found: Sequence[RateAgreement], missing: list[str]) -> dict[str, Any]:
     from dataclasses import asdict
 
     from simfoundry.evaluate.statistics.correlation import mean_agreement
@@ -96,7 +96,7 @@ def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
 
 
 def _print(
-    found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
+    found: Mapping[str, Sequence[RateAgreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
 ) -> None:
     from rich.console import Console
     from rich.table import Table

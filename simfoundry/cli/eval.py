@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from simfoundry.api.evaluation import Evaluation
-    from simfoundry.evaluate.entries import Entry
-    from simfoundry.evaluate.run import Plan
+    from simfoundry.evaluate.entries import TaskEntry
+    from simfoundry.evaluate.run import EvaluationPlan
 
 
 SENTENCES = 10
@@ -88,11 +88,11 @@ def command(
     """
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
-    from simfoundry.evaluate.run import Plan, prepare
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
         raise CannotError("--from, --step and --subtasks exclude each other")
-    plan = Plan(
+    plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
         contenders=tuple(contenders(policies)),
@@ -119,20 +119,20 @@ def _can_film(worlds: Sequence[str]) -> bool:
     return False
 
 
-def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
-    from simfoundry.evaluate.entries import Entry, Part
+def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[TaskEntry]:
+    from simfoundry.evaluate.entries import TaskEntry, TaskPart
 
     for path in files_below(tasks, ".task.yaml", "tasks"):
         if onward is not None or alone is not None:
-            yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
+            yield TaskEntry(path, TaskPart.ONWARD if onward is not None else TaskPart.ALONE, onward or alone or "")
             continue
-        yield Entry(path)
+        yield TaskEntry(path)
         if subtasks:
-            steps = Entry(path).load().subtasks.values()
-            yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
+            steps = TaskEntry(path).load().subtasks.values()
+            yield from (TaskEntry(path, TaskPart.ALONE, step.name) for step in steps if step.starts_itself)
 
 
-def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
     from simfoundry.evaluate.statistics.results import cells
 
     missing, troubles = evaluation.missing, evaluation.troubles

@@ -123,7 +123,8 @@ def _resolve(side: Literal["ours", "theirs"], args: Sequence[str], out: Path | N
     from simfoundry.spec.diagnostics import SpecError
     from simfoundry.spec.load import load
     from simfoundry.spec.models.kinds import KINDS, model_of
-    from simfoundry.spec.yaml.text import YamlError, read
+    from simfoundry.spec.yaml.nodes import YamlError
+    from simfoundry.spec.yaml.text import read
     from simfoundry.spec.yaml.tree import read_tree
     from simfoundry.spec.yaml.write import write_tree
 

@@ -21,7 +21,8 @@ def command(paths: tuple[Path, ...], check: bool, as_json: bool) -> int:
     from simfoundry.runtime.files import write_atomically
     from simfoundry.spec.change.migrate import migrated
     from simfoundry.spec.diagnostics import Diagnostic, SpecError
-    from simfoundry.spec.yaml.text import YamlError, read
+    from simfoundry.spec.yaml.nodes import YamlError
+    from simfoundry.spec.yaml.text import read
 
     files = documents(paths or (Path(),))
     newer: dict[Path, str] = {}

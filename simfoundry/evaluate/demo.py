@@ -24,7 +24,7 @@ from simfoundry.evaluate.expert.grasps import down, grasps
 from simfoundry.evaluate.expert.places import places
 from simfoundry.evaluate.expert.policy import Expert
 from simfoundry.evaluate.policies.base import ActionSpace, Image
-from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, physics_steps
 from simfoundry.evaluate.rollouts.rollout import Rollout, rollout
 from simfoundry.evaluate.tasks.task import Task, load_task
@@ -252,7 +252,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
     with staged(out) as folder:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
         task = load_task(folder / TASK, Cache.default())
-        start = Start(0, 0, MappingProxyType({}), SceneState.initial(task.scene))
+        start = RolloutStart(0, 0, MappingProxyType({}), SceneState.initial(task.scene))
         expert = Expert(task)
         with open_world(task.scene, "mujoco") as world:
             one = rollout(task, start, expert, world)
@@ -297,7 +297,7 @@ def _numbers(values: Array) -> str:
     return f"[{', '.join(f'{float(v):.4g}' for v in values)}]"
 
 
-def _strip(task: Task, start: Start, one: Rollout, world: World) -> Image:
+def _strip(task: Task, start: RolloutStart, one: Rollout, world: World) -> Image:
     """Pictures of a rollout side by side, evenly in time, each with when it was: it is played once more for them."""
     shown = {round(step) for step in np.linspace(0, one.steps, PICTURES)[1:]}
     world.reset(start.state)

@@ -7,9 +7,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.assets.convex import hull
-from simfoundry.assets.errors import MeshError
-from simfoundry.assets.lathe import lathe_mesh
 from simfoundry.geometry.frames import Array, frozen_array
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 
@@ -59,6 +56,8 @@ def revolved(profile: Array | list[tuple[float, float]], segments: int = 48) -> 
 
     It starts and ends on the axis, from the top down the outside to the foot.
     """
+    from simfoundry.assets.lathe import lathe_mesh
+
     return closed_mesh(*lathe_mesh(np.asarray(profile, dtype=np.float64), segments))
 
 
@@ -71,6 +70,9 @@ def closed_mesh(vertices: Array, faces: NDArray[np.integer]) -> Mesh:
 
 def hull_mesh(points: Array) -> Mesh | None:
     """The hull of points [m], shape (n, 3), with at most 64 vertices; None where they lie in one plane."""
+    from simfoundry.assets.convex import hull
+    from simfoundry.assets.errors import MeshError
+
     try:
         vertices, faces = hull(points)
     except MeshError:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from simfoundry.geometry.grasp_width import grasp_width
 from simfoundry.lint.lints import Lint, Subject
 from simfoundry.lint.report import warning
 from simfoundry.scene.lengths import length
@@ -20,6 +19,8 @@ SLACK = 0.001
 
 def too_wide(subject: Subject) -> Iterator[Diagnostic]:
     """Find what must be carried and is wider, at its narrowest, than every robot opens."""
+    from simfoundry.geometry.grasp_width import grasp_width
+
     draft, robots = subject.scene, acting_robots(subject)
     openings = {name: opening for name, robot in robots.items() if (opening := _opening(robot)) is not None}
     if not openings or len(openings) < len(robots):

@@ -6,19 +6,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from simfoundry.assets import mass
 from simfoundry.assets.cache import Cache
-from simfoundry.assets.convex import Colliders, Faces, file_key, hull, mesh_colliders, pack_colliders, unpack_colliders
-from simfoundry.assets.errors import LEAST_VOLUME, MeshError, implausible_size, no_volume, not_closed
-from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
-from simfoundry.assets.mesh_summary import mesh_facts
-from simfoundry.assets.primitives import Primitive
+from simfoundry.assets.errors import MeshError
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.frames import frozen_array as frozen
-from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Mesh, Sphere
+from simfoundry.geometry.shapes import Geometry, Mesh
+from simfoundry.geometry.tessellate import closed_mesh
 from simfoundry.scene.model import Collider, Link, Visual
 from simfoundry.scene.shape_bodies import ShapeSpec, shape_body
 from simfoundry.spec.models.asset import Inertial, PartSpec
@@ -28,12 +26,28 @@ from simfoundry.spec.models.base import (
     quantity_value,
 )
 
+if TYPE_CHECKING:
+    from simfoundry.assets.mesh import MeshPart
+    from simfoundry.scene.mesh_bodies import MeshBody
+
 GREY = (0.7, 0.7, 0.7, 1.0)
 USUAL_DENSITY = 1000.0
 """Density [kg/m^3] of a piece that gives none, where that is allowed: its body is fixed, or its mass is given."""
 
 LEAST_MASS = LEAST_MOMENT = 1e-15
 """What moves and has less mass [kg] or less inertia [kg m^2], MuJoCo refuses."""
+
+
+class MeshUse(NamedTuple):
+    """How a mesh file is read: its ``scale``, whether it ``touches`` others, and how its solid and colliders are made.
+
+    ``solid`` is `given` where the body is weighed already: then the mesh need not be closed.
+    """
+
+    scale: float
+    touches: bool = True
+    solid: Literal["exact", "hull", "given"] = "exact"
+    collision: str = "auto"
 
 
 @dataclass
@@ -76,71 +90,33 @@ class BodyBuilder:
         self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None, show: bool = True
     ) -> None:
         """Add a mesh file posed in the link: all of it is shown, and as one solid it weighs and touches."""
-        if self.draft:
-            self._add_summary(name, path, scale, X_LG, part)
-            return
-        pieces = read_mesh(path, scale)
+        solid: Literal["exact", "hull", "given"] = "given" if self.weighed else self.body.solid
+        body = self._mesh_body(path, MeshUse(scale, _use(part) != "visual", solid, self.body.collision))
         if show and _use(part) != "collision":
-            self._show(name, pieces, X_LG, part)
-        if _use(part) == "visual":
-            return
-        offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-        vertices = np.concatenate([p.vertices for p in pieces])
-        faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
-        vertices, faces = weld(vertices, faces)
-        if not self.weighed:
-            solid, faces = self._solid(path.name, vertices, faces)
-            self._weigh(name, solid, X_LG, part)
-        elif mass.mesh(vertices, faces).volume < 0:
-            faces = np.ascontiguousarray(faces[:, ::-1])
-        found = mesh_colliders(vertices, faces, self.body.collision, self.cache, path.name, self.report)
-        if self.cache is not None and self.body.collision != "none":
-            self.cache.put(file_key(path, scale, self.body.collision), pack_colliders(found))
-        self._add_colliders(name, found, X_LG, part)
-
-    def _add_colliders(self, name: str, found: Colliders, X_LG: Pose, part: PartSpec | None) -> None:
-        self.collision_error = max(self.collision_error, found.error)
-        if found.primitive is not None:
-            geometry, X_GP = _fitted(found.primitive)
-            self._collide(_piece_names(name, 1, part)[0], geometry, X_LG @ X_GP, part)
-        for label, (corners, sides) in zip(_piece_names(name, len(found.parts), part), found.parts, strict=True):
-            self._collide(label, Mesh(frozen(corners), _faces(sides)), X_LG, part)
-
-    def _add_summary(self, name: str, path: Path, scale: float, X_LG: Pose, part: PartSpec | None) -> None:
-        """Add what is known of a mesh file without cutting it: its mass, and its convex parts or hull."""
-        summary = mesh_facts(path, self.cache)
-        if _use(part) == "visual":
-            wrong = implausible_size(path.name, summary.size * scale, scale)
-        else:
-            wrong = summary.fault(path.name, scale, "given" if self.weighed else self.body.solid, self.body.collision)
-        if wrong is not None:
-            raise wrong
-        if _use(part) == "visual":
-            return
-        if not self.weighed:
-            self._weigh(name, summary.solid(scale, self.body.solid == "hull"), X_LG, part)
-        if self.body.collision == "none":
-            return
-        stored = self.cache.get(file_key(path, scale, self.body.collision)) if self.cache is not None else None
-        found = unpack_colliders(stored) if stored is not None else None
-        if found is None:
-            found = Colliders(((np.array(summary.hull) * scale, np.array(summary.hull_faces, dtype=np.int32)),))
-            self.is_approximate |= self.body.collision != "hull" and not summary.is_nearly_convex
-        self._add_colliders(name, found, X_LG, part)
+            self._show(name, body.pieces, X_LG, part)
+        if body.solid is not None:
+            self._weigh(name, body.solid, X_LG, part)
+        self.collision_error = max(self.collision_error, body.error)
+        self.is_approximate |= body.is_approximate
+        for label, (geometry, X_GP) in zip(_piece_names(name, len(body.colliders), part), body.colliders, strict=True):
+            self._collide(label, geometry, X_LG @ X_GP, part)
 
     def add_visual(self, name: str, path: Path, scale: float = 1.0) -> None:
         """Add a mesh file that is only looked at."""
+        self._show(name, self._mesh_body(path, MeshUse(scale, touches=False)).pieces, IDENTITY, None)
+
+    def _mesh_body(self, path: Path, use: MeshUse) -> MeshBody:
+        from simfoundry.scene import mesh_bodies  # most scenes that are checked have no mesh
+
         if self.draft:
-            wrong = implausible_size(path.name, mesh_facts(path, self.cache).size * scale, scale)
-            if wrong is not None:
-                raise wrong
-            return
-        self._show(name, read_mesh(path, scale), IDENTITY, None)
+            return mesh_bodies.draft_body(path, use, self.cache)
+        return mesh_bodies.read_body(path, use, self.cache, self.report)
 
     def _show(self, name: str, pieces: tuple[MeshPart, ...], X_LG: Pose, part: PartSpec | None) -> None:
         for k, piece in enumerate(pieces):
             uv = None if piece.uv is None else frozen(piece.uv)
-            mesh = Mesh(frozen(piece.vertices), _faces(piece.faces), uv, piece.texture)
+            shown = closed_mesh(piece.vertices, piece.faces)
+            mesh = Mesh(shown.vertices, shown.faces, uv, piece.texture)
             label = name if len(pieces) == 1 else f"{name}_{k}"
             self.visuals.append(Visual(label, mesh, self._rgba(part, _own_color(piece)), X_LG))
 
@@ -179,22 +155,6 @@ class BodyBuilder:
             shown = f"`{self.name}` of {mass_kg:.3g} kg has a moment of inertia of {least:.3g} kg m^2"
             raise MeshError("SF104", f"{shown}, too little for a simulator", "check its mass, sizes and units")
         return link
-
-    def _solid(self, name: str, vertices: Array, faces: Faces) -> tuple[mass.Solid, Faces]:
-        """The solid that carries the mass, and the faces turned outward."""
-        if self.body.solid == "hull":
-            outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
-            return mass.mesh(*hull(vertices, limit=len(vertices))), outward
-        gaps = open_edges(faces)
-        if gaps:
-            raise not_closed(name, gaps)
-        solid = mass.mesh(vertices, faces)
-        if solid.volume < 0:
-            faces = np.ascontiguousarray(faces[:, ::-1])
-            solid = mass.mesh(vertices, faces)
-        if solid.volume < LEAST_VOLUME:
-            raise no_volume(name)
-        return solid, faces
 
     def _weigh(self, name: str, solid: mass.Solid, X_LG: Pose, part: PartSpec | None) -> None:
         moved = solid if X_LG.is_identity else solid.moved(X_LG.rotation, X_LG.p)
@@ -236,26 +196,6 @@ def _piece_names(name: str, count: int, part: PartSpec | None) -> list[str]:
 def _own_color(piece: MeshPart) -> tuple[float, float, float, float] | None:
     """The colour that a mesh brings along; a texture shows as it is."""
     return (1.0, 1.0, 1.0, 1.0) if piece.texture is not None and piece.rgba is None else piece.rgba
-
-
-def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
-    """A primitive that stands for a mesh, and its pose in that."""
-    turn = np.eye(4)
-    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
-    X_GP = Pose.from_matrix(turn)
-    match primitive.kind:
-        case "box":
-            return Box(frozen(primitive.size)), X_GP
-        case "cylinder":
-            return Cylinder(*primitive.size), X_GP
-        case "sphere":
-            return Sphere(*primitive.size), Pose.of(primitive.centre)
-
-
-def _faces(faces: Faces) -> Faces:
-    out = np.array(faces, dtype=np.int32)
-    out.setflags(write=False)
-    return out
 
 
 def _tensor(values: tuple[float, float, float, float, float, float]) -> Array:

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls
@@ -119,7 +120,7 @@ def _surface_points(shape: Hulls) -> Array:
     return np.concatenate([corners, points])
 
 
-def _crossings(triangles: Array, point: Array) -> tuple[Array, Array]:
+def _crossings(triangles: Array, point: Array) -> tuple[NDArray[np.bool_], Array]:
     """The triangles (k, 3, 3) that the plumb line through ``point`` meets: a mask (k,) and the heights of those [m]."""
     a, b, c = (triangles[:, k, :2] for k in range(3))
     u, v, w = b - a, c - a, point - a

@@ -10,15 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from simfoundry.assets.splat import Gaussians
 from simfoundry.geometry.frames import IDENTITY, Array, Pose, frozen_array
 from simfoundry.geometry.shapes import Geometry
-from simfoundry.scene.robot import Robot
 from simfoundry.scene.source import Source
+
+if TYPE_CHECKING:
+    from simfoundry.scene.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)

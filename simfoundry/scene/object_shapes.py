@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simfoundry.geometry.crossings import Solid, solid_of
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.geometry.hulls import Hulls, hulls_of
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import SceneObject
 from simfoundry.scene.state import SceneState
+
+if TYPE_CHECKING:
+    from simfoundry.geometry.crossings import Solid
 
 
 def hulls(item: SceneObject) -> Hulls:
@@ -35,6 +38,8 @@ def solid(
 
     Without a state the object stands where its scene has it.
     """
+    from simfoundry.geometry.crossings import solid_of
+
     chosen = None if links is None else set(links)
     X_OL = link_poses(item) if state is None else link_poses(item, state.of_object(item))
     X_WO = item.X_WO if state is None else state.poses[item.name]

@@ -11,7 +11,8 @@ from pathlib import Path, PurePosixPath
 from simfoundry.spec.diagnostics import Diagnostic, Severity, nearest
 from simfoundry.spec.files import FileError, reachable
 from simfoundry.spec.models.kinds import model_of, suffix
-from simfoundry.spec.yaml.text import Document, Node, Path_, YamlError, read
+from simfoundry.spec.yaml.nodes import Node, YamlError
+from simfoundry.spec.yaml.text import Document, Path_, read
 
 MAX_BASES = 16
 

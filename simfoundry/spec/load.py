@@ -13,7 +13,8 @@ from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError, nearest
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.project import project_root
-from simfoundry.spec.yaml.text import Document, YamlError, parse, read
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import Document, parse, read
 
 Known = dict[tuple[str, str], Loaded | None]
 """Documents read so far, by resolved path and the kind that was asked for, so that each is read once."""

@@ -15,7 +15,8 @@ from pydantic import Field
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Model
-from simfoundry.spec.yaml.text import YamlError, read
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import read
 
 MARKER = "simfoundry.yaml"
 """The file that marks the topmost folder of a project; it may be empty."""

@@ -15,7 +15,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.plugins import plugins
 from simfoundry.runtime.shipped import shipped
 from simfoundry.spec.diagnostics import Diagnostic, SpecError, nearest
-from simfoundry.spec.yaml.text import Document, YamlError, read
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import Document, read
 
 if TYPE_CHECKING:
     from simfoundry.targets.profile import TargetSpec

@@ -22,7 +22,8 @@ from simfoundry.spec.diagnostics import Diagnostic
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.kinds import is_document
-from simfoundry.spec.yaml.text import Node, Path_, parse
+from simfoundry.spec.yaml.nodes import Node
+from simfoundry.spec.yaml.text import Path_, parse
 from tests.conftest import REPOSITORY
 
 COUNT = 4000

@@ -14,8 +14,9 @@ from simfoundry.spec.change.format import format_file, format_text
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import KINDS
+from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.spelling import call, exact
-from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import to_yaml
 from tests.conftest import REPOSITORY
 from tests.spec.layouts import DOCUMENTS, untidy

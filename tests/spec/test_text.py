@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from simfoundry.spec.load import load
-from simfoundry.spec.yaml.text import MAX_DEPTH, YamlError, parse
+from simfoundry.spec.yaml.nodes import MAX_DEPTH, YamlError
+from simfoundry.spec.yaml.text import parse
 
 HEAD = "simfoundry: scene/1\nname: hostile\n"
 

@@ -26,7 +26,7 @@ from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.files import ASSET_SUFFIX, MESH_SUFFIXES
 from simfoundry.spec.load import load
 from simfoundry.spec.loaded import Loaded
-from simfoundry.spec.models.cousins import Bounds, DistractorAxis
+from simfoundry.spec.models.cousins import DistractorAxis, ValueRange
 
 VERSION = "library facts 2"
 """Changes with what is measured."""
@@ -295,7 +295,7 @@ def _filters(
             lambda item: not _is_called(item, axis.exclude_categories),
         )
     for what, unit in (("mass", "kg"), ("volume", "m^3"), ("density", "kg/m^3")):
-        bounds: Bounds = getattr(axis, what)
+        bounds: ValueRange = getattr(axis, what)
         if bounds.min is not None or bounds.max is not None:
             yield f"{what} {_range(bounds)} {unit}", _within(what, bounds)
 
@@ -347,7 +347,7 @@ def _few(items: Sequence[Item], most: int = 5) -> str:
     return names if len(items) <= most else f"{names} and {len(items) - most} more"
 
 
-def _within(what: str, bounds: Bounds) -> Callable[[Item], bool]:
+def _within(what: str, bounds: ValueRange) -> Callable[[Item], bool]:
     def passes(item: Item) -> bool:
         value = float(getattr(item, what))
         over = bounds.max is not None and value > bounds.max
@@ -385,7 +385,7 @@ def _spread(step: Step) -> str:
     return f" (theirs {min(values):.3g} to {max(values):.3g})"
 
 
-def _range(bounds: Bounds) -> str:
+def _range(bounds: ValueRange) -> str:
     if bounds.min is None:
         return f"at most {bounds.max:g}"
     return f"at least {bounds.min:g}" if bounds.max is None else f"{bounds.min:g} to {bounds.max:g}"

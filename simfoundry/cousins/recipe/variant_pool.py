@@ -22,7 +22,8 @@ from simfoundry.runtime.files import write_atomically
 from simfoundry.spec.check.validate import validate
 from simfoundry.spec.files import ASSET_SUFFIX, located
 from simfoundry.spec.models.task import TaskSpec
-from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.write import to_yaml
 
 if TYPE_CHECKING:

@@ -31,7 +31,8 @@ from simfoundry.runtime.extras import install_line
 from simfoundry.spec.models.cousins import TaskAxis
 from simfoundry.spec.models.expressions import texts
 from simfoundry.spec.models.task import TaskSpec
-from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import parse
 
 if TYPE_CHECKING:
     from simfoundry.cousins.layout.twin import Twin

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simfoundry.evaluate.resets.grid import Cell, bounds
+from simfoundry.evaluate.resets.grid import GridCell, bounds
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Pose, quat_from_rpy
 from simfoundry.scene.state import SceneState
@@ -119,7 +119,7 @@ def _rounded(pose: Pose) -> Pose:
     return Pose.of(np.round(pose.p, DIGITS) + 0.0, np.round(pose.q, DIGITS) + 0.0)
 
 
-def left_cell(task: Task, cells: Mapping[str, Cell], state: SceneState) -> Refusal | None:
+def left_cell(task: Task, cells: Mapping[str, GridCell], state: SceneState) -> Refusal | None:
     """An object that settled outside its cell."""
     for name, cell in cells.items():
         spans = bounds(task.reset.objects[name], task.reset.grid, cell)

@@ -19,7 +19,7 @@ BLOCK = 1000
 
 
 @dataclass(frozen=True)
-class Agreement:
+class RateAgreement:
     """How simulation agrees with reality on one task, over the policies that both have been tried with.
 
     ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None where one of the two does
@@ -46,7 +46,7 @@ class Draws:
     seed: int = 0
 
 
-def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[Agreement]:
+def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[RateAgreement]:
     """Agreement on each task that both have, in the order of the real scores; a ScoresError where there is none.
 
     Each draw takes every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
@@ -88,16 +88,16 @@ def reservations(scores: Sequence[Score]) -> list[str]:
     return said
 
 
-def mean_agreement(found: Sequence[Agreement]) -> tuple[float | None, float]:
+def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]:
     """Mean of r over the tasks that define it, None where none does, and mean MMRV over all."""
     defined = [a.pearson for a in found if a.pearson is not None]
     return (fmean(defined) if defined else None), fmean(a.mmrv for a in found)
 
 
-def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> Agreement:
+def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> RateAgreement:
     real, sim = (np.array([pair[k].rate for pair in pairs]) for k in (0, 1))
     r, violation = _drawn(pairs, draws, rng)
-    return Agreement(
+    return RateAgreement(
         task=task,
         policies=tuple(pair[0].policy for pair in pairs),
         real=tuple(map(float, real)),

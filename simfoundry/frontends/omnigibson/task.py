@@ -14,7 +14,7 @@ from simfoundry.frontends.names import NameTable, plain_name
 from simfoundry.scene.model import Scene
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.task import TaskSpec
-from simfoundry.spec.yaml.text import YamlError
+from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.text import read as read_yaml
 
 BINARY = {

@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.geometry.cavity import cavity
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Pose
 from simfoundry.geometry.poses import Turn
@@ -28,7 +27,7 @@ class NoCavityError(PredicateError):
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class CollisionBody:
     """An object or a robot: ``item``, whose links have ``forms``; None for a link without any shape."""
 
     item: SceneObject
@@ -56,7 +55,7 @@ class Body:
         return next(k for k, one in enumerate(self.item.links) if one.name == link)
 
 
-class Thing(NamedTuple):
+class Entity(NamedTuple):
     """What an argument names: links of a body by index; the first is the one in whose frame it is boxed."""
 
     name: str
@@ -79,14 +78,14 @@ class Bodies:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
         self.robots = tuple(r.name for r in scene.robots if mujoco_model(r) is not None)
-        self._bodies: dict[str, Body] = {}
-        self._hollow: dict[Thing, tuple[int, ...]] = {}
+        self._bodies: dict[str, CollisionBody] = {}
+        self._hollow: dict[Entity, tuple[int, ...]] = {}
 
-    def __getitem__(self, name: str) -> Body:
+    def __getitem__(self, name: str) -> CollisionBody:
         if name not in self._bodies:
             made = _robot_object(self.scene.robot(name)) if name in self.robots else None
             item = self.scene.object(name) if made is None else made.item
-            self._bodies[name] = Body(item, tuple(_form(link) for link in item.links), made)
+            self._bodies[name] = CollisionBody(item, tuple(_form(link) for link in item.links), made)
         return self._bodies[name]
 
     @property
@@ -102,7 +101,7 @@ class Bodies:
             for k, link in enumerate(item.links)
         }
 
-    def thing(self, argument: str) -> Thing:
+    def thing(self, argument: str) -> Entity:
         """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
         owner, _, part = argument.partition(".")
         body = self._body(owner)
@@ -122,10 +121,12 @@ class Bodies:
             chosen = tuple(range(len(links)))
         if not any(body.forms[k] for k in chosen):
             raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
-        return Thing(argument, owner, chosen, not part)
+        return Entity(argument, owner, chosen, not part)
 
-    def hollow_links(self, thing: Thing) -> tuple[int, ...]:
+    def hollow_links(self, thing: Entity) -> tuple[int, ...]:
         """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
+        from simfoundry.geometry.cavity import cavity
+
         if thing not in self._hollow:
             forms = self[thing.owner].forms
             found = tuple(k for k in thing.links if (form := forms[k]) is not None and cavity(form) is not None)
@@ -149,7 +150,7 @@ class Bodies:
             raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
         return Joints(owner, tuple(ended))
 
-    def _body(self, name: str) -> Body:
+    def _body(self, name: str) -> CollisionBody:
         names = (*self.objects, *self.robots)
         if name in names:
             return self[name]

@@ -8,7 +8,7 @@ from simfoundry.geometry.cavity import Cavity, cavity_upward
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, rotate
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
 
@@ -16,7 +16,7 @@ SAMPLES = 64
 """Points of a thing whose depth is measured."""
 
 
-def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
+def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
     """The cavities that links of a thing have as they are turned: the index of the link, and in which states it is so.
 
     Up is the nearest of the axes of a link.
@@ -34,7 +34,7 @@ def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
     return found
 
 
-def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
+def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
     """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
 
     -inf where ``b`` is turned so that it holds nothing.
@@ -49,7 +49,7 @@ def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
     return out
 
 
-def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
+def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
     """How deep [m] the share :data:`ENCLOSED` of the volume of ``a`` is in a cavity at least, (n,).
 
     Negative by how far it is outside; where all of it is far outside, by a bound of that.
@@ -80,7 +80,7 @@ def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
     return out
 
 
-def _counts(view: View, a: Thing) -> list[int]:
+def _counts(view: View, a: Entity) -> list[int]:
     """How many samples each link of a thing gets: by its mass."""
     forms = view.forms(a)
     if len(forms) == 1:

@@ -96,7 +96,7 @@ class Judge:
     def _arguments(self, call: Call) -> list[Any]:
         """The arguments as the rule takes them: things, joints and numbers by their kinds."""
         bodies = self._context.bodies
-        read = {"joint": bodies.joints, "number": float}
+        read: dict[str, Callable[[str], Any]] = {"joint": bodies.joints, "number": float}
         found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
         things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
         for a, b in combinations(things, 2):

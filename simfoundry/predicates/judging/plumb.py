@@ -9,8 +9,8 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
-from simfoundry.geometry.poses import Index, Poses
-from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.geometry.poses import Index
+from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.view import View
 
 
@@ -25,7 +25,7 @@ class Meeting(NamedTuple):
     under: Array
 
 
-def meet(view: View, a: Thing, b: Thing) -> Meeting:
+def meet(view: View, a: Entity, b: Entity) -> Meeting:
     """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
@@ -47,7 +47,7 @@ def meet(view: View, a: Thing, b: Thing) -> Meeting:
     return Meeting(over, under)
 
 
-def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
+def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
     """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
@@ -57,7 +57,7 @@ def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
     return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
 
 
-def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
+def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index, Array, Array, Array]]:
     """The chords of plumb lines in each link of a thing; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
     for k, form in view.forms(thing):
         found = chords_of(form, view.link(thing.owner, k), points)
@@ -65,19 +65,6 @@ def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index,
             yield found
 
 
-def _beside(view: View, points: Array, b: Thing) -> Array:
+def _beside(view: View, points: Array, b: Entity) -> Array:
     """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)
-
-
-def centre_of_mass(view: View, a: Thing) -> Array:
-    """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
-    links = view.bodies[a.owner].item.links
-    masses = [links[k].mass for k in a.links]
-    if sum(masses) <= 0:
-        return view.boxes(a).middle
-    total = np.zeros((view.n, 3))
-    for k, mass in zip(a.links, masses, strict=True):
-        X_WL: Poses = view.link(a.owner, k)
-        total += mass / sum(masses) * (X_WL.p + X_WL.R @ links[k].com)
-    return total

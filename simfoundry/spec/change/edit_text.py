@@ -18,8 +18,9 @@ from simfoundry.spec.change.diff.changes import Add, Change, Remove, Reorder, Se
 from simfoundry.spec.change.diff.renames import Path_, Rename, same
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.order import KeyOrder, key_order
+from simfoundry.spec.yaml.nodes import YamlError
 from simfoundry.spec.yaml.spelling import call
-from simfoundry.spec.yaml.text import Document, YamlError, parse
+from simfoundry.spec.yaml.text import Document, parse
 from simfoundry.spec.yaml.tree import YamlTree, plain_tree, read_tree, with_data
 from simfoundry.spec.yaml.write import WIDTH, entry_lines, inline_text, write_tree
 

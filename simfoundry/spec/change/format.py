@@ -12,7 +12,8 @@ from simfoundry.spec.load import kind_of
 from simfoundry.spec.models.base import Model
 from simfoundry.spec.models.kinds import model_of
 from simfoundry.spec.project import project_root
-from simfoundry.spec.yaml.text import Document, YamlError, parse, read
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import Document, parse, read
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 

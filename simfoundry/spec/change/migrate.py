@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.models.kinds import KINDS, model_of
 from simfoundry.spec.models.types import former_paths
-from simfoundry.spec.yaml.text import Document, YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import Document, parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 

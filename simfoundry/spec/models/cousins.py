@@ -18,7 +18,7 @@ Folder = Annotated[FileName, StringConstraints(min_length=1, max_length=512)]
 ModelName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
-class Bounds(Model):
+class ValueRange(Model):
     """A range; a bound that is left out is open."""
 
     min: Annotated[NonNegative | None, FormerKey("least")] = Field(None, description="Minimum.")
@@ -111,9 +111,9 @@ class DistractorAxis(Model):
     exclude_categories: Annotated[tuple[Name, ...], FormerKey("without")] = Field(
         (), description="Categories to leave out."
     )
-    mass: Bounds = Field(Bounds(), description="Mass [kg].")
-    volume: Bounds = Field(Bounds(), description="Volume [m^3].")
-    density: Bounds = Field(Bounds(), description="Density [kg/m^3].")
+    mass: ValueRange = Field(ValueRange(), description="Mass [kg].")
+    volume: ValueRange = Field(ValueRange(), description="Volume [m^3].")
+    density: ValueRange = Field(ValueRange(), description="Density [kg/m^3].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

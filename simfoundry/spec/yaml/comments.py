@@ -10,7 +10,8 @@ from typing import Any
 
 import yaml
 
-from simfoundry.spec.yaml.text import Node, Path_
+from simfoundry.spec.yaml.nodes import Node
+from simfoundry.spec.yaml.text import Path_
 
 _BREAK = re.compile("\r\n|[\r\n\x85\u2028\u2029]")
 _COMMENT = re.compile("#[^\r\n\x85\u2028\u2029]*")

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from simfoundry.spec.models.predicate import canonical
-from simfoundry.spec.yaml.text import UNPRINTABLE, YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import UNPRINTABLE, parse
 
 DIGITS = 6
 LARGE = 1e15

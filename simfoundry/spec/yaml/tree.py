@@ -9,7 +9,8 @@ from typing import Any
 
 from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.yaml.comments import Notes, read_notes
-from simfoundry.spec.yaml.text import Document, Node, Path_
+from simfoundry.spec.yaml.nodes import Node
+from simfoundry.spec.yaml.text import Document, Path_
 
 KIND = "simfoundry"
 """The key that names the kind of a document."""

@@ -21,7 +21,8 @@ from simfoundry.spec.load import Known, checked
 from simfoundry.spec.loaded import Loaded
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.project import project_root
-from simfoundry.spec.yaml.text import Document, Node
+from simfoundry.spec.yaml.nodes import Node
+from simfoundry.spec.yaml.text import Document
 from simfoundry.spec.yaml.write import to_yaml
 
 KIND = "scene/1"

@@ -14,7 +14,8 @@ from simfoundry.spec.diagnostics import SpecError
 from simfoundry.spec.models.scene import SceneSpec
 from simfoundry.spec.models.types import models_at
 from simfoundry.spec.project import project_root
-from simfoundry.spec.yaml.text import YamlError, read
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import read
 from simfoundry.spec.yaml.tree import YamlTree, read_tree, with_data
 from simfoundry.spec.yaml.write import write_tree
 

@@ -15,7 +15,8 @@ from simfoundry.errors import SimfoundryError
 from simfoundry.runtime.files import write_file
 from simfoundry.spec.files import MAX_PATH
 from simfoundry.spec.models.kinds import is_document
-from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import parse
 
 Read = Callable[[str], bytes | None]
 """The content of a file by its path in the repository (with ``/``); None where there is none."""

@@ -11,7 +11,8 @@ from simfoundry.spec.change.merge.equality import identical
 from simfoundry.spec.change.merge.trees import merge_trees
 from simfoundry.spec.diagnostics import Diagnostic, Severity, SpecError
 from simfoundry.spec.models.kinds import KINDS, model_of
-from simfoundry.spec.yaml.text import YamlError, parse
+from simfoundry.spec.yaml.nodes import YamlError
+from simfoundry.spec.yaml.text import parse
 from simfoundry.spec.yaml.tree import KIND, YamlTree, read_tree
 from simfoundry.spec.yaml.write import write_tree
 

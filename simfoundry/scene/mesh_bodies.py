@@ -1,0 +1,125 @@
+"""Mesh files as bodies: read and cut into convex parts for a compile, or looked up for a draft."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from simfoundry.assets import mass
+from simfoundry.assets.cache import Cache
+from simfoundry.assets.convex import (
+    Colliders,
+    Faces,
+    file_key,
+    hull,
+    mesh_colliders,
+    pack_colliders,
+    unpack_colliders,
+)
+from simfoundry.assets.errors import LEAST_VOLUME, implausible_size, no_volume, not_closed
+from simfoundry.assets.mesh import MeshPart, open_edges, read_mesh, weld
+from simfoundry.assets.mesh_summary import mesh_facts
+from simfoundry.assets.primitives import Primitive
+from simfoundry.geometry.frames import Array, Pose
+from simfoundry.geometry.frames import frozen_array as frozen
+from simfoundry.geometry.shapes import Box, Cylinder, Geometry, Sphere
+from simfoundry.geometry.tessellate import closed_mesh
+from simfoundry.scene.bodies import MeshUse
+
+
+class MeshBody(NamedTuple):
+    """A mesh file: the ``pieces`` that are seen, its ``solid`` of density 1 unless it is weighed, and its colliders.
+
+    It ``is_approximate`` where its hull stands for convex parts that are not known.
+    """
+
+    pieces: tuple[MeshPart, ...] = ()
+    solid: mass.Solid | None = None
+    colliders: tuple[tuple[Geometry, Pose], ...] = ()
+    error: float = 0.0
+    is_approximate: bool = False
+
+
+def read_body(path: Path, use: MeshUse, cache: Cache | None, report: Callable[[str], object]) -> MeshBody:
+    """Read a mesh file, and cut it into convex parts that ``cache`` keeps; raises :class:`MeshError`."""
+    pieces = read_mesh(path, use.scale)
+    if not use.touches:
+        return MeshBody(pieces)
+    offsets = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    vertices = np.concatenate([p.vertices for p in pieces])
+    faces = np.concatenate([p.faces + o for p, o in zip(pieces, offsets, strict=False)]).astype(np.int32)
+    vertices, faces = weld(vertices, faces)
+    solid = None
+    if use.solid != "given":
+        solid, faces = _solid(path.name, vertices, faces, use.solid)
+    elif mass.mesh(vertices, faces).volume < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+    found = mesh_colliders(vertices, faces, use.collision, cache, path.name, report)
+    if cache is not None and use.collision != "none":
+        cache.put(file_key(path, use.scale, use.collision), pack_colliders(found))
+    return MeshBody(pieces, solid, _posed(found), found.error)
+
+
+def draft_body(path: Path, use: MeshUse, cache: Cache | None) -> MeshBody:
+    """Return what is known of a mesh file without cutting it: its solid, and its convex parts or hull.
+
+    Raises the :class:`MeshError` of :func:`read_body`.
+    """
+    summary = mesh_facts(path, cache)
+    if use.touches:
+        wrong = summary.fault(path.name, use.scale, use.solid, use.collision)
+    else:
+        wrong = implausible_size(path.name, summary.size * use.scale, use.scale)
+    if wrong is not None:
+        raise wrong
+    if not use.touches:
+        return MeshBody()
+    solid = None if use.solid == "given" else summary.solid(use.scale, use.solid == "hull")
+    if use.collision == "none":
+        return MeshBody(solid=solid)
+    stored = cache.get(file_key(path, use.scale, use.collision)) if cache is not None else None
+    found = unpack_colliders(stored) if stored is not None else None
+    if found is not None:
+        return MeshBody((), solid, _posed(found), found.error)
+    found = Colliders(((np.array(summary.hull) * use.scale, np.array(summary.hull_faces, dtype=np.int32)),))
+    return MeshBody((), solid, _posed(found), 0.0, use.collision != "hull" and not summary.is_nearly_convex)
+
+
+def _posed(found: Colliders) -> tuple[tuple[Geometry, Pose], ...]:
+    if found.primitive is not None:
+        return (_fitted(found.primitive),)
+    return tuple((closed_mesh(*part), Pose.of()) for part in found.parts)
+
+
+def _fitted(primitive: Primitive) -> tuple[Geometry, Pose]:
+    """The primitive that stands for a mesh, and its pose in that."""
+    turn = np.eye(4)
+    turn[:3, :3], turn[:3, 3] = primitive.rotation, primitive.centre
+    X_GP = Pose.from_matrix(turn)
+    match primitive.kind:
+        case "box":
+            return Box(frozen(primitive.size)), X_GP
+        case "cylinder":
+            return Cylinder(*primitive.size), X_GP
+        case "sphere":
+            return Sphere(*primitive.size), Pose.of(primitive.centre)
+
+
+def _solid(name: str, vertices: Array, faces: Faces, how: str) -> tuple[mass.Solid, Faces]:
+    """The solid that carries the mass, and the faces turned outward."""
+    if how == "hull":
+        outward = faces if mass.mesh(vertices, faces).volume >= 0 else np.ascontiguousarray(faces[:, ::-1])
+        return mass.mesh(*hull(vertices, limit=len(vertices))), outward
+    gaps = open_edges(faces)
+    if gaps:
+        raise not_closed(name, gaps)
+    solid = mass.mesh(vertices, faces)
+    if solid.volume < 0:
+        faces = np.ascontiguousarray(faces[:, ::-1])
+        solid = mass.mesh(vertices, faces)
+    if solid.volume < LEAST_VOLUME:
+        raise no_volume(name)
+    return solid, faces
