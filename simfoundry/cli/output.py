@@ -195,8 +195,11 @@ def _line_now_and_then() -> Callable[[str, float], None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error for steps that take long; where it is no terminal, now and then a line."""
-    if quiet:
+    """Show a bar on standard error for long steps, or off a terminal a line now and then.
+
+    ``SIMFOUNDRY_PROGRESS=never`` leaves out the lines, for logs that are compared.
+    """
+    if quiet or (not sys.stderr.isatty() and os.environ.get("SIMFOUNDRY_PROGRESS") == "never"):
         yield lambda stage, share: None
         return
     if not sys.stderr.isatty():  # without rich, which takes long to import
