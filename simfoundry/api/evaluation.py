@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from simfoundry.evaluate.run import Outcome, Plan
+    from simfoundry.evaluate.run import EvaluationPlan, RolloutOutcome
 
 
 @dataclass(frozen=True)
@@ -50,23 +50,27 @@ def evaluate_tasks(
     jobs: int,
 ) -> Evaluation:
     """Run what is not there yet of an evaluation, and write its report."""
-    from simfoundry.evaluate.entries import Entry, contenders
-    from simfoundry.evaluate.run import Plan, prepare
+    from simfoundry.evaluate.entries import TaskEntry, contenders
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
 
-    entries = tuple(Entry(Path(task)) for task in tasks)
-    plan = Plan(Path(out), entries, tuple(contenders(tuple(policies))), rollouts, seed, (engine,), video=video)
+    entries = tuple(TaskEntry(Path(task)) for task in tasks)
+    plan = EvaluationPlan(
+        Path(out), entries, tuple(contenders(tuple(policies))), rollouts, seed, (engine,), video=video
+    )
     prepare(plan)
     return run_plan(plan, jobs)
 
 
-def run_plan(plan: Plan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None) -> Evaluation:
+def run_plan(
+    plan: EvaluationPlan, jobs: int, progress: Callable[[str, float], None] = lambda name, share: None
+) -> Evaluation:
     """Carry out a plan; ``progress`` hears the standing of a policy, and the share that is done."""
     from simfoundry.evaluate.run import run
 
     troubles: list[str] = []
     won: dict[str, list[int]] = {}
 
-    def count(outcome: Outcome, done: int, of: int) -> None:
+    def count(outcome: RolloutOutcome, done: int, of: int) -> None:
         label = outcome.job.contender.label
         label += f" in {outcome.job.engine}" if len(plan.engines) > 1 else ""
         tally = won.setdefault(label, [0, 0])
@@ -82,7 +86,7 @@ def run_plan(plan: Plan, jobs: int, progress: Callable[[str, float], None] = lam
     return _reported(plan, troubles)
 
 
-def _reported(plan: Plan, troubles: Iterable[str]) -> Evaluation:
+def _reported(plan: EvaluationPlan, troubles: Iterable[str]) -> Evaluation:
     from simfoundry.evaluate.run import pending
     from simfoundry.evaluate.statistics.records import read_all
     from simfoundry.evaluate.statistics.results import results

@@ -30,7 +30,7 @@ def _escaped(value: str) -> str:
 
 
 def _append(lines: list[str], element: ET.Element, indent: str) -> None:
-    if element.tag is ET.Comment:
+    if callable(element.tag):  # a comment, whose tag is the function that makes one
         lines.append(f"{indent}<!-- {(element.text or '').replace('--', '- -')} -->")
         return
     attributes = "".join([f' {name}="{_escaped(value)}"' for name, value in element.items()])

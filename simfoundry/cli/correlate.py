@@ -13,17 +13,23 @@ from simfoundry.cli.output import CannotError, print_json, subcommand
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from simfoundry.evaluate.statistics.correlation import Agreement, Interval
+    from simfoundry.evaluate.statistics.correlation import Interval, RateAgreement
     from simfoundry.evaluate.statistics.scores import Score
 
 
 @subcommand(force=True)
 @click.argument("real", type=ANY)
 @click.argument("sim", nargs=-1, required=True, type=ANY)
-@click.option("--rollouts", type=click.IntRange(min=1), default=25, show_default=True, help="Where a table is silent.")
-@click.option("--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True, help="For intervals.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
-@click.option("--svg", type=NEW_FILE, help="Write the scatter plot.")
+@click.option(
+    "--rollouts", type=click.IntRange(min=1), default=25, show_default=True,
+    help="Assume this many rollouts for a rate without a count.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(1, 100_000), default=2000, show_default=True,
+    help="Draw this many samples for the intervals.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed the draws.")
+@click.option("--svg", type=NEW_FILE, help="Write the scatter plot to this file.")
 def command(
     real: Path,
     sim: tuple[Path, ...],
@@ -34,7 +40,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Say how well simulated success rates tell the real ones: Pearson's r and MMRV of each task.
+    """Compare simulated success rates with real ones by Pearson's r and MMRV, task by task.
 
     REAL and SIM are tables (CSV with task, policy and rate, or successes and rollouts) or what `simfoundry eval` wrote.
     Each SIM is compared with REAL over the tasks and policies that both have. The brackets hold 95 % of what
@@ -80,7 +86,7 @@ def _names(sim: Sequence[Path]) -> list[str]:
     return names
 
 
-def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
+def _json(found: Sequence[RateAgreement], missing: list[str]) -> dict[str, Any]:
     from dataclasses import asdict
 
     from simfoundry.evaluate.statistics.correlation import mean_agreement
@@ -90,7 +96,7 @@ def _json(found: Sequence[Agreement], missing: list[str]) -> dict[str, Any]:
 
 
 def _print(
-    found: Mapping[str, Sequence[Agreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
+    found: Mapping[str, Sequence[RateAgreement]], missing: Mapping[str, list[str]], said: Mapping[str, list[str]]
 ) -> None:
     from rich.console import Console
     from rich.table import Table

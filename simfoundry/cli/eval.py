@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from simfoundry.api.evaluation import Evaluation
-    from simfoundry.evaluate.entries import Entry
-    from simfoundry.evaluate.run import Plan
+    from simfoundry.evaluate.entries import TaskEntry
+    from simfoundry.evaluate.run import EvaluationPlan
 
 
 SENTENCES = 10
@@ -33,22 +33,29 @@ SENTENCES = 10
     "openpi:localhost:8000?action_space=joint_position.",
 )  # fmt: skip
 @click.option("-o", "--out", type=NEW_FOLDER, default=Path("build/eval"), show_default=True)
-@click.option("-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True, help="Of each task.")
-@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Of the starts.")
+@click.option(
+    "-n", "--rollouts", type=click.IntRange(1, 10_000), default=25, show_default=True,
+    help="Run this many rollouts of each task.",
+)  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**31), default=0, show_default=True, help="Seed the starts.")
 @click.option(
     "--world", "worlds", multiple=True, type=WorldName(), default=["mujoco"],
-    show_default=True, help="The engine; two are compared from the same starts.",
+    show_default=True, help="Run in this engine; give two to compare them.",
 )  # fmt: skip
-@click.option("--from", "onward", metavar="STEP", help="Start at this step, and ask for the whole goal.")
-@click.option("--step", "alone", metavar="STEP", help="Start at this step, and ask for its goal alone.")
-@click.option("--subtasks", is_flag=True, help="Besides the whole, each step that has a start of its own, alone.")
+@click.option("--from", "onward", metavar="STEP", help="Start at this step and require the whole goal.")
+@click.option("--step", "alone", metavar="STEP", help="Start at this step and require its goal alone.")
+@click.option("--subtasks", is_flag=True, help="Also run each step that has a start of its own.")
 @click.option(
-    "--video/--no-video", default=None, help="A video of each rollout. Default: where a picture can be drawn."
+    "--video/--no-video", default=None, help="Record a video of each rollout. Default: if pictures can be drawn here."
 )
-@click.option("--camera", "cameras", multiple=True, help="Cameras of the videos. Default: the scene's first.")
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Processes.")
-@click.option("--shard", callback=shard_of, default="1/1", metavar="I/N", help="Every N-th rollout from the I-th on.")
-@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 where a success rate is below this.")
+@click.option("--camera", "cameras", multiple=True, help="Film with these cameras. Default: the scene's first.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Use this many processes."
+)
+@click.option(
+    "--shard", callback=shard_of, default="1/1", metavar="I/N", help="Run every N-th rollout, starting with the I-th."
+)
+@click.option("--require", type=click.FloatRange(0, 1), help="Exit with 1 if a success rate is below this.")
 def command(
     tasks: tuple[Path, ...],
     policies: tuple[str, ...],
@@ -66,7 +73,7 @@ def command(
     require: float | None,
     as_json: bool,
 ) -> int:
-    """Let policies do tasks, and say how often they succeed.
+    """Evaluate policies on tasks.
 
     TASKS are task documents, or folders of them. Every policy begins from the same starts: each object takes another
     cell of its grid in each rollout. What is done is in OUT, a file for each rollout, and is not done again: a run that
@@ -81,11 +88,11 @@ def command(
     """
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
-    from simfoundry.evaluate.run import Plan, prepare
+    from simfoundry.evaluate.run import EvaluationPlan, prepare
 
     if sum((onward is not None, alone is not None, subtasks)) > 1:
         raise CannotError("--from, --step and --subtasks exclude each other")
-    plan = Plan(
+    plan = EvaluationPlan(
         folder=out,
         entries=tuple(_entries(tasks, onward, alone, subtasks)),
         contenders=tuple(contenders(policies)),
@@ -112,20 +119,20 @@ def _can_film(worlds: Sequence[str]) -> bool:
     return False
 
 
-def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[Entry]:
-    from simfoundry.evaluate.entries import Entry, Part
+def _entries(tasks: Sequence[Path], onward: str | None, alone: str | None, subtasks: bool) -> Iterator[TaskEntry]:
+    from simfoundry.evaluate.entries import TaskEntry, TaskPart
 
     for path in files_below(tasks, ".task.yaml", "tasks"):
         if onward is not None or alone is not None:
-            yield Entry(path, Part.ONWARD if onward is not None else Part.ALONE, onward or alone or "")
+            yield TaskEntry(path, TaskPart.ONWARD if onward is not None else TaskPart.ALONE, onward or alone or "")
             continue
-        yield Entry(path)
+        yield TaskEntry(path)
         if subtasks:
-            steps = Entry(path).load().subtasks.values()
-            yield from (Entry(path, Part.ALONE, step.name) for step in steps if step.starts_itself)
+            steps = TaskEntry(path).load().subtasks.values()
+            yield from (TaskEntry(path, TaskPart.ALONE, step.name) for step in steps if step.starts_itself)
 
 
-def _print_report(plan: Plan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
+def _print_report(plan: EvaluationPlan, evaluation: Evaluation, require: float | None, as_json: bool) -> int:
     from simfoundry.evaluate.statistics.results import cells
 
     missing, troubles = evaluation.missing, evaluation.troubles

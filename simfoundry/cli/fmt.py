@@ -31,8 +31,8 @@ STDIN = Path("-")
 
 @subcommand()
 @click.argument("paths", nargs=-1, type=click.Path(path_type=Path, allow_dash=True))
-@click.option("--check", is_flag=True, help="Write nothing; exit code 1 where something would change.")
-@click.option("--diff", is_flag=True, help="Write nothing; show what would change.")
+@click.option("--check", is_flag=True, help="Write nothing, and exit with 1 if something would change.")
+@click.option("--diff", is_flag=True, help="Write nothing, and show what would change.")
 def command(paths: tuple[Path, ...], check: bool, diff: bool, as_json: bool) -> int:
     """Write documents in their canonical form; comments and meaning stay.
 

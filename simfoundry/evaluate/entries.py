@@ -1,4 +1,4 @@
-"""What an evaluation is made of: tasks, whole or from a step on, each with every policy, so many rollouts each."""
+"""Entries of an evaluation: tasks, whole or from a step on, and the policies that are tried on each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.policies.choice import Choice, Replay, parse_policy
+from simfoundry.evaluate.policies.choice import Choice, ReplayChoice, parse_policy
 from simfoundry.evaluate.policies.python_class import PythonClass
 from simfoundry.evaluate.tasks.task import Task, load_task
 
@@ -18,8 +18,8 @@ _LABELLED = re.compile(r"([a-z][a-z0-9_.-]*)=(.+)", re.DOTALL)
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 
-class Part(StrEnum):
-    """How much of a task is evaluated: all of it, one step alone, or the rest from a step on."""
+class TaskPart(StrEnum):
+    """The part of a task that is evaluated: all of it, one step alone, or the rest from a step on."""
 
     WHOLE = "whole"
     ALONE = "alone"
@@ -27,19 +27,19 @@ class Part(StrEnum):
 
 
 @dataclass(frozen=True)
-class Entry:
+class TaskEntry:
     """A task of an evaluation: its document, and the ``step`` where it is not the whole."""
 
     path: Path
-    part: Part = Part.WHOLE
+    part: TaskPart = TaskPart.WHOLE
     step: str = ""
 
     def load(self, cache: Cache | None = None) -> Task:
         """The task, or the part of it."""
         task = load_task(self.path, cache)
-        if self.part is Part.WHOLE:
+        if self.part is TaskPart.WHOLE:
             return task
-        return task.alone(self.step) if self.part is Part.ALONE else task.onward(self.step)
+        return task.alone(self.step) if self.part is TaskPart.ALONE else task.onward(self.step)
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Contender:
     text: str
 
     def choice(self) -> Choice:
-        """What the text means; raises :class:`PolicyError` or :class:`SpecError`."""
+        """Parse the text; raises :class:`PolicyError` or :class:`SpecError`."""
         return parse_policy(self.text)
 
     @property
@@ -59,7 +59,7 @@ class Contender:
         choice = self.choice()
         if isinstance(choice, PythonClass):
             return choice.digest
-        said = choice.path.read_bytes() if isinstance(choice, Replay) else repr(choice).encode()
+        said = choice.path.read_bytes() if isinstance(choice, ReplayChoice) else repr(choice).encode()
         return hashlib.sha256(said).hexdigest()[:16]
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize
-from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.control import Controller, checked_action, physics_steps
 from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
 from simfoundry.evaluate.rollouts.progress import Progress, judge_of
@@ -89,7 +89,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         self._scenes: dict[str, _Opened] = {}
         self._now = self._opened("")
         self.action_space = _actions(self._now.robots, self._kind)
-        self._begin(Start(-1, seed, {}, self._now.world.state()))
+        self._begin(RolloutStart(-1, seed, {}, self._now.world.state()))
         self.observation_space = spaces.Dict({k: _space(k, v) for k, v in self._observation().items()})
 
     def reset(
@@ -122,7 +122,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), float(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
-        """What the render camera sees, uint8, shape (h, w, 3); None without a render mode."""
+        """Render the camera, uint8, shape (h, w, 3); None without a render mode."""
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
     def close(self) -> None:
@@ -131,7 +131,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
             opened.world.close()
         self._scenes.clear()
 
-    def _begin(self, start: Start) -> None:
+    def _begin(self, start: RolloutStart) -> None:
         now = self._now
         now.world.reset(start.state)
         self._start, self._steps, self._trouble = start, 0, ""
@@ -179,9 +179,9 @@ class _Opened:
         self.world = open_world(task.scene, engine)
         self.judge = judge_of(task.scene)
         self.robots: dict[str, WorldRobot] = {name: self.world.robot(name) for name in task.robots}
-        self._starts: tuple[Start, ...] = ()
+        self._starts: tuple[RolloutStart, ...] = ()
 
-    def start(self, k: int, count: int, seed: int, cache: Cache | None) -> Start:
+    def start(self, k: int, count: int, seed: int, cache: Cache | None) -> RolloutStart:
         """The k-th of so many starts; all of them are found when the first is asked for."""
         if not self._starts:
             self._starts = starts(self.task, count, seed, cache)

@@ -13,15 +13,15 @@ from typing import Any
 from simfoundry import __version__
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import OutputError, SimfoundryError
-from simfoundry.evaluate.entries import Contender, Entry, Part
+from simfoundry.evaluate.entries import Contender, TaskEntry, TaskPart
 from simfoundry.evaluate.policies.base import ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choice import Expert, open_policy
-from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.policies.choice import ExpertChoice, open_policy
+from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.rollouts.observation import check_cameras
-from simfoundry.evaluate.rollouts.rollout import End, Rollout, Video, rollout
+from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd, Video, rollout
 from simfoundry.evaluate.rollouts.videos import whole_picture
 from simfoundry.evaluate.statistics.pools import cousin_of
-from simfoundry.evaluate.statistics.records import Slot, check_layout, is_result
+from simfoundry.evaluate.statistics.records import RecordSlot, check_layout, is_result
 from simfoundry.evaluate.tasks.task import Task, need_robots
 from simfoundry.runtime.extras import need_extra
 from simfoundry.runtime.workers import GRACE_S, Limits, WorkerError, WorkerPool, at_worker_exit
@@ -41,14 +41,14 @@ FRAME_EVERY = 3
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What is to be evaluated, and how.
+class EvaluationPlan:
+    """The tasks and policies of an evaluation, with its options.
 
     ``shard`` (i, n) takes every n-th rollout from the i-th on, i from 0. ``cameras`` are those of the videos.
     """
 
     folder: Path
-    entries: tuple[Entry, ...]
+    entries: tuple[TaskEntry, ...]
     contenders: tuple[Contender, ...]
     rollouts: int = 25
     seed: int = 0
@@ -59,48 +59,48 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Job:
+class RolloutJob:
     """One rollout of a plan."""
 
-    entry: Entry
+    entry: TaskEntry
     contender: Contender
     index: int
     engine: str
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What came of a job."""
+class RolloutOutcome:
+    """The record of a job."""
 
-    job: Job
+    job: RolloutJob
     record: dict[str, Any]
 
     @property
     def answered(self) -> bool:
-        """Whether there is a result: the policy answered, be it with something invalid."""
+        """True if there is a result: the policy answered, be it with something invalid."""
         return is_result(self.record)
 
     @property
     def trouble(self) -> str:
-        """What the policy did wrong; empty where it answered as policies do."""
-        return str(self.record["reason"]) if self.record["end"] in (End.INVALID, End.NO_ANSWER) else ""
+        """The fault of the policy; empty if it answered as policies do."""
+        return str(self.record["reason"]) if self.record["end"] in (RolloutEnd.INVALID, RolloutEnd.NO_ANSWER) else ""
 
 
-Seen = Callable[[Outcome, int, int], None]
+Seen = Callable[[RolloutOutcome, int, int], None]
 """Hears what came of each job, how many are done, and how many there are."""
 
 
-def task_key(entry: Entry, task: Task) -> str:
+def task_key(entry: TaskEntry, task: Task) -> str:
     """The name of a task's folder: with the step, where it is not the whole."""
-    mark = {Part.WHOLE: "", Part.ALONE: ".", Part.ONWARD: "+"}[entry.part]
+    mark = {TaskPart.WHOLE: "", TaskPart.ALONE: ".", TaskPart.ONWARD: "+"}[entry.part]
     return f"{task.name}{mark}{entry.step}"
 
 
-def jobs(plan: Plan) -> list[Job]:
+def jobs(plan: EvaluationPlan) -> list[RolloutJob]:
     """Every rollout of the plan's shard: tasks, then engines, then policies, then starts."""
     first, of = plan.shard
     every = [
-        Job(e, c, k, engine)
+        RolloutJob(e, c, k, engine)
         for e in plan.entries
         for engine in plan.engines
         for c in plan.contenders
@@ -109,10 +109,10 @@ def jobs(plan: Plan) -> list[Job]:
     return every[first::of]
 
 
-def prepare(plan: Plan, progress: Callable[[str, int, int], None] | None = None) -> None:
+def prepare(plan: EvaluationPlan, progress: Callable[[str, int, int], None] | None = None) -> None:
     """Load every task and find its starts, so that what is wrong is said before the first rollout."""
     check_layout(plan.folder)
-    if any(isinstance(contender.choice(), Expert) for contender in plan.contenders):
+    if any(isinstance(contender.choice(), ExpertChoice) for contender in plan.contenders):
         need_extra("expert", "policy `expert`")
     cache, keys = Cache.default(), set()
     for entry in plan.entries:
@@ -128,16 +128,16 @@ def _told(progress: Callable[[str, int, int], None] | None, name: str) -> Callab
     return None if progress is None else lambda done, of: progress(name, done, of)
 
 
-def pending(plan: Plan) -> list[Job]:
+def pending(plan: EvaluationPlan) -> list[RolloutJob]:
     """The jobs that no record answers; raises :class:`OutputError` where one belongs to another evaluation."""
     return [job for job in jobs(plan) if not _is_done(plan, job)]
 
 
-def run(plan: Plan, seen: Seen, workers: int = 1) -> list[Outcome]:
+def run(plan: EvaluationPlan, seen: Seen, workers: int = 1) -> list[RolloutOutcome]:
     """Carry out the jobs that are not done. Where a policy does not answer any more, its other jobs are left."""
     waiting = pending(plan)
     silent: Counter[str] = Counter()
-    outcomes: list[Outcome] = []
+    outcomes: list[RolloutOutcome] = []
     for outcome in _carried_out(plan, waiting, workers, lambda job: silent[job.contender.label] >= GIVE_UP):
         label = outcome.job.contender.label
         silent[label] = 0 if outcome.answered else silent[label] + 1
@@ -147,8 +147,8 @@ def run(plan: Plan, seen: Seen, workers: int = 1) -> list[Outcome]:
 
 
 def _carried_out(
-    plan: Plan, waiting: Sequence[Job], workers: int, given_up: Callable[[Job], bool]
-) -> Iterator[Outcome]:
+    plan: EvaluationPlan, waiting: Sequence[RolloutJob], workers: int, given_up: Callable[[RolloutJob], bool]
+) -> Iterator[RolloutOutcome]:
     """Outcomes as they come; jobs that are given up are not begun."""
     if workers == 1 or len(waiting) < 2:
         try:
@@ -179,7 +179,7 @@ def _carried_out(
         pool.close(GRACE_S)
 
 
-def carry_out_in_worker(plan: Plan, job: Job) -> Outcome | SimfoundryError:
+def carry_out_in_worker(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome | SimfoundryError:
     """Carry out one job in a worker, which closes its policies and world when the pool ends."""
     at_worker_exit(_close)
     try:
@@ -188,7 +188,7 @@ def carry_out_in_worker(plan: Plan, job: Job) -> Outcome | SimfoundryError:
         return error
 
 
-def carry_out(plan: Plan, job: Job) -> Outcome:
+def carry_out(plan: EvaluationPlan, job: RolloutJob) -> RolloutOutcome:
     """One rollout, written where it belongs."""
     setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
     start, slot = setting.starts[job.index], _slot(plan, job, setting.task)
@@ -196,7 +196,7 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
     try:
         policy = _policy(job, setting)
     except PolicyError as error:
-        return Outcome(job, slot.write_missing(str(error), about))
+        return RolloutOutcome(job, slot.write_missing(str(error), about))
     video = _video(plan, setting.task)
     result = rollout(setting.task, start, policy, setting.world, setting.judge, video)
     if not result.success:
@@ -204,11 +204,11 @@ def carry_out(plan: Plan, job: Job) -> Outcome:
     if video is not None and result.frames:
         about["video"] = slot.video.relative_to(plan.folder).as_posix()
         _write_video(slot.video, result, setting.task.control_hz / FRAME_EVERY)
-    return Outcome(job, slot.write(result, about, policy.action_space))
+    return RolloutOutcome(job, slot.write(result, about, policy.action_space))
 
 
-def _about(plan: Plan, task: Task, start: Start, engine: str) -> dict[str, Any]:
-    """What a reader of a record wants to know besides its conditions."""
+def _about(plan: EvaluationPlan, task: Task, start: RolloutStart, engine: str) -> dict[str, Any]:
+    """Context that a record holds besides the conditions of its rollout."""
     regions = {name: {"x": list(r.x), "y": list(r.y)} for name, r in task.reset.objects.items()}
     cousin = cousin_of(task)
     return {
@@ -228,11 +228,11 @@ def _about(plan: Plan, task: Task, start: Start, engine: str) -> dict[str, Any]:
 
 
 def _model_name(robot: Robot) -> str:
-    """What a robot is called where its document knows it, else the file of its model."""
+    """The name by which a document knows a robot, else the file of its model."""
     return robot.kind if robot.kind != FILES_ONLY else next(iter(robot.models.values())).file.name
 
 
-def _is_done(plan: Plan, job: Job) -> bool:
+def _is_done(plan: EvaluationPlan, job: RolloutJob) -> bool:
     setting = _setting(job.entry, plan.rollouts, plan.seed, job.engine)
     slot = _slot(plan, job, setting.task)
     record = slot.read()
@@ -248,7 +248,7 @@ def _is_done(plan: Plan, job: Job) -> bool:
     return True
 
 
-def _conditions(job: Job, task: Task, start: Start) -> dict[str, Any]:
+def _conditions(job: RolloutJob, task: Task, start: RolloutStart) -> dict[str, Any]:
     """Under which conditions a rollout takes place; two of the same are the same to the last bit."""
     return {
         "task": task.name,
@@ -261,11 +261,11 @@ def _conditions(job: Job, task: Task, start: Start) -> dict[str, Any]:
     }
 
 
-def _slot(plan: Plan, job: Job, task: Task) -> Slot:
-    return Slot(plan.folder, task_key(job.entry, task), job.contender.label, job.engine, job.index)
+def _slot(plan: EvaluationPlan, job: RolloutJob, task: Task) -> RecordSlot:
+    return RecordSlot(plan.folder, task_key(job.entry, task), job.contender.label, job.engine, job.index)
 
 
-def _video(plan: Plan, task: Task) -> Video | None:
+def _video(plan: EvaluationPlan, task: Task) -> Video | None:
     known = [camera.name for camera in task.scene.cameras]
     names = plan.cameras if plan.cameras is not None else tuple(known[:1])
     if not plan.video or not names:
@@ -285,16 +285,16 @@ def _write_video(path: Path, result: Rollout, rate: float) -> None:
 
 @dataclass(frozen=True)
 class _Setting:
-    """What the rollouts of a task share in one process."""
+    """The task, starts, world and judge that the rollouts of a task share in one process."""
 
     task: Task
-    starts: tuple[Start, ...]
+    starts: tuple[RolloutStart, ...]
     world: World
     judge: Any
 
 
 @lru_cache(maxsize=1)
-def _setting(entry: Entry, rollouts: int, seed: int, engine: str) -> _Setting:
+def _setting(entry: TaskEntry, rollouts: int, seed: int, engine: str) -> _Setting:
     """Kept for the next rollout of the same task."""
     from simfoundry.evaluate.rollouts.progress import judge_of
 
@@ -304,21 +304,21 @@ def _setting(entry: Entry, rollouts: int, seed: int, engine: str) -> _Setting:
     return _Setting(task, found, open_world(task.scene, engine), judge_of(task.scene))
 
 
-_open: dict[tuple[Entry | None, str], Policy] = {}
+_open: dict[tuple[TaskEntry | None, str], Policy] = {}
 """The policies of this process: a connection lasts as long as it can."""
 
 
-def _policy(job: Job, setting: _Setting) -> Policy:
+def _policy(job: RolloutJob, setting: _Setting) -> Policy:
     """The policy of a job: the expert is made for each task, others stay connected from task to task."""
     choice = job.contender.choice()
-    key = (job.entry if isinstance(choice, Expert) else None, job.contender.text)
+    key = (job.entry if isinstance(choice, ExpertChoice) else None, job.contender.text)
     if key not in _open:
         for stale in [k for k in _open if k[0] is not None]:
             _open.pop(stale).close()
-        if isinstance(choice, Expert):
-            from simfoundry.evaluate.expert.policy import Expert as Scripted
+        if isinstance(choice, ExpertChoice):
+            from simfoundry.evaluate.expert.policy import ExpertPolicy
 
-            _open[key] = Scripted(setting.task, setting.judge)
+            _open[key] = ExpertPolicy(setting.task, setting.judge)
         else:
             _open[key] = open_policy(choice)
     return _open[key]

@@ -15,7 +15,7 @@ import numpy as np
 from simfoundry.assets.cache import Cache
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.hulls import Hulls
-from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.view import View
@@ -82,7 +82,7 @@ class DraftScene:
         measured = Distances(self._bodies)
         return -float(measured.between(self._view, self._thing(a), self._thing(b))[0])
 
-    def _thing(self, name: str) -> Thing:
+    def _thing(self, name: str) -> Entity:
         return self._bodies.thing(name)
 
     @cached_property

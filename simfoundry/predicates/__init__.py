@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from simfoundry.predicates.judging.states import StateBatch
 
 _MODULES = {
-    "Judge": "judge",
-    "Poses": "states",
-    "PredicateError": "bodies",
-    "StateBatch": "states",
-    "Verdict": "judge",
+    "Judge": "simfoundry.predicates.judging.judge",
+    "Poses": "simfoundry.geometry.poses",
+    "PredicateError": "simfoundry.predicates.judging.bodies",
+    "StateBatch": "simfoundry.predicates.judging.states",
+    "Verdict": "simfoundry.predicates.judging.judge",
 }
 
 __all__ = ["Judge", "Poses", "PredicateError", "StateBatch", "Verdict"]
@@ -30,4 +30,4 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module `{__name__}` has no attribute `{name}`")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.judging.{_MODULES[name]}"), name)
+    return getattr(import_module(_MODULES[name]), name)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 AT = 0.02
 """Greatest distance [m] from the point: about half of the width of what a gripper takes."""
 
 
-def at(terms: Terms, a: Thing, *point: float) -> None:
+def at(terms: Terms, a: Entity, *point: float) -> None:
     """Require that the frame of ``a`` is near ``point`` [m], two or three coordinates in the world."""
     import numpy as np
 

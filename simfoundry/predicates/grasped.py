@@ -8,11 +8,11 @@ from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 
-def grasped(terms: Terms, a: Thing, robot: Thing | None = None) -> None:
+def grasped(terms: Terms, a: Entity, robot: Entity | None = None) -> None:
     """Require that the fingers of one gripper touch ``a`` on both sides and press against each other."""
     from simfoundry.predicates.judging.bodies import PredicateError
     from simfoundry.predicates.judging.fingers import grip_margin

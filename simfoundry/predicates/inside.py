@@ -8,11 +8,11 @@ from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG, 
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 
-def inside(terms: Terms, a: Thing, b: Thing) -> None:
+def inside(terms: Terms, a: Entity, b: Entity) -> None:
     """Require that half of ``a`` is in a cavity of ``b`` that can hold it, and that nothing moves or holds it."""
     import numpy as np
 

@@ -8,14 +8,14 @@ from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 RISE = 0.02
 """Least rise [m] above the height in the scene: well over the sway of what is pushed or tilted, below a short lift."""
 
 
-def lifted(terms: Terms, a: Thing) -> None:
+def lifted(terms: Terms, a: Entity) -> None:
     """Require that ``a`` is higher than at the start and touches no object but those that it supports."""
     from functools import partial
 

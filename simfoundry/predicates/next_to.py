@@ -8,7 +8,7 @@ from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
     from simfoundry.geometry.frames import Array
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
     from simfoundry.predicates.judging.view import View
 
@@ -16,7 +16,7 @@ NEAR_SHARE = 1 / 6
 """Greatest gap along the ground as a share of the sum of the mean extents (OmniGibson's rule)."""
 
 
-def next_to(terms: Terms, a: Thing, b: Thing) -> None:
+def next_to(terms: Terms, a: Entity, b: Entity) -> None:
     """Require that the heights overlap, that the gap is small for their size, and that neither is over the other."""
     import numpy as np
 

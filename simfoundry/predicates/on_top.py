@@ -8,21 +8,21 @@ from simfoundry.predicates.judging.thresholds import CLOSE, FRICTION_SHARE, SETT
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 STEEP_SCALE = 0.01
 """Margin [m] for a cosine of 1 more or less: of the order of the other margins of things at rest, a few millimetres."""
 
 
-def on_top(terms: Terms, a: Thing, b: Thing) -> None:
+def on_top(terms: Terms, a: Entity, b: Entity) -> None:
     """Require that ``b`` touches ``a``, pushes it up and keeps it from falling, and that nothing moves or holds it."""
     from functools import partial
 
     from simfoundry.predicates.judging import support
 
     terms.require_at_rest(a)
-    contact = support.Contact(terms.context, a, b)
+    contact = support.SupportContact(terms.context, a, b)
     terms.require_if_open(contact.gap, contact.margin, lambda v, ok: terms.gap_text(a, b, v))
     terms.require_if_open(
         contact.push,

@@ -8,11 +8,11 @@ from simfoundry.predicates.judging.thresholds import SETTLED, TOUCH
 from simfoundry.spec.models.predicate import Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 
-def released(terms: Terms, a: Thing) -> None:
+def released(terms: Terms, a: Entity) -> None:
     """Require that ``a`` is at rest and farther than :data:`TOUCH` from every robot."""
     terms.require_at_rest(a)
     for name in terms.context.bodies.robots:

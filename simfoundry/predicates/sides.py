@@ -9,7 +9,7 @@ from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
     from simfoundry.geometry.frames import Array, Pose
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 AXES = {"LeftOf": (1, 1.0), "RightOf": (1, -1.0), "Behind": (0, 1.0), "InFrontOf": (0, -1.0)}
@@ -30,7 +30,7 @@ LEVEL = 1e-6
 """Length of the level part of a unit vector below which a viewer looks straight up or down, with rounding."""
 
 
-def _beside(name: str, words: str, terms: Terms, a: Thing, b: Thing) -> None:
+def _beside(name: str, words: str, terms: Terms, a: Entity, b: Entity) -> None:
     """Require that the middle of each is beyond the other's edge along the axis of ``name``."""
     import numpy as np
 

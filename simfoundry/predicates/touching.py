@@ -8,11 +8,11 @@ from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 
-def touching(terms: Terms, a: Thing, b: Thing) -> None:
+def touching(terms: Terms, a: Entity, b: Entity) -> None:
     """Require that the distance is no more than :data:`TOUCH`."""
     gap = terms.context.distances.between(terms.view, a, b, TOUCH)
     terms.require(gap, TOUCH - gap, lambda v, ok: terms.gap_text(a, b, v))

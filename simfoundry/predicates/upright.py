@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 from simfoundry.spec.models.predicate import Predicate
 
 if TYPE_CHECKING:
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
 
 UPRIGHT_DEG = 10.0
 """Greatest lean [deg]: what stands leans less after settling, what has fallen over leans far more."""
 
 
-def upright(terms: Terms, a: Thing) -> None:
+def upright(terms: Terms, a: Entity) -> None:
     """Require that the z axis of ``a`` leans from up by no more than :data:`UPRIGHT_DEG`."""
     import numpy as np
 

@@ -9,12 +9,12 @@ from simfoundry.spec.models.predicate import Effect, Predicate
 
 if TYPE_CHECKING:
     from simfoundry.geometry.frames import Array
-    from simfoundry.predicates.judging.bodies import Thing
+    from simfoundry.predicates.judging.bodies import Entity
     from simfoundry.predicates.judging.terms import Terms
     from simfoundry.predicates.judging.view import View
 
 
-def _vertical(side: str, opposite: str, terms: Terms, a: Thing, b: Thing) -> None:
+def _vertical(side: str, opposite: str, terms: Terms, a: Entity, b: Entity) -> None:
     """Require that ``b`` is on one ``side`` of the middle of ``a``, ``over`` or ``under``, and not on the other."""
     import numpy as np
 

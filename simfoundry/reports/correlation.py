@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from simfoundry.evaluate.statistics.correlation import Agreement, mean_agreement
+from simfoundry.evaluate.statistics.correlation import RateAgreement, mean_agreement
 from simfoundry.reports.render import render
 
 SIDE, MARGIN, LEGEND = 440, 56, 210
@@ -23,7 +23,7 @@ PATHS = {
 """Marks of tasks, as SVG paths about their middle."""
 
 
-def scatter(series: Mapping[str, Sequence[Agreement]]) -> str:
+def scatter(series: Mapping[str, Sequence[RateAgreement]]) -> str:
     """Return an SVG of every series of agreements by its name; the colour tells the series, the mark the task."""
     tasks = list(dict.fromkeys(a.task for found in series.values() for a in found))
     marks = {task: list(PATHS)[k % len(PATHS)] for k, task in enumerate(tasks)}
@@ -45,6 +45,6 @@ def scatter(series: Mapping[str, Sequence[Agreement]]) -> str:
     )
 
 
-def _agreement(found: Sequence[Agreement]) -> str:
+def _agreement(found: Sequence[RateAgreement]) -> str:
     r, violation = mean_agreement(found)
     return f"mean r {'undefined' if r is None else f'{r:.3f}'}, MMRV {violation:.3f}"

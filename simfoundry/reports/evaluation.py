@@ -11,9 +11,9 @@ from typing import Any
 
 from simfoundry.evaluate.statistics.engine_comparison import compare_engines
 from simfoundry.evaluate.statistics.metrics import Rate
-from simfoundry.evaluate.statistics.pools import Pool, comparisons, pool_rows, pools
+from simfoundry.evaluate.statistics.pools import RatePool, comparisons, pool_rows, pools
 from simfoundry.evaluate.statistics.records import is_result
-from simfoundry.evaluate.statistics.results import MANY, Cell, cell_key, cells, titles
+from simfoundry.evaluate.statistics.results import MANY, ScoreRow, cell_key, cells, titles
 from simfoundry.reports.render import render
 
 Record = Mapping[str, Any]
@@ -87,7 +87,7 @@ def _listed(words: Iterable[str]) -> str:
     return ", ".join(dict.fromkeys(words))
 
 
-def _task_rows(named: Mapping[str, Mapping[str, Cell]]) -> Iterator[RateRow]:
+def _task_rows(named: Mapping[str, Mapping[str, ScoreRow]]) -> Iterator[RateRow]:
     policies = _policies(policy for here in named.values() for policy in here)
     for name, here in named.items():
         yield RateRow(name, [_success(here[p]) if p in here else RateCell() for p in policies])
@@ -95,11 +95,11 @@ def _task_rows(named: Mapping[str, Mapping[str, Cell]]) -> Iterator[RateRow]:
         yield from _step_rows(steps, here, policies)
 
 
-def _success(cell: Cell) -> RateCell:
+def _success(cell: ScoreRow) -> RateCell:
     return RateCell(cell.success if cell.success.of else None, "no result", cell.exceptions)
 
 
-def _pool_rows(found: Sequence[Pool]) -> Iterator[RateRow]:
+def _pool_rows(found: Sequence[RatePool]) -> Iterator[RateRow]:
     """All tasks together, and each step of them."""
     policies = _policies(pool.policy for pool in found)
     for name, here in pool_rows(found).items():
@@ -112,14 +112,14 @@ def _pool_rows(found: Sequence[Pool]) -> Iterator[RateRow]:
 
 
 def _step_rows(
-    steps: Iterable[str], here: Mapping[str, Cell] | Mapping[str, Pool], policies: Sequence[str]
+    steps: Iterable[str], here: Mapping[str, ScoreRow] | Mapping[str, RatePool], policies: Sequence[str]
 ) -> Iterator[RateRow]:
     for step in steps:
         each = [RateCell(here[p].subtasks.get(step)) if p in here else RateCell() for p in policies]
         yield RateRow(step, each, step=True)
 
 
-def _task(name: str, here: Sequence[Cell], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
+def _task(name: str, here: Sequence[ScoreRow], by_cell: Mapping[tuple[str, ...], Sequence[Record]]) -> dict[str, Any]:
     """One task with what it asks for, and what each policy did."""
     record = by_cell[here[0].key][0]
     return {
@@ -132,7 +132,7 @@ def _task(name: str, here: Sequence[Cell], by_cell: Mapping[tuple[str, ...], Seq
     }
 
 
-def _details(cell: Cell, records: Sequence[Record]) -> dict[str, Any]:
+def _details(cell: ScoreRow, records: Sequence[Record]) -> dict[str, Any]:
     ends = ", ".join(f"{count} {end}" for end, count in cell.ends.items())
     failures = [record for record in records if not record["success"]]
     return {

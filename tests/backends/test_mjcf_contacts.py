@@ -196,7 +196,7 @@ def edited(scene: Scene, folder: Path, *changes: tuple[str, str], contacts: str 
 
 
 def loaded(folder: Path) -> mujoco.MjModel:
-    return import_file(folder / "load.py").load()[0]  # type: ignore[no-any-return]
+    return import_file(folder / "load.py").load()[0]
 
 
 def opened(folder: Path) -> mujoco.MjModel:
@@ -243,7 +243,7 @@ def test_mass_pose_and_joint_can_be_edited_by_hand(
 
 def friction(model: mujoco.MjModel, a: str, b: str) -> float:
     (found,) = (met.friction for one, other, met in Meetings(model).contacts() if {one, other} == {a, b})
-    return found
+    return float(found)
 
 
 CERAMIC = ('<geom friction="0.35" />', '<geom friction="0.2" />')

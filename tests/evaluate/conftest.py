@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.evaluate.resets.starts import Start, starts
+from simfoundry.evaluate.resets.starts import RolloutStart, starts
 from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.worlds.mujoco_world import MujocoWorld
 from tests.evaluate.benches import write_bench
@@ -24,7 +24,7 @@ def push(push_file: Path) -> Task:
 
 
 @pytest.fixture(scope="session")
-def push_starts(push: Task) -> tuple[Start, ...]:
+def push_starts(push: Task) -> tuple[RolloutStart, ...]:
     return starts(push, 25)
 
 

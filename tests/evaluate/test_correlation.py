@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simfoundry.evaluate.statistics.correlation import Agreement, Draws, agreements, mean_agreement
+from simfoundry.evaluate.statistics.correlation import Draws, RateAgreement, agreements, mean_agreement
 from simfoundry.evaluate.statistics.metrics import mmrv, pearson, weighted_mmrv, weighted_pearson, wilson
 from simfoundry.evaluate.statistics.scores import Score, ScoresError, read_scores
 from tests.cli.command import run
@@ -47,7 +47,7 @@ PRINTED: dict[str, dict[str, tuple[float | None, float]]] = {
 ROWS = [(table, task) for table, tasks in PRINTED.items() for task in tasks]
 
 
-def compared(table: str) -> list[Agreement]:
+def compared(table: str) -> list[RateAgreement]:
     return agreements(read_scores(RESULTS / "real.csv"), read_scores(RESULTS / f"{table}.csv"), Draws(1))
 
 

@@ -12,16 +12,14 @@ import numpy as np
 import pytest
 
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.render.gl import Engine, choose_engine
 
 gymnasium = pytest.importorskip("gymnasium", reason="the environment needs the extra `gymnasium`")
 
-import simfoundry.evaluate.gym  # noqa: E402 - registers it
 from simfoundry.evaluate.env import TaskEnv  # noqa: E402
-
-ENV = simfoundry.evaluate.gym.ENV_ID
+from simfoundry.evaluate.gym import ENV_ID as ENV  # noqa: E402 - registers it
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +69,7 @@ def test_an_episode_ends_with_the_goal_or_at_the_horizon(env: TaskEnv) -> None:
     assert info == {"success": False, "subtasks": {"touch": 0, "away": 0}, "start": 1, "trouble": ""}
 
 
-def test_resets_are_the_starts_of_rollouts_and_repeat(env: TaskEnv, push_starts: tuple[Start, ...]) -> None:
+def test_resets_are_the_starts_of_rollouts_and_repeat(env: TaskEnv, push_starts: tuple[RolloutStart, ...]) -> None:
     for k in (2, 0):
         observation, info = env.reset(options={"start": k})
         assert info["start"] == k

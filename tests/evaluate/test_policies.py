@@ -14,7 +14,7 @@ import pytest
 
 from simfoundry.evaluate.policies import lerobot
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Policy, PolicyError
-from simfoundry.evaluate.policies.choice import Expert, Random, Replay, open_policy, parse_policy
+from simfoundry.evaluate.policies.choice import ExpertChoice, RandomChoice, ReplayChoice, open_policy, parse_policy
 from simfoundry.evaluate.policies.groot import GrootPolicy
 from simfoundry.evaluate.policies.openpi import OpenpiPolicy
 from simfoundry.evaluate.policies.random_walk import HORIZON, STEP, RandomPolicy
@@ -113,9 +113,9 @@ def test_a_recording_of_another_robot(tmp_path: Path) -> None:
 
 
 def test_words_and_files() -> None:
-    assert parse_policy("random") == Random()
-    assert parse_policy("expert") == Expert()
-    assert parse_policy("replay:a/b:c.npz") == Replay(Path("a/b:c.npz"))
+    assert parse_policy("random") == RandomChoice()
+    assert parse_policy("expert") == ExpertChoice()
+    assert parse_policy("replay:a/b:c.npz") == ReplayChoice(Path("a/b:c.npz"))
 
 
 def test_a_server_in_short() -> None:

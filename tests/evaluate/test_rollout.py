@@ -11,10 +11,10 @@ import pytest
 
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.policies.base import ActionSpace, ImageSize, Observation, PolicyError
-from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import FARTHEST, Controller
 from simfoundry.evaluate.rollouts.progress import HOLD, Progress
-from simfoundry.evaluate.rollouts.rollout import End, Video, rollout
+from simfoundry.evaluate.rollouts.rollout import RolloutEnd, Video, rollout
 from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.geometry.frames import Array
 from simfoundry.predicates import Judge
@@ -67,11 +67,11 @@ def need_gl() -> None:
 
 
 def test_a_policy_succeeds_and_its_steps_are_dated(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     policy = Pusher()
     done = rollout(push, push_starts[0], policy, push_world)
-    assert done.success and done.end is End.SUCCESS and done.reason == ""
+    assert done.success and done.end is RolloutEnd.SUCCESS and done.reason == ""
     touched, away = done.subtasks["touch"], done.subtasks["away"]
     assert touched is not None and away is not None and 0 < touched < away
     assert away == done.steps - HOLD + 1  # the goal is that of the last step: it ends when it has held
@@ -84,7 +84,7 @@ def test_a_policy_succeeds_and_its_steps_are_dated(
 
 
 def test_the_same_start_and_policy_give_the_same_bits(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     first = rollout(push, push_starts[1], Pusher(), push_world)
     rollout(push, push_starts[2], Pusher(), push_world)  # leaves another state behind
@@ -99,7 +99,7 @@ def test_the_same_start_and_policy_give_the_same_bits(
     assert rollout(push, push_starts[1], Pusher(reach=0.2), push_world).digest != first.digest
 
 
-def test_two_policies_begin_alike(push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld) -> None:
+def test_two_policies_begin_alike(push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld) -> None:
     seen = []
     for policy in (Pusher(), Pusher(reach=0.05)):
         for start in push_starts[:3]:
@@ -109,7 +109,7 @@ def test_two_policies_begin_alike(push: Task, push_starts: tuple[Start, ...], pu
 
 
 def test_pictures_are_drawn_only_when_a_policy_looks_and_change_nothing(
-    push: Task, push_starts: tuple[Start, ...]
+    push: Task, push_starts: tuple[RolloutStart, ...]
 ) -> None:
     need_gl()
     eyes = {"front": ImageSize(32, 24), "tip": ImageSize(40, 30)}
@@ -141,7 +141,7 @@ def test_pictures_are_drawn_only_when_a_policy_looks_and_change_nothing(
     ],
 )
 def test_a_policy_that_fails_ends_its_rollout(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld, answer: object, reason: str
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld, answer: object, reason: str
 ) -> None:
     class Failing(Pusher):
         def infer(self, observation: Observation) -> Array:
@@ -152,31 +152,31 @@ def test_a_policy_that_fails_ends_its_rollout(
             return answer  # type: ignore[return-value] # what policies must not do
 
     failed = rollout(push, push_starts[0], Failing(), push_world)
-    assert failed.end is (End.NO_ANSWER if isinstance(answer, PolicyError) else End.INVALID)
+    assert failed.end is (RolloutEnd.NO_ANSWER if isinstance(answer, PolicyError) else RolloutEnd.INVALID)
     assert not failed.success and failed.steps == 8 and len(failed.actions) == 8
     assert re.search(reason, failed.reason)
 
 
-def test_the_horizon_ends_a_rollout(push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld) -> None:
+def test_the_horizon_ends_a_rollout(push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld) -> None:
     late = rollout(replace(push, horizon=11), push_starts[0], Pusher(reach=0.0), push_world)
-    assert (late.end, late.steps, late.reason) == (End.HORIZON, 11, "not done after 11 control steps")
+    assert (late.end, late.steps, late.reason) == (RolloutEnd.HORIZON, 11, "not done after 11 control steps")
     assert late.subtasks == {"touch": None, "away": None}
 
 
 def test_what_falls_off_the_table_ends_a_rollout(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     state = push_starts[0].state
     over = replace(state.poses["block"], p=np.array([1.2, 0.0, 0.1]))
     start = replace(push_starts[0], state=SceneState.of({**state.poses, "block": over}, state.joints))
     fell = rollout(push, start, Pusher(reach=0.0), push_world)
-    assert fell.end is End.FELL and fell.steps < 10 and "`block` fell to 0.4" in fell.reason
+    assert fell.end is RolloutEnd.FELL and fell.steps < 10 and "`block` fell to 0.4" in fell.reason
     other = replace(state.poses["crumb"], p=np.array([1.2, 0.0, 0.1]))
     start = replace(push_starts[0], state=SceneState.of({**state.poses, "crumb": other}, state.joints))
     assert rollout(push, start, Pusher(), push_world).success  # the goal does not speak of it
 
 
-def test_a_simulation_that_diverges_ends_a_rollout(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_a_simulation_that_diverges_ends_a_rollout(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     with MujocoWorld(push.scene) as world:
 
         class Shaking(Pusher):
@@ -185,25 +185,25 @@ def test_a_simulation_that_diverges_ends_a_rollout(push: Task, push_starts: tupl
                 return super().infer(observation)
 
         lost = rollout(push, push_starts[0], Shaking(), world)
-        assert lost.end is End.DIVERGED and "diverged" in lost.reason and lost.steps == 9
+        assert lost.end is RolloutEnd.DIVERGED and "diverged" in lost.reason and lost.steps == 9
         assert rollout(push, push_starts[0], Pusher(), world).success  # a reset mends it
 
 
 def test_missing_cameras_are_said_before_anything_moves(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     policy = Pusher(cameras={"frnt": ImageSize(32, 24)})
     with pytest.raises(SimfoundryError, match=r"policy `pusher` asks for camera `frnt`, .*; did you mean `front`"):
         rollout(push, push_starts[0], policy, push_world)
 
 
-def test_pybullet_runs_the_same_task(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_pybullet_runs_the_same_task(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     pytest.importorskip("pybullet")
     with PybulletWorld(push.scene) as world:
         assert rollout(push, push_starts[0], Pusher(), world).success
 
 
-def test_velocities_add_up_and_do_not_wind_up(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_velocities_add_up_and_do_not_wind_up(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     with MujocoWorld(push.scene) as world:
         world.reset(push_starts[0].state)
         arm = world.robot("arm")

@@ -15,7 +15,7 @@ import pytest
 import simfoundry.evaluate.resets.starts as module
 from simfoundry.assets.cache import Cache
 from simfoundry.evaluate.resets.grid import bounds, deal
-from simfoundry.evaluate.resets.starts import Start, StartError, starts
+from simfoundry.evaluate.resets.starts import RolloutStart, StartError, starts
 from simfoundry.evaluate.tasks.task import Task, load_task
 from simfoundry.predicates import Judge
 from simfoundry.spec.models.task import Reset, ResetRegion
@@ -25,11 +25,11 @@ from tests.conftest import REPOSITORY
 from tests.evaluate.benches import TASK, write_bench
 
 
-def digests(found: tuple[Start, ...]) -> list[str]:
+def digests(found: tuple[RolloutStart, ...]) -> list[str]:
     return [start.digest for start in found]
 
 
-def test_25_starts_have_25_cells_of_each_object(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_25_starts_have_25_cells_of_each_object(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     every = {(i, j) for i in range(5) for j in range(5)}
     for name, region in push.reset.objects.items():
         assert {start.cells[name] for start in push_starts} == every
@@ -42,7 +42,7 @@ def test_25_starts_have_25_cells_of_each_object(push: Task, push_starts: tuple[S
 
 
 def test_every_start_stands_still_and_nothing_is_done_yet(
-    push: Task, push_starts: tuple[Start, ...], push_world: MujocoWorld
+    push: Task, push_starts: tuple[RolloutStart, ...], push_world: MujocoWorld
 ) -> None:
     judge = Judge(push.scene)
     for start in push_starts[::4]:
@@ -52,7 +52,7 @@ def test_every_start_stands_still_and_nothing_is_done_yet(
         assert not judge(push.goal, start.state).value
 
 
-def test_turns_fill_their_range(push_starts: tuple[Start, ...]) -> None:
+def test_turns_fill_their_range(push_starts: tuple[RolloutStart, ...]) -> None:
     yaws = []
     for start in push_starts:
         w, _, _, z = start.state.poses["block"].q
@@ -60,7 +60,7 @@ def test_turns_fill_their_range(push_starts: tuple[Start, ...]) -> None:
     assert -10.1 < min(yaws) < -4 and 4 < max(yaws) < 10.1
 
 
-def test_what_stands_on_a_thing_moves_along(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_what_stands_on_a_thing_moves_along(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     X_DC = push.scene.object("dish").X_WO.inverse() @ push.scene.object("crumb").X_WO
     for start in push_starts:
         now = start.state.poses["dish"].inverse() @ start.state.poses["crumb"]
@@ -68,14 +68,14 @@ def test_what_stands_on_a_thing_moves_along(push: Task, push_starts: tuple[Start
         assert now.angle_to(X_DC) < 0.01
 
 
-def test_the_same_task_and_seed_give_the_same_starts(push: Task, push_starts: tuple[Start, ...]) -> None:
+def test_the_same_task_and_seed_give_the_same_starts(push: Task, push_starts: tuple[RolloutStart, ...]) -> None:
     assert digests(starts(push, 4)) == digests(push_starts[:4])
     assert set(digests(starts(push, 2, seed=1))).isdisjoint(digests(push_starts))
     assert len(set(digests(push_starts))) == 25
 
 
 def test_another_process_with_another_hash_seed_gives_the_same_starts(
-    push_file: Path, push_starts: tuple[Start, ...]
+    push_file: Path, push_starts: tuple[RolloutStart, ...]
 ) -> None:
     code = (
         "import sys; from pathlib import Path; from simfoundry.evaluate.tasks.task import load_task;"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simfoundry.cousins.recipe.candidate import Candidate
-from simfoundry.evaluate.statistics.correlation import Agreement
+from simfoundry.evaluate.statistics.correlation import RateAgreement
 from simfoundry.reports import comparison, correlation, evaluation, gallery, verification
 from simfoundry.reports.render import render
 from simfoundry.spec.change.compare import compare, side
@@ -65,7 +65,7 @@ def _verification(_: Path) -> str:
 
 
 def _correlation(_: Path) -> str:
-    return correlation.scatter({EVIL: [Agreement(EVIL, (EVIL, "b"), (0.1, 0.5), (0.2, 0.4), 1.0, 0.0)]})
+    return correlation.scatter({EVIL: [RateAgreement(EVIL, (EVIL, "b"), (0.1, 0.5), (0.2, 0.4), 1.0, 0.0)]})
 
 
 @pytest.mark.parametrize("page", [_comparison, _gallery, _evaluation, _verification, _correlation])

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from simfoundry.evaluate.expert.policy import Expert
+from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.resets.starts import starts
 from simfoundry.evaluate.rollouts.progress import judge_of
-from simfoundry.evaluate.rollouts.rollout import End, rollout
+from simfoundry.evaluate.rollouts.rollout import RolloutEnd, rollout
 from simfoundry.evaluate.tasks.task import load_task
 from simfoundry.worlds import open_world
 
@@ -51,14 +51,14 @@ def test_the_expert_puts_a_cube_on_a_tray(tmp_path: Path, engine: str) -> None:
     file.write_text(TASK)
     task = load_task(file)
     (start,) = starts(task, 1, seed=3)
-    expert, judge = Expert(task), judge_of(task.scene)
+    expert, judge = ExpertPolicy(task), judge_of(task.scene)
     with open_world(task.scene, engine) as world:
         one = rollout(task, start, expert, world, judge)
-        assert (one.end, expert.log) == (End.SUCCESS, [])
+        assert (one.end, expert.log) == (RolloutEnd.SUCCESS, [])
         picked = one.subtasks["pick_up_cube"]
         assert picked is not None and 0 < picked < one.steps < task.horizon
         assert not judge(task.goal, start.state).value and judge(task.goal, one.final).value
         apart = one.final.poses["cube"].p - one.final.poses["tray"].p
         assert abs(apart[:2]).max() < 0.05 and one.final.poses["cube"].p[2] == pytest.approx(0.04, abs=2e-3)
         short = rollout(replace(task, horizon=picked), start, expert, world, judge)  # the same again, as far as it goes
-        assert (short.actions == one.actions[:picked]).all() and short.end is End.HORIZON
+        assert (short.actions == one.actions[:picked]).all() and short.end is RolloutEnd.HORIZON

@@ -220,4 +220,4 @@ mjcf:
     mujoco.mj_step(model, data, nstep=1000)
     assert data.joint("left.joint2").qpos[0] == pytest.approx(1.047, abs=np.radians(1))
     losses = {loss.path: loss.reason for loss in compile_mjcf(lowered(scene, tmp_path / "own")).losses}
-    assert losses["left.actuators"].startswith("the model has no actuators")
+    assert losses["left.actuators"].startswith("The model has no actuators")

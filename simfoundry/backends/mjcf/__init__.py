@@ -2,9 +2,9 @@
 
 Names: a body is its object, or ``object.link`` where it is not the root; a free root's joint is its object, any other
 ``object.joint``; collision geoms are ``object.collider`` (``object.link.collider``), visual geoms ``object:visual``,
-and those of the background ``:background:visual``. A primitive that is both is one geom, named as a collider, in group
-0. Other visuals are in group 2 and collide with nothing, other colliders in group 3, which cameras leave out. Meshes
-are named after the first geom that uses them: ``bowl_collision_3``.
+and those of the background ``:background:visual``. A primitive that is both is one geom, named as a collider. Visuals
+are in group 2, all other colliders in group 3, which cameras leave out. Meshes are named after the first geom that
+uses them: ``bowl_collision_3``.
 
 Each material is a class; see :mod:`simfoundry.backends.mjcf.contact_rules` for how unlike materials meet. Mass
 properties are explicit. Links that a joint connects do not collide: joints, not contacts, hold a drawer in its cabinet.
@@ -30,6 +30,7 @@ from simfoundry.backends.mjcf.contact_rules import CONTACTS_FILE, contacts_text
 from simfoundry.backends.mjcf.contacts import (
     COLLISION,
     VISUAL,
+    VISUAL_GROUP,
     MaterialClasses,
     contact_geoms,
     contact_losses,
@@ -162,7 +163,7 @@ def _add_settings(root: ET.Element, scene: Scene, timestep: float, materials: Ma
     # Stiff, so that Coulomb friction holds a joint still; at MuJoCo's default a held drawer creeps 10 mm/s.
     ET.SubElement(default, "joint", solimpfriction="0.999 0.999 0.001 0.5 2")
     visuals = ET.SubElement(default, "default", {"class": VISUAL})
-    ET.SubElement(visuals, "geom", group="2", contype="0", conaffinity="0", mass="0")
+    ET.SubElement(visuals, "geom", group=VISUAL_GROUP, contype="0", conaffinity="0", mass="0")
     colliders = ET.SubElement(default, "default", {"class": COLLISION})
     # MuJoCo takes the larger resistance of a pair, so where one counts, the defaults of all others must not.
     ET.SubElement(colliders, "geom", group="3", condim="3", friction="1 0 0", rgba="0.9 0.5 0.2 0.5")

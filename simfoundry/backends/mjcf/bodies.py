@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 from simfoundry.backends.artifact import number, numbers
-from simfoundry.backends.mjcf.contacts import VISUAL, MaterialClasses
+from simfoundry.backends.mjcf.contacts import VISUAL, VISUAL_GROUP, MaterialClasses
 from simfoundry.backends.mjcf.meshes import Assets
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 from simfoundry.geometry.shapes import Box, Capsule, Cylinder, Geometry, Mesh, Sphere
@@ -106,7 +106,7 @@ def _add_visual(body: ET.Element, name: str, visual: Visual, assets: Assets) -> 
 
 
 def _add_geoms(body: ET.Element, name: str, link: Link, assets: Assets, materials: MaterialClasses) -> None:
-    """Add the geoms of a link; a primitive that is both visual and collider is one geom, in the default group 0."""
+    """Add the geoms of a link; a primitive that is both visual and collider is one geom, in the group of visuals."""
     both: dict[str, Visual] = {v.name: v for v in link.visuals if not isinstance(v.geometry, Mesh)}
     shapes = {c.name: _placed_shape(c, assets, f"{name}_collision") for c in link.colliders}
     both = {n: v for n, v in both.items() if n in shapes and shapes[n] == _placed_shape(v, assets, name)}
@@ -116,7 +116,7 @@ def _add_geoms(body: ET.Element, name: str, link: Link, assets: Assets, material
     for collider in link.colliders:
         attributes = materials.attributes(collider) | {"name": f"{name}.{collider.name}"} | shapes[collider.name]
         if collider.name in both:
-            attributes |= {"group": "0", "rgba": numbers(both[collider.name].rgba)}
+            attributes |= {"group": VISUAL_GROUP, "rgba": numbers(both[collider.name].rgba)}
         ET.SubElement(body, "geom", attributes)
 
 

@@ -23,6 +23,9 @@ from simfoundry.scene.touching import silent_pairs
 COLLISION, VISUAL = "collision", "visual"
 """The classes of geoms that collide, of which each material is a child, and of those that do not."""
 
+VISUAL_GROUP = "2"
+"""The group that cameras draw; colliders that are not visual are in 3, which MuJoCo's viewer hides."""
+
 _RESERVED = ("main", COLLISION, VISUAL)
 
 

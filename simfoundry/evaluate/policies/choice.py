@@ -1,4 +1,4 @@
-"""Which policy a person means: a word, a server, a document, a recording, a Python class."""
+"""Policies as users name them: a word, a server, a document, a recording, a Python class."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from simfoundry.spec.models.policy import PROTOCOLS, PolicySpec
 
 
 @dataclass(frozen=True)
-class Expert:
+class ExpertChoice:
     """The scripted expert, which is made with its task."""
 
 
 @dataclass(frozen=True)
-class Random:
+class RandomChoice:
     """Random motion."""
 
 
 @dataclass(frozen=True)
-class Replay:
+class ReplayChoice:
     """The actions of a recording."""
 
     path: Path
 
 
-Choice = PolicySpec | Expert | Random | Replay | PythonClass
+Choice = PolicySpec | ExpertChoice | RandomChoice | ReplayChoice | PythonClass
 """A policy that was chosen and is not yet made."""
 
 
@@ -43,12 +43,12 @@ def parse_policy(text: str) -> Choice:
     they hold one word or number; the cameras are those of DROID.
     """
     if text in ("random", "expert"):
-        return Random() if text == "random" else Expert()
+        return RandomChoice() if text == "random" else ExpertChoice()
     kind, _, rest = text.partition(":")
     if kind == "replay":
         if not rest:
             raise PolicyError("say which recording is replayed, as `replay:rollout.npz`")
-        return Replay(Path(rest))
+        return ReplayChoice(Path(rest))
     if kind == "python":
         return _python(rest)
     if text.endswith((".yaml", ".yml")):
@@ -60,13 +60,13 @@ def parse_policy(text: str) -> Choice:
     raise PolicyError(f"`{text}` is no policy: give {words}, or a server, {servers}")
 
 
-def open_policy(choice: PolicySpec | Random | Replay | PythonClass) -> Policy:
+def open_policy(choice: PolicySpec | RandomChoice | ReplayChoice | PythonClass) -> Policy:
     """The policy that was chosen, connected to nothing before its first rollout; the expert is made with its task."""
-    if isinstance(choice, Random):
+    if isinstance(choice, RandomChoice):
         from simfoundry.evaluate.policies.random_walk import RandomPolicy
 
         return RandomPolicy()
-    if isinstance(choice, Replay):
+    if isinstance(choice, ReplayChoice):
         from simfoundry.evaluate.policies.replay import load_replay
 
         return load_replay(choice.path)

@@ -1,4 +1,4 @@
-"""Which cell of its grid each object starts in, and where in the cell: 5 x 5, without replacement, seeded."""
+"""Reset grid: a cell for each object, drawn without replacement, and a random position in it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from simfoundry.spec.models.task import Reset, ResetRegion
 
-Cell = tuple[int, int]
+GridCell = tuple[int, int]
 """A cell of a grid, counted from 0 along x and along y."""
 
 
-def deal(reset: Reset, seed: int, block: int) -> dict[str, list[Cell]]:
+def deal(reset: Reset, seed: int, block: int) -> dict[str, list[GridCell]]:
     """The cells of each object in a block of starts, one start for each cell of the grid: a permutation of them all.
 
     What one object gets does not depend on which others there are.
@@ -29,7 +29,7 @@ def draws(name: str, seed: int, start: int) -> np.random.Generator:
 
 
 def sample(
-    region: ResetRegion, grid: Sequence[int], cell: Cell, rng: np.random.Generator
+    region: ResetRegion, grid: Sequence[int], cell: GridCell, rng: np.random.Generator
 ) -> tuple[float, float, float]:
     """A position x, y [m] in a cell and a turn [deg] in its range, all uniform."""
     (low_x, high_x), (low_y, high_y) = bounds(region, grid, cell)
@@ -39,7 +39,7 @@ def sample(
     return float(x), float(y), float(low_yaw + yaw * (high_yaw - low_yaw))
 
 
-def bounds(region: ResetRegion, grid: Sequence[int], cell: Cell) -> tuple[tuple[float, float], tuple[float, float]]:
+def bounds(region: ResetRegion, grid: Sequence[int], cell: GridCell) -> tuple[tuple[float, float], tuple[float, float]]:
     """The lowest and the highest x and y of a cell [m]."""
     spans = []
     for (low, high), count, k in zip((region.x, region.y), grid, cell, strict=True):

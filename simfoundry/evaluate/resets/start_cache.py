@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.evaluate.resets.grid import Cell
+from simfoundry.evaluate.resets.grid import GridCell
 from simfoundry.evaluate.tasks.task import Task
 from simfoundry.geometry.frames import Pose, frozen_array
 from simfoundry.scene.state import SceneState
@@ -19,7 +19,7 @@ from simfoundry.spec.models.expressions import Condition
 VERSION = "starts/1"
 """Changes where the same task and seed would give other starts."""
 
-Known = tuple[dict[str, list[Cell]], list[SceneState]]
+Known = tuple[dict[str, list[GridCell]], list[SceneState]]
 """The cells of each object in all starts of a deal, and the states of the first of them."""
 
 
@@ -37,7 +37,7 @@ def key_of_starts(task: Task, seed: int) -> str:
 
 
 def read_block(cache: Cache, key: str) -> Known | None:
-    """What is known of a deal; None where that is nothing, or not to be read."""
+    """Read the stored part of a deal; None if there is none, or if it is damaged."""
     data = cache.get(key_of(key))
     if data is None:
         return None
@@ -49,7 +49,7 @@ def read_block(cache: Cache, key: str) -> Known | None:
         return None
 
 
-def write_block(cache: Cache, key: str, cells: Mapping[str, list[Cell]], states: list[SceneState]) -> None:
+def write_block(cache: Cache, key: str, cells: Mapping[str, list[GridCell]], states: list[SceneState]) -> None:
     """Keep a deal and the states found so far."""
     entry = {"cells": dict(cells), "states": [state_to_json(state) for state in states]}
     cache.put(key_of(key), json.dumps(entry).encode())

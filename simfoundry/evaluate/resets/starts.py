@@ -18,7 +18,7 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
-from simfoundry.evaluate.resets.grid import Cell, bounds, deal, draws, sample
+from simfoundry.evaluate.resets.grid import GridCell, bounds, deal, draws, sample
 from simfoundry.evaluate.resets.placement import Refusal, Spots, clash, left_cell, placed, restless, settled
 from simfoundry.evaluate.resets.start_cache import Known, key_of_starts, read_block, state_to_json, write_block
 from simfoundry.evaluate.rollouts.progress import judge_of
@@ -29,7 +29,7 @@ from simfoundry.worlds import open_world
 from simfoundry.worlds.base import World
 
 TRIES, TRIES_ELSEWHERE = 20, 5
-"""How often objects are put anew in their cells, and how often in each combination after an exchange of cells."""
+"""Tries to place objects in their cells, and tries for each combination after an exchange of cells."""
 
 HOPELESS = 6
 """So many tries that fail for another reason than two objects' cells being too close are enough."""
@@ -39,12 +39,12 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class RolloutStart:
     """The start of rollout ``index``, counted from 0: ``cells`` of the objects by name, and the ``state``, at rest."""
 
     index: int
     seed: int
-    cells: Mapping[str, Cell]
+    cells: Mapping[str, GridCell]
     state: SceneState
 
     @property
@@ -60,7 +60,7 @@ class StartError(SimfoundryError):
 
 def starts(
     task: Task, n: int = 25, seed: int = 0, cache: Cache | None = None, progress: Progress | None = None
-) -> tuple[Start, ...]:
+) -> tuple[RolloutStart, ...]:
     """The first ``n`` starts of a task. After as many as a grid has cells, all cells are dealt anew.
 
     ``cache`` keeps them by the content of the scene and the task, so that they are settled once. Raises
@@ -69,7 +69,7 @@ def starts(
     along_x, along_y = task.reset.grid
     size = along_x * along_y
     key = key_of_starts(task, seed) if cache is not None else ""
-    found: list[Start] = []
+    found: list[RolloutStart] = []
     with _Setting(task, seed) as setting:
         for block in range(-(-n // size)):
             wanted = min(size, n - block * size)
@@ -90,8 +90,8 @@ class _Block:
     """The starts of one deal so far, and which cells each object has in all of them."""
 
     first: int
-    cells: dict[str, list[Cell]]
-    starts: list[Start] = field(default_factory=list)
+    cells: dict[str, list[GridCell]]
+    starts: list[RolloutStart] = field(default_factory=list)
 
     @classmethod
     def of(cls, task: Task, seed: int, block: int, known: Known | None) -> _Block:
@@ -102,18 +102,18 @@ class _Block:
         made.starts = [made.start(k, seed, state) for k, state in enumerate(known[1])]
         return made
 
-    def at(self, k: int) -> Mapping[str, Cell]:
+    def at(self, k: int) -> Mapping[str, GridCell]:
         """The cells of the k-th start of the deal."""
         return MappingProxyType({name: cells[k] for name, cells in self.cells.items()})
 
     @property
     def size(self) -> int:
-        """How many starts the deal is for."""
+        """The number of starts of the deal."""
         return max((len(cells) for cells in self.cells.values()), default=0)
 
-    def start(self, k: int, seed: int, state: SceneState) -> Start:
+    def start(self, k: int, seed: int, state: SceneState) -> RolloutStart:
         """The k-th start of the deal."""
-        return Start(self.first + k, seed, self.at(k), state)
+        return RolloutStart(self.first + k, seed, self.at(k), state)
 
     def exchange(self, name: str, k: int, other: int) -> None:
         """Let an object change its cells of two starts."""
@@ -136,7 +136,7 @@ class _Setting:
         if self._world is not None:
             self._world.close()
 
-    def next(self, block: _Block) -> Start:
+    def next(self, block: _Block) -> RolloutStart:
         """The next start of a deal; its cells may be exchanged with those of later ones."""
         k = len(block.starts)
         rngs = {name: draws(name, self.seed, block.first + k) for name in self.task.reset.objects}
@@ -153,7 +153,7 @@ class _Setting:
         raise StartError(_complaint(self.task, block.first + k, refused, cells, result))
 
     def _attempts(
-        self, cells: Mapping[str, Cell], rngs: Mapping[str, np.random.Generator], tries: int
+        self, cells: Mapping[str, GridCell], rngs: Mapping[str, np.random.Generator], tries: int
     ) -> SceneState | list[Refusal]:
         """A state with the objects somewhere in their cells, or why there was none in so many tries."""
         regions, grid = self.task.reset.objects, self.task.reset.grid
@@ -168,7 +168,7 @@ class _Setting:
                 break
         return refusals
 
-    def _attempt(self, spots: Spots, cells: Mapping[str, Cell]) -> SceneState | Refusal:
+    def _attempt(self, spots: Spots, cells: Mapping[str, GridCell]) -> SceneState | Refusal:
         world, judge = self._opened()
         state = placed(self.task, spots)
         if (refusal := clash(self.task, world, spots, state)) is not None:
@@ -198,8 +198,8 @@ def _commonest(refusals: list[Refusal]) -> Refusal:
     return next(r for r in refusals if (r.object, r.kind) == kind)
 
 
-def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, Cell], refusals: list[Refusal]) -> str:
-    """Which object, which cell, and why, with the numbers of the commonest reasons."""
+def _complaint(task: Task, index: int, refused: Refusal, cells: Mapping[str, GridCell], refusals: list[Refusal]) -> str:
+    """Explain which object fits in which cell no more, with counts of the most frequent reasons."""
     blamed = refused.object
     examples = {refusal.kind: refusal.why for refusal in reversed(refusals)}
     counts = Counter(refusal.kind for refusal in refusals).most_common(3)

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from simfoundry.evaluate.policies.base import Image, ImageSize, InvalidAnswerError, Observation, Policy, PolicyError
-from simfoundry.evaluate.resets.starts import Start
+from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, action_size, checked, physics_steps
 from simfoundry.evaluate.rollouts.observation import check_cameras, pictures, readings
 from simfoundry.evaluate.rollouts.progress import Progress, judge_of
@@ -27,11 +27,11 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
 
 FALLEN = 0.3
-"""What is this far [m] below everything that the task began with has fallen off it."""
+"""Distance [m] below everything that the task began with at which an object has fallen off: below a table's height."""
 
 
-class End(StrEnum):
-    """Why a rollout ended."""
+class RolloutEnd(StrEnum):
+    """The reason why a rollout ended."""
 
     SUCCESS = "success"
     HORIZON = "horizon"
@@ -45,7 +45,7 @@ class End(StrEnum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went [s]."""
+    """Times of the parts of a rollout [s]."""
 
     total: float
     physics: float
@@ -64,7 +64,7 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What came of a rollout.
+    """The result of a rollout.
 
     ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
     it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
@@ -80,7 +80,7 @@ class Rollout:
     success: bool
     steps: int
     subtasks: Mapping[str, int | None]
-    end: End
+    end: RolloutEnd
     reason: str
     actions: Array
     digest: str
@@ -91,7 +91,12 @@ class Rollout:
 
 
 def rollout(
-    task: Task, start: Start, policy: Policy, world: World, judge: Judge | None = None, video: Video | None = None
+    task: Task,
+    start: RolloutStart,
+    policy: Policy,
+    world: World,
+    judge: Judge | None = None,
+    video: Video | None = None,
 ) -> Rollout:
     """Let a policy act from a start in a world of the task's scene.
 
@@ -131,7 +136,7 @@ class _Run:
     """A rollout on its way."""
 
     def __init__(
-        self, task: Task, start: Start, policy: Policy, world: World, judge: Judge, video: Video | None
+        self, task: Task, start: RolloutStart, policy: Policy, world: World, judge: Judge, video: Video | None
     ) -> None:
         self.task, self.start, self.policy, self.world, self.video = task, start, policy, world, video
         self.clock = _Clock()
@@ -150,7 +155,7 @@ class _Run:
         self.hash = hashlib.sha256()
         self._note()
 
-    def play(self) -> tuple[End, str]:
+    def play(self) -> tuple[RolloutEnd, str]:
         """Act until the end; returns why it came, and the details of a failure."""
         try:
             with self.clock("policy"):
@@ -160,12 +165,12 @@ class _Run:
                 if ended is not None:
                     return ended
         except InvalidAnswerError as error:
-            return End.INVALID, str(error)
+            return RolloutEnd.INVALID, str(error)
         except PolicyError as error:
-            return End.NO_ANSWER, str(error)
-        return End.HORIZON, f"not done after {self.task.horizon} control steps"
+            return RolloutEnd.NO_ANSWER, str(error)
+        return RolloutEnd.HORIZON, f"not done after {self.task.horizon} control steps"
 
-    def _carry_out(self, actions: Array) -> tuple[End, str] | None:
+    def _carry_out(self, actions: Array) -> tuple[RolloutEnd, str] | None:
         """Carry out the actions of one answer, then judge what they did; why one was the last, if one was.
 
         The policy does not see what comes of its actions before the last of them, so that the states can be judged
@@ -175,7 +180,7 @@ class _Run:
         marks = []
         for action in actions:
             ended = self._act(action)
-            if ended is not None and ended[0] is End.DIVERGED:
+            if ended is not None and ended[0] is RolloutEnd.DIVERGED:
                 break
             states.append(self.state)
             marks.append((self.hash.copy(), {name: len(frames) for name, frames in self.frames.items()}))
@@ -189,7 +194,7 @@ class _Run:
         self.state = states[last]
         self.hash, frames = marks[last]
         self.frames = {name: pictures[: frames[name]] for name, pictures in self.frames.items()}
-        return End.SUCCESS, ""
+        return RolloutEnd.SUCCESS, ""
 
     def _ask(self) -> Array:
         with self.clock("render"):
@@ -205,7 +210,7 @@ class _Run:
         with self.clock("policy"):
             return checked(self.policy.infer(observation), self.robots)
 
-    def _act(self, action: Array) -> tuple[End, str] | None:
+    def _act(self, action: Array) -> tuple[RolloutEnd, str] | None:
         """Carry out one action; why it was the last, if it was."""
         step = len(self.actions)
         self.actions.append(action)
@@ -214,14 +219,17 @@ class _Run:
             self.world.step(physics_steps(step, self.task.control_hz, self.world.timestep))
             trouble = self.world.trouble()
             if trouble:
-                return End.DIVERGED, trouble
+                return RolloutEnd.DIVERGED, trouble
             self.state = self.world.state()
         self._note()
         self._film()
         for name in self.judged:
             below = self.floor - float(self.state.poses[name].p[2])
             if below > 0:
-                return End.FELL, f"`{name}` fell to {below + FALLEN:.2f} m below everything that the task began with"
+                return (
+                    RolloutEnd.FELL,
+                    f"`{name}` fell to {below + FALLEN:.2f} m below everything that the task began with",
+                )
         return None
 
     def _note(self) -> None:
@@ -238,7 +246,7 @@ class _Run:
                 for name, picture in pictures(self.world, self.video.cameras).items():
                     self.frames[name].append(picture)
 
-    def result(self, end: End, reason: str) -> Rollout:
+    def result(self, end: RolloutEnd, reason: str) -> Rollout:
         """All that came of it."""
         actions = np.array(self.actions).reshape(len(self.actions), action_size(self.robots))
         return Rollout(
@@ -247,7 +255,7 @@ class _Run:
             policy=self.policy.name,
             index=self.start.index,
             seed=self.start.seed,
-            success=end is End.SUCCESS,
+            success=end is RolloutEnd.SUCCESS,
             steps=len(self.actions),
             subtasks=MappingProxyType(dict(self.progress.subtasks)),
             end=end,

@@ -19,8 +19,8 @@ BLOCK = 1000
 
 
 @dataclass(frozen=True)
-class Agreement:
-    """How simulation agrees with reality on one task, over the policies that both have been tried with.
+class RateAgreement:
+    """Agreement of simulation with reality on one task, over the policies that have been tried in both.
 
     ``real`` and ``sim`` are rates in [0, 1] in the order of ``policies``. ``pearson`` is None where one of the two does
     not vary. The intervals hold the middle share of what rates and policies drawn anew give, None with one policy.
@@ -38,7 +38,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Draws:
-    """How intervals are drawn: ``rollouts`` where nobody said how many a rate is of."""
+    """Options of the intervals: ``rollouts`` for rates that do not say how many they are of."""
 
     count: int = 2000
     rollouts: int = 25
@@ -46,7 +46,7 @@ class Draws:
     seed: int = 0
 
 
-def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[Agreement]:
+def agreements(real: Sequence[Score], sim: Sequence[Score], draws: Draws) -> list[RateAgreement]:
     """Agreement on each task that both have, in the order of the real scores; a ScoresError where there is none.
 
     Each draw takes every rate from its Jeffreys posterior, Beta(k + 1/2, n - k + 1/2), so that 0 and 25 of 25 are not
@@ -77,7 +77,7 @@ def left_out(real: Sequence[Score], sim: Sequence[Score]) -> list[str]:
 
 
 def reservations(scores: Sequence[Score]) -> list[str]:
-    """What is to be known of rates that are not of all the rollouts that were asked for, a sentence each."""
+    """Warnings about rates that lack some of the planned rollouts, a sentence each."""
     said = []
     for s in scores:
         of = "" if s.rollouts is None else f" of {s.rollouts + s.missing}"
@@ -88,16 +88,16 @@ def reservations(scores: Sequence[Score]) -> list[str]:
     return said
 
 
-def mean_agreement(found: Sequence[Agreement]) -> tuple[float | None, float]:
+def mean_agreement(found: Sequence[RateAgreement]) -> tuple[float | None, float]:
     """Mean of r over the tasks that define it, None where none does, and mean MMRV over all."""
     defined = [a.pearson for a in found if a.pearson is not None]
     return (fmean(defined) if defined else None), fmean(a.mmrv for a in found)
 
 
-def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> Agreement:
+def _agreement(task: str, pairs: list[tuple[Score, Score]], draws: Draws, rng: np.random.Generator) -> RateAgreement:
     real, sim = (np.array([pair[k].rate for pair in pairs]) for k in (0, 1))
     r, violation = _drawn(pairs, draws, rng)
-    return Agreement(
+    return RateAgreement(
         task=task,
         policies=tuple(pair[0].policy for pair in pairs),
         real=tuple(map(float, real)),

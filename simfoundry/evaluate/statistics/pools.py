@@ -17,7 +17,7 @@ Record = Mapping[str, Any]
 
 
 def cousin_of(task: Task) -> dict[str, Any] | None:
-    """Which cousin a task is: its recipe, seed and index, and the ``axes`` along which it differs from its twin.
+    """The identity of a cousin: its recipe, seed and index, and the ``axes`` along which it differs from its twin.
 
     None for a task that no recipe made. The axes are read from its documents: what they say that the twin's do not.
     """
@@ -42,7 +42,7 @@ def cousin_of(task: Task) -> dict[str, Any] | None:
 
 
 @dataclass(frozen=True)
-class Pool:
+class RatePool:
     """The results of a policy over several tasks in one engine.
 
     ``counts`` are successes and rollouts of each task; ``subtasks`` those of each step of that name. ``rate`` counts
@@ -70,7 +70,7 @@ class Pool:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether all tasks have as many rollouts, so that the stratified rate is the pooled one."""
+        """True if all tasks have equally many rollouts, so that the stratified rate is the pooled one."""
         return len({of for _, of in self.counts}) == 1
 
     @property
@@ -99,7 +99,7 @@ class Pool:
         }
 
 
-def pools(records: Iterable[Record]) -> list[Pool]:
+def pools(records: Iterable[Record]) -> list[RatePool]:
     """Every policy over all tasks of each kind, and over those of each recipe and set of axes where these differ.
 
     Only where there are several tasks: one alone is its own row. Steps alone and rests of tasks are kept apart from
@@ -124,7 +124,7 @@ def pools(records: Iterable[Record]) -> list[Pool]:
         every = [r for each in tasks.values() for r in each]
         named = dict.fromkeys(step for r in every for step in r["subtasks"])
         steps = {step: _rate_of_step([r["subtasks"][step] for r in every if step in r["subtasks"]]) for step in named}
-        found.append(Pool(policy, engine, part, name, counts, steps, invalid))
+        found.append(RatePool(policy, engine, part, name, counts, steps, invalid))
     several = {(p.part, p.stratum) for p in found if len(p.counts) > 1 or p.stratum != "all"}
     return [pool for pool in found if (pool.part, pool.stratum) in several]
 
@@ -133,9 +133,9 @@ def _rate_of_step(done: Sequence[int | None]) -> Rate:
     return Rate(sum(step is not None for step in done), len(done))
 
 
-def pool_rows(found: Sequence[Pool]) -> dict[str, dict[str, Pool]]:
+def pool_rows(found: Sequence[RatePool]) -> dict[str, dict[str, RatePool]]:
     """The pools by title and policy; the title names the engine where there are several."""
-    several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, Pool]]()
+    several, rows = len({pool.engine for pool in found}) > 1, dict[str, dict[str, RatePool]]()
     for pool in found:
         rows.setdefault(f"{pool.title} in {pool.engine}" if several else pool.title, {})[pool.policy] = pool
     return rows
@@ -148,7 +148,7 @@ def stratum_of(record: Record) -> str:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PolicyComparison:
     """Two policies over the same starts in one engine.
 
     ``first_only`` and ``second_only`` count the starts at which one succeeded and the other did not; ``p`` is that of
@@ -188,7 +188,7 @@ class Comparison:
         return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(self).items()}
 
 
-def comparisons(records: Iterable[Record]) -> list[Comparison]:
+def comparisons(records: Iterable[Record]) -> list[PolicyComparison]:
     """Every two policies, over the starts at which both have a result; without a common start there is nothing to say.
 
     A pair is one start of one task in one engine, which both policies began from to the last bit. Success is yes or no,
@@ -209,14 +209,16 @@ def comparisons(records: Iterable[Record]) -> list[Comparison]:
             if pairs:
                 found.append(_compared(first, second, engine, part, pairs))
     corrected = holm([c.p for c in found])
-    return [Comparison(**{**vars(c), "p_holm": p}) for c, p in zip(found, corrected, strict=True)]
+    return [PolicyComparison(**{**vars(c), "p_holm": p}) for c, p in zip(found, corrected, strict=True)]
 
 
-def _compared(first: str, second: str, engine: str, part: str, pairs: Sequence[tuple[Record, Record]]) -> Comparison:
+def _compared(
+    first: str, second: str, engine: str, part: str, pairs: Sequence[tuple[Record, Record]]
+) -> PolicyComparison:
     wins = [(bool(a["success"]), bool(b["success"])) for a, b in pairs]
     only, other = sum(a and not b for a, b in wins), sum(b and not a for a, b in wins)
     shares = [_progress(a) - _progress(b) for a, b in pairs if a["subtasks"] and b["subtasks"]]
-    return Comparison(
+    return PolicyComparison(
         first=first,
         second=second,
         engine=engine,

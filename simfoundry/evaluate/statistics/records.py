@@ -18,7 +18,7 @@ import numpy as np
 
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.policies.base import ActionSpace
-from simfoundry.evaluate.rollouts.rollout import End, Rollout
+from simfoundry.evaluate.rollouts.rollout import Rollout, RolloutEnd
 from simfoundry.runtime.files import write_atomically
 
 VERSION = "rollout/2"
@@ -27,7 +27,7 @@ MOST_BYTES = 16 * 2**20
 
 
 @dataclass(frozen=True)
-class Slot:
+class RecordSlot:
     """The place of one rollout below the folder of an evaluation."""
 
     folder: Path
@@ -52,13 +52,13 @@ class Slot:
         return self.path.with_suffix(".webm")
 
     def read(self) -> dict[str, Any] | None:
-        """What came of it, None where it is not done; raises :class:`OutputError` for a file that is none of ours."""
+        """Read the record, None if there is none; raises :class:`OutputError` for a file that is none of ours."""
         return read_record(self.path) if self.path.is_file() else None
 
     def write(self, result: Rollout, about: Mapping[str, Any], space: ActionSpace) -> dict[str, Any]:
         """Write a rollout with what else is to be known ``about`` it; the file that says it is done comes last."""
         record = record_of(result, about)
-        if result.end is End.NO_ANSWER:
+        if result.end is RolloutEnd.NO_ANSWER:
             write_atomically(self.missing, _text(record))
             return record
         stored = io.BytesIO()
@@ -70,7 +70,7 @@ class Slot:
 
     def write_missing(self, reason: str, about: Mapping[str, Any]) -> dict[str, Any]:
         """Write that the policy could not even be opened for this rollout, with what is to be known ``about`` it."""
-        found = {"index": self.index, "success": False, "end": str(End.NO_ANSWER), "reason": reason, "steps": 0}
+        found = {"index": self.index, "success": False, "end": str(RolloutEnd.NO_ANSWER), "reason": reason, "steps": 0}
         record = {"simfoundry": VERSION, **about, **found, "subtasks": {}}
         write_atomically(self.missing, _text(record))
         return record
@@ -95,8 +95,8 @@ def record_of(result: Rollout, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def is_result(record: Mapping[str, Any]) -> bool:
-    """Whether a record tells how well a policy did; where it did not answer, nothing is known of that."""
-    return bool(record["end"] != End.NO_ANSWER)
+    """True if a record has a result; a policy that did not answer has none."""
+    return bool(record["end"] != RolloutEnd.NO_ANSWER)
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from simfoundry import __version__
-from simfoundry.evaluate.rollouts.rollout import End
+from simfoundry.evaluate.rollouts.rollout import RolloutEnd
 from simfoundry.evaluate.statistics.engine_comparison import compare_engines
 from simfoundry.evaluate.statistics.metrics import Rate
 from simfoundry.evaluate.statistics.pools import comparisons, pools
@@ -21,11 +21,11 @@ from simfoundry.evaluate.statistics.records import is_result
 VERSION = "results/2"
 
 MANY = 12
-"""Of more tasks than this, as of a folder of cousins, tables show no steps: four rows each would fill no screen."""
+"""Largest number of tasks whose steps are shown in tables: four rows for each of a hundred cousins help nobody."""
 
 
 @dataclass(frozen=True)
-class Cell:
+class ScoreRow:
     """A task with a policy in an engine: ``success`` of the whole, ``subtasks`` of each step, how the rollouts ended.
 
     ``invalid`` of the rollouts failed by an answer that is no action; ``missing`` of those asked for have no result.
@@ -53,12 +53,12 @@ class Cell:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What its records have in common, as :func:`cell_key` gives it."""
+        """The key that its records share, as :func:`cell_key` gives it."""
         return self.task, self.part, self.step, self.engine, self.policy
 
     @property
     def exceptions(self) -> str:
-        """How many rollouts failed by an invalid answer, and how many are missing; empty where none."""
+        """The counts of invalid answers and missing rollouts in words; empty if there are none."""
         invalid = f"{self.invalid} by an invalid answer" if self.invalid else ""
         return ", ".join(filter(None, (invalid, f"{self.missing} missing" if self.missing else "")))
 
@@ -90,7 +90,7 @@ class Cell:
         }
 
 
-def cells(records: Iterable[Mapping[str, Any]]) -> list[Cell]:
+def cells(records: Iterable[Mapping[str, Any]]) -> list[ScoreRow]:
     """The records by task, engine and policy, in their order."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for record in records:
@@ -98,10 +98,10 @@ def cells(records: Iterable[Mapping[str, Any]]) -> list[Cell]:
     return [_cell(key, found) for key, found in groups.items()]
 
 
-def titles(found: Sequence[Cell]) -> dict[str, dict[str, Cell]]:
+def titles(found: Sequence[ScoreRow]) -> dict[str, dict[str, ScoreRow]]:
     """The cells by title and policy; the title names the engine where there are several."""
     several = len({cell.engine for cell in found}) > 1
-    named: dict[str, dict[str, Cell]] = {}
+    named: dict[str, dict[str, ScoreRow]] = {}
     for cell in found:
         named.setdefault(f"{cell.title} in {cell.engine}" if several else cell.title, {})[cell.policy] = cell
     return named
@@ -112,13 +112,13 @@ def cell_key(record: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(record[key] for key in ("task", "part", "step", "engine", "policy"))
 
 
-def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> Cell:
+def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> ScoreRow:
     task, part, step, engine, policy = key
     found = [r for r in every if is_result(r)]
     asked = max(r["asked_rollouts"] for r in every)
     steps = [r["steps"] for r in found if r["success"]]
     names = list(dict.fromkeys(name for record in found for name in record["subtasks"]))
-    return Cell(
+    return ScoreRow(
         task=task,
         part=part,
         step=step,
@@ -128,7 +128,7 @@ def _cell(key: tuple[str, ...], every: list[Mapping[str, Any]]) -> Cell:
         subtasks={n: Rate(sum(r["subtasks"].get(n) is not None for r in found), len(found)) for n in names},
         ends=dict(sorted(Counter(r["end"] for r in found).items())),
         mean_steps=sum(steps) / len(steps) if steps else None,
-        invalid=sum(r["end"] == End.INVALID for r in found),
+        invalid=sum(r["end"] == RolloutEnd.INVALID for r in found),
         missing=max(0, asked - len(found)),
     )
 

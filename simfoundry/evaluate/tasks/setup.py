@@ -1,4 +1,4 @@
-"""How a task's scene is set up: what its `start`, and on top of it a step's, change in the document of the scene."""
+"""Scenes as tasks start: the `start` of a task, and on top of it that of a step, applied to the scene's document."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from simfoundry.spec.models.task import Start, TaskSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class TaskSetup:
     """The documents of a ``task`` and its ``scene``, and the ``step`` that it starts with, empty for the first."""
 
     task: Loaded
@@ -37,7 +37,7 @@ class Setup:
         assert isinstance(self.scene.spec, SceneSpec)
         return self.scene.spec
 
-    def with_step(self, name: str) -> Setup:
+    def with_step(self, name: str) -> TaskSetup:
         """The same documents, started as a step starts."""
         return replace(self, step=name)
 
@@ -48,14 +48,14 @@ class Setup:
         return frozenset((*start.place, *start.pose)) if start is not None else frozenset()
 
     def starts(self) -> Iterator[tuple[tuple[str, ...], Start]]:
-        """What differs from the scene, the later on top of the earlier, each with its path in the task."""
+        """The differences from the scene, later ones on top of earlier ones, each with its path in the task."""
         yield ("start",), self.task_spec.start
         own = self.task_spec.subtasks[self.step].start if self.step else None
         if own is not None:
             yield ("subtasks", self.step, "start"), own
 
 
-def lowered(setup: Setup) -> Scene:
+def lowered(setup: TaskSetup) -> Scene:
     """The scene as the task starts; raises :class:`SpecError`, with places in the task where its start is to blame."""
     spec = started(setup)
     try:
@@ -64,7 +64,7 @@ def lowered(setup: Setup) -> Scene:
         raise SpecError([_placed_in_task(setup, d) for d in error.diagnostics]) from None
 
 
-def started(setup: Setup) -> SceneSpec:
+def started(setup: TaskSetup) -> SceneSpec:
     """The scene's document with what the starts change; relations that they undo are gone."""
     spec = with_starts(setup.scene_spec, (start for _, start in setup.starts()))
     moved, turned = set[str](), set[str]()
@@ -77,8 +77,8 @@ def started(setup: Setup) -> SceneSpec:
     return spec.model_copy(update={"relations": (*kept, *stood)})
 
 
-def carried_by(setup: Setup) -> dict[str, str]:
-    """What each object stands on or in, where the documents say so."""
+def carried_by(setup: TaskSetup) -> dict[str, str]:
+    """The object that each object stands on or in, as far as the documents say so."""
     spec = started(setup)
     found = {}
     for text in spec.relations:
@@ -95,13 +95,13 @@ def _carrier(item: ObjectSpec) -> str:
 
 
 def _is_undone(relation: str, moved: set[str], turned: set[str]) -> bool:
-    """Whether a relation need no longer hold where so many objects stand elsewhere, or their joints do."""
+    """True if a relation may cease to hold when these objects, or their joints, are moved."""
     call = parse_call(relation)
     names = {argument.partition(".")[0] for argument in call.args}
     return bool(names & moved) or (call.predicate in ("Open", "Closed") and bool(names & turned))
 
 
-def _placed_in_task(setup: Setup, finding: Diagnostic) -> Diagnostic:
+def _placed_in_task(setup: TaskSetup, finding: Diagnostic) -> Diagnostic:
     """The finding at the place of the task that put the thing there, where one did."""
     parts = finding.path.split(".")
     if finding.code != "SF210" or len(parts) != 3:

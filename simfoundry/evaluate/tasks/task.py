@@ -11,7 +11,7 @@ from types import MappingProxyType
 from simfoundry.assets.cache import Cache
 from simfoundry.errors import SimfoundryError
 from simfoundry.evaluate.tasks.robots import check_can_act
-from simfoundry.evaluate.tasks.setup import Setup, carried_by, lowered
+from simfoundry.evaluate.tasks.setup import TaskSetup, carried_by, lowered
 from simfoundry.scene.model import Scene
 from simfoundry.spec.diagnostics import SpecError, nearest
 from simfoundry.spec.load import load_kind
@@ -20,7 +20,7 @@ from simfoundry.spec.models.task import Reset, TaskSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Subtask:
+class SubtaskGoal:
     """A step: ``goal``, and what a policy is told where the step is done alone; ``starts_itself`` if it has a start."""
 
     name: str
@@ -43,12 +43,12 @@ class Task:
     instruction: str
     robots: tuple[str, ...]
     goal: Condition
-    subtasks: Mapping[str, Subtask]
+    subtasks: Mapping[str, SubtaskGoal]
     reset: Reset
     carriers: Mapping[str, str]
     control_hz: float
     horizon: int
-    setup: Setup
+    setup: TaskSetup
     step: str = ""
 
     @cached_property
@@ -75,7 +75,7 @@ class Task:
         rest = {n: self.subtasks[n] for n in names[names.index(name) :]}
         return replace(self._from(name), subtasks=MappingProxyType(rest))
 
-    def _subtask(self, name: str) -> Subtask:
+    def _subtask(self, name: str) -> SubtaskGoal:
         if name not in self.subtasks:
             hint = nearest(name, self.subtasks) or "it has none"
             raise SimfoundryError(f"task `{self.name}` has no sub-task `{name}`; {hint}")
@@ -105,7 +105,7 @@ def load_task(path: Path, cache: Cache | None = None) -> Task:
     scene = loaded.used(spec.scene)
     if scene is None:
         raise SpecError([loaded.finding("SF005", ("scene",), f"`{spec.scene}` is no scene that can be read")])
-    setup = Setup(loaded, scene, cache=cache)
+    setup = TaskSetup(loaded, scene, cache=cache)
     return Task(
         name=spec.name,
         scene=lowered(setup),
@@ -131,8 +131,8 @@ def need_robots(task: Task) -> None:
         check_can_act(task.scene.robot(name))
 
 
-def _subtasks(spec: TaskSpec) -> dict[str, Subtask]:
+def _subtasks(spec: TaskSpec) -> dict[str, SubtaskGoal]:
     return {
-        name: Subtask(name, step.goal, step.instruction or spec.instruction, step.start is not None)
+        name: SubtaskGoal(name, step.goal, step.instruction or spec.instruction, step.start is not None)
         for name, step in spec.subtasks.items()
     }

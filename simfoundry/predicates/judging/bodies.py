@@ -1,4 +1,4 @@
-"""What predicates measure on: the colliders of every link, prepared once, and the things that arguments name."""
+"""Bodies that predicates measure on: the colliders of every link, prepared once, and the arguments that name them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class NoCavityError(PredicateError):
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class CollisionBody:
     """An object or a robot: ``item``, whose links have ``forms``; None for a link without any shape."""
 
     item: SceneObject
@@ -55,8 +55,8 @@ class Body:
         return next(k for k, one in enumerate(self.item.links) if one.name == link)
 
 
-class Thing(NamedTuple):
-    """What an argument names: links of a body by index; the first is the one in whose frame it is boxed."""
+class Entity(NamedTuple):
+    """Links of a body, by index, that an argument names; the first is the one in whose frame it is boxed."""
 
     name: str
     owner: str
@@ -78,14 +78,14 @@ class Bodies:
         self.scene = scene
         self.objects = tuple(o.name for o in scene.objects)
         self.robots = tuple(r.name for r in scene.robots if mujoco_model(r) is not None)
-        self._bodies: dict[str, Body] = {}
-        self._hollow: dict[Thing, tuple[int, ...]] = {}
+        self._bodies: dict[str, CollisionBody] = {}
+        self._hollow: dict[Entity, tuple[int, ...]] = {}
 
-    def __getitem__(self, name: str) -> Body:
+    def __getitem__(self, name: str) -> CollisionBody:
         if name not in self._bodies:
             made = _robot_object(self.scene.robot(name)) if name in self.robots else None
             item = self.scene.object(name) if made is None else made.item
-            self._bodies[name] = Body(item, tuple(_form(link) for link in item.links), made)
+            self._bodies[name] = CollisionBody(item, tuple(_form(link) for link in item.links), made)
         return self._bodies[name]
 
     @property
@@ -94,14 +94,14 @@ class Bodies:
         return tuple(self[name].item for name in (*self.objects, *self.robots))
 
     def link_shapes(self) -> dict[tuple[str, int], tuple[tuple[Geometry, Pose], ...]]:
-        """What touches of each link of all bodies, by the name of the body and the index of the link."""
+        """The colliding shapes of each link of all bodies, by the name of the body and the index of the link."""
         return {
             (item.name, k): tuple((piece.geometry, piece.X_LG) for piece in link.colliders)
             for item in self.items
             for k, link in enumerate(item.links)
         }
 
-    def thing(self, argument: str) -> Thing:
+    def thing(self, argument: str) -> Entity:
         """The thing that an argument names, as ``object``, ``object.link``, ``object.joint`` or a robot."""
         owner, _, part = argument.partition(".")
         body = self._body(owner)
@@ -121,9 +121,9 @@ class Bodies:
             chosen = tuple(range(len(links)))
         if not any(body.forms[k] for k in chosen):
             raise PredicateError(f"`{argument}` has no shape, so there is nothing to measure")
-        return Thing(argument, owner, chosen, not part)
+        return Entity(argument, owner, chosen, not part)
 
-    def hollow_links(self, thing: Thing) -> tuple[int, ...]:
+    def hollow_links(self, thing: Entity) -> tuple[int, ...]:
         """The links of a thing that have a cavity, by index; raises :class:`NoCavityError` if there is none."""
         from simfoundry.geometry.cavity import cavity
 
@@ -150,7 +150,7 @@ class Bodies:
             raise PredicateError(f"no joint of `{argument}` has limits, so nothing says where it is closed")
         return Joints(owner, tuple(ended))
 
-    def _body(self, name: str) -> Body:
+    def _body(self, name: str) -> CollisionBody:
         names = (*self.objects, *self.robots)
         if name in names:
             return self[name]

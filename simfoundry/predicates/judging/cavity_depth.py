@@ -1,4 +1,4 @@
-"""How deep a thing is in the cavity of another."""
+"""Depth of an object in the cavity of another."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from simfoundry.geometry.cavity import Cavity, cavity_upward
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, rotate
 from simfoundry.geometry.volume_samples import volume_samples
-from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.thresholds import ENCLOSED, FACING_DOWN_DEG
 from simfoundry.predicates.judging.view import View
 
@@ -16,7 +16,7 @@ SAMPLES = 64
 """Points of a thing whose depth is measured."""
 
 
-def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
+def held_upward(view: View, b: Entity) -> list[tuple[int, Cavity, Index]]:
     """The cavities that links of a thing have as they are turned: the index of the link, and in which states it is so.
 
     Up is the nearest of the axes of a link.
@@ -34,8 +34,8 @@ def held_upward(view: View, b: Thing) -> list[tuple[int, Cavity, Index]]:
     return found
 
 
-def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
-    """How deep [m] the share :data:`ENCLOSED` of ``a`` is in a cavity of ``b`` that is not turned down, (n,).
+def enclosed_depth(view: View, a: Entity, b: Entity) -> Array:
+    """Depth [m] of the share :data:`ENCLOSED` of ``a`` in a cavity of ``b`` that is not turned down, (n,).
 
     -inf where ``b`` is turned so that it holds nothing.
     """
@@ -49,8 +49,8 @@ def enclosed_depth(view: View, a: Thing, b: Thing) -> Array:
     return out
 
 
-def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
-    """How deep [m] the share :data:`ENCLOSED` of the volume of ``a`` is in a cavity at least, (n,).
+def depth_in(view: View, a: Entity, k: int, owner: str, hole: Cavity) -> Array:
+    """Least depth [m] of the share :data:`ENCLOSED` of the volume of ``a`` in a cavity, (n,).
 
     Negative by how far it is outside; where all of it is far outside, by a bound of that.
     """
@@ -80,8 +80,8 @@ def depth_in(view: View, a: Thing, k: int, owner: str, hole: Cavity) -> Array:
     return out
 
 
-def _counts(view: View, a: Thing) -> list[int]:
-    """How many samples each link of a thing gets: by its mass."""
+def _counts(view: View, a: Entity) -> list[int]:
+    """The number of samples of each link, in proportion to its mass."""
     forms = view.forms(a)
     if len(forms) == 1:
         return [SAMPLES]
@@ -91,7 +91,7 @@ def _counts(view: View, a: Thing) -> list[int]:
 
 
 def facing(view: View, k: int, owner: str, hole: Cavity) -> Array:
-    """How far the way out of a cavity is from being turned down too far [m], (n,), measured on its depth."""
+    """Spare before the opening of a cavity is turned down too far [m], (n,), scaled by its depth."""
     X_WB = view.link(owner, k)
     up = rotate(X_WB.R, np.broadcast_to(hole.out, (view.n, 3)))[:, 2]
     return np.asarray(hole.deep * (up - np.cos(np.radians(FACING_DOWN_DEG))))

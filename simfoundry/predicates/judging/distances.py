@@ -1,4 +1,4 @@
-"""How far things are apart in many states: bounds for all of them, the exact distance where bounds do not tell."""
+"""Distances between objects in many states: bounds for all of them, exact ones where the bounds leave it open."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from simfoundry.geometry.exact_distance import Exact
 from simfoundry.geometry.form import FEW
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index
-from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.thresholds import TOUCH
 from simfoundry.predicates.judging.view import Balls, View
 
@@ -47,7 +47,7 @@ class Distances:
     def _exact(self) -> Exact:
         return Exact(self._bodies.link_shapes())
 
-    def between(self, view: View, a: Thing, b: Thing, threshold: float | None = None) -> Array:
+    def between(self, view: View, a: Entity, b: Entity, threshold: float | None = None) -> Array:
         """Signed distance [m] between two things, (n,), negative where they overlap; inf where one touches nothing.
 
         Exact below :data:`FAR`; beyond, no less than that and no more than the truth. Of more than :data:`FEW` states
@@ -57,7 +57,7 @@ class Distances:
         limit = threshold if threshold is not None and (view.n > FEW or self._bounds_first) else None
         balls, lowers = _balls_apart(view, a, b)
         beyond = (lowers >= FAR).all(axis=0)
-        out = lowers[:, beyond].min(axis=1, initial=np.inf)
+        out: Array = lowers[:, beyond].min(axis=1, initial=np.inf)
         for row, column in np.argwhere(~beyond).tolist():
             (i, one), (j, other) = balls[0].links[row], balls[1].links[column]
             X_WA, X_WB = view.link(a.owner, i), view.link(b.owner, j)
@@ -74,8 +74,8 @@ class Distances:
                 out[close] = np.minimum(out[close], found)
         return np.asarray(out)
 
-    def support(self, view: View, a: Thing, b: Thing, limit: float, steepest: float) -> tuple[Array, Array]:
-        """How far ``a`` is from ``b`` [m], and how much of the way up leads away from it, (n,) each.
+    def support(self, view: View, a: Entity, b: Entity, limit: float, steepest: float) -> tuple[Array, Array]:
+        """Return the distance of ``a`` from ``b`` [m] and the cosine between up and the push of ``b``, (n,) each.
 
         The second is the greatest cosine between up and the way from a part of ``b`` no farther than ``limit`` [m] to a
         part of ``a``; -1 where none is so near. Where several parts push together, as the walls of a funnel do, it is
@@ -147,7 +147,7 @@ class Distances:
         return found
 
 
-def _balls_apart(view: View, a: Thing, b: Thing) -> tuple[tuple[Balls, Balls], Array]:
+def _balls_apart(view: View, a: Entity, b: Entity) -> tuple[tuple[Balls, Balls], Array]:
     """The balls around the links of two things, and how far these are apart [m], (n, links of a, links of b).
 
     A link is infinitely far from itself.

@@ -9,7 +9,7 @@ import numpy as np
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
-from simfoundry.predicates.judging.bodies import Bodies, Body, Thing
+from simfoundry.predicates.judging.bodies import Bodies, CollisionBody, Entity
 from simfoundry.predicates.judging.distances import FAR, Distances
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.predicates.judging.thresholds import PRESS, TOUCH
@@ -25,7 +25,7 @@ class Fingers:
     """The two sides of a gripper as things; ``axis`` is the unit vector in the frame of link ``base`` along which the
     first closes, and the second against it."""
 
-    sides: tuple[Thing, Thing]
+    sides: tuple[Entity, Entity]
     base: int
     axis: Array
 
@@ -54,11 +54,11 @@ def fingers(bodies: Bodies, name: str) -> Fingers | None:
     second = tuple(k for k in moved if k not in first)
     ways = [np.mean([moved[k] for k in side], axis=0) if side else np.zeros(3) for side in (first, second)]
     axis = (ways[0] - ways[1]) / np.linalg.norm(ways[0] - ways[1])  # what both do, as reaching out, is no closing
-    sides = Thing(name, name, first, False), Thing(name, name, second or (base,), False)
+    sides = Entity(name, name, first, False), Entity(name, name, second or (base,), False)
     return Fingers(sides, base, axis)  # one jaw alone closes against the palm
 
 
-def _positions(body: Body, gripper: Gripper, end: int) -> dict[str, Array]:
+def _positions(body: CollisionBody, gripper: Gripper, end: int) -> dict[str, Array]:
     """Positions of the gripper's joints, open (0) or closed (1)."""
     assert body.robot is not None
     at = {joint: pair[end] for joint, pair in gripper.joints.items()}
@@ -68,12 +68,12 @@ def _positions(body: Body, gripper: Gripper, end: int) -> dict[str, Array]:
     return {f"{body.name}.{body.robot.joints[joint]}": np.array([v]) for joint, v in at.items()}
 
 
-def _links(bodies: Bodies, body: Body, positions: dict[str, Array]) -> list[Poses]:
+def _links(bodies: Bodies, body: CollisionBody, positions: dict[str, Array]) -> list[Poses]:
     view = View(bodies, StateBatch(1, {}, robots=positions))
     return [view.link(body.name, k) for k in range(len(body.item.links))]
 
 
-def _carrier(body: Body, gripper: Gripper) -> int:
+def _carrier(body: CollisionBody, gripper: Gripper) -> int:
     """The link that the gripper's first joint hangs on."""
     assert body.robot is not None
     first = body.robot.joints[next(iter(gripper.joints))]
@@ -81,7 +81,7 @@ def _carrier(body: Body, gripper: Gripper) -> int:
     return body.index(joint.parent)
 
 
-def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Thing) -> Array:
+def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thing: Entity) -> Array:
     """The margin by which one of the hands holds a thing [m], (n,), at least -:data:`FAR`."""
     best = np.full(view.n, -FAR)
     for hand in hands:
@@ -93,12 +93,12 @@ def grip_margin(view: View, distances: Distances, hands: Iterable[Fingers], thin
     return best
 
 
-def touching(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:
+def touching(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
     """The larger of the distances of the two sides from a thing [m], (n,), on its side of :data:`TOUCH`."""
     return np.maximum(*(distances.between(view, side, thing, TOUCH) for side in hand.sides))
 
 
-def pressing(view: View, distances: Distances, hand: Fingers, thing: Thing) -> Array:
+def pressing(view: View, distances: Distances, hand: Fingers, thing: Entity) -> Array:
     """By how much a side comes nearer to a thing, or deeper into it, when it is closed by :data:`PRESS` [m], (n,).
 
     Of the two sides that which does so less. A side that lies on the thing without holding it slides along it.
@@ -112,7 +112,7 @@ def pressing(view: View, distances: Distances, hand: Fingers, thing: Thing) -> A
     return least
 
 
-def shifted(view: View, thing: Thing, offset: Array) -> View:
+def shifted(view: View, thing: Entity, offset: Array) -> View:
     """The same states with the links of one thing moved by ``offset`` [m], (n, 3)."""
     other = view.at(np.arange(view.n))
     for k in thing.links:

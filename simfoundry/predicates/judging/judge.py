@@ -23,7 +23,7 @@ CHUNK = 4096
 
 
 class Verdict(NamedTuple):
-    """Whether a condition holds; by how much, in the predicate's own unit, above 0 where it does; and why."""
+    """The value of a condition, its margin in the predicate's unit, positive if it holds, and the explanation."""
 
     value: bool
     margin: float
@@ -96,7 +96,7 @@ class Judge:
     def _arguments(self, call: Call) -> list[Any]:
         """The arguments as the rule takes them: things, joints and numbers by their kinds."""
         bodies = self._context.bodies
-        read = {"joint": bodies.joints, "number": float}
+        read: dict[str, Callable[[str], Any]] = {"joint": bodies.joints, "number": float}
         found = [read.get(kind, bodies.thing)(arg) for arg, kind in zip(call.args, call.kinds, strict=True)]
         things = [arg for arg, kind in zip(found, call.kinds, strict=True) if kind in ("thing", "body")]
         for a, b in combinations(things, 2):
@@ -134,7 +134,7 @@ class _Judged(NamedTuple):
 
 
 class _Reasons(NamedTuple):
-    """Why several hold or not: those that ``decide`` if there are any, else all of them."""
+    """The explanations of several: of those that ``decide`` if there are any, else of all."""
 
     judged: list[_Judged]
     decide: bool

@@ -1,4 +1,4 @@
-"""What is over and under a thing: where the plumb line through its middle meets another."""
+"""Objects over and under another: the plumb line through its middle."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.plumb_lines import SEAM, chords_of
 from simfoundry.geometry.poses import Index
-from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.view import View
 
 
 class Meeting(NamedTuple):
-    """How deep the plumb lines of one thing are in what another has over and under it [m], (n,) each.
+    """Depths of the plumb lines of one thing in the parts of another over and under it [m], (n,) each.
 
     Each is the lesser of how far within the outline of the other the line is and of how far the other reaches beyond
     the end of the one on that line; negative where nothing is met.
@@ -25,8 +25,8 @@ class Meeting(NamedTuple):
     under: Array
 
 
-def meet(view: View, a: Thing, b: Thing) -> Meeting:
-    """What the plumb line through the middle of ``a`` meets of ``b``, beyond where it leaves ``a``."""
+def meet(view: View, a: Entity, b: Entity) -> Meeting:
+    """Measure the parts of ``b`` that the plumb line through the middle of ``a`` meets outside of ``a``."""
     points = view.boxes(a).middle
     over, under = np.full(view.n, -np.inf), np.full(view.n, -np.inf)
     found = list(_chords_of(view, points, b))
@@ -47,8 +47,8 @@ def meet(view: View, a: Thing, b: Thing) -> Meeting:
     return Meeting(over, under)
 
 
-def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
-    """Where plumb lines through points leave the thing itself, over the points [m], (n,); 0 where they miss it."""
+def _own_ends(view: View, points: Array, a: Entity) -> tuple[Array, Array]:
+    """The ends of plumb lines through points in the thing itself, over the points [m], (n,); 0 if they miss it."""
     low, high = np.full(view.n, np.inf), np.full(view.n, -np.inf)
     for state, within, bottom, top in _chords_of(view, points, a):
         met = within > 0
@@ -57,7 +57,7 @@ def _own_ends(view: View, points: Array, a: Thing) -> tuple[Array, Array]:
     return np.where(low > high, 0.0, low), np.where(low > high, 0.0, high)
 
 
-def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index, Array, Array, Array]]:
+def _chords_of(view: View, points: Array, thing: Entity) -> Iterator[tuple[Index, Array, Array, Array]]:
     """The chords of plumb lines in each link of a thing; see :func:`~simfoundry.geometry.plumb_lines.chords_of`."""
     for k, form in view.forms(thing):
         found = chords_of(form, view.link(thing.owner, k), points)
@@ -65,6 +65,6 @@ def _chords_of(view: View, points: Array, thing: Thing) -> Iterator[tuple[Index,
             yield found
 
 
-def _beside(view: View, points: Array, b: Thing) -> Array:
-    """How far points are from the middle of the box around a thing along the ground [m], (n,)."""
+def _beside(view: View, points: Array, b: Entity) -> Array:
+    """Distance of points along the ground from the middle of the box around a thing [m], (n,)."""
     return np.asarray(np.hypot(*(points - view.boxes(b).middle)[:, :2].T) + SEAM)

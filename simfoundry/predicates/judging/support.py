@@ -9,30 +9,30 @@ from numpy.typing import NDArray
 
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Poses
-from simfoundry.predicates.judging.bodies import Thing
+from simfoundry.predicates.judging.bodies import Entity
 from simfoundry.predicates.judging.terms import Context
 from simfoundry.predicates.judging.thresholds import CLOSE, FRICTION_SHARE, SUPPORT_DEG, TOUCH
 from simfoundry.predicates.judging.view import View, over
 from simfoundry.scene.lengths import length
 
 
-def least_cosine(context: Context, a: Thing, b: Thing) -> float:
+def least_cosine(context: Context, a: Entity, b: Entity) -> float:
     """The least cosine between up and the normal of a contact through which ``b`` supports ``a``."""
     friction = math.sqrt(_friction(context, a) * _friction(context, b))
     return math.cos(math.radians(SUPPORT_DEG) + FRICTION_SHARE * math.atan(friction))
 
 
-def _friction(context: Context, thing: Thing) -> float:
+def _friction(context: Context, thing: Entity) -> float:
     """The mean coefficient of the colliders of a thing; 0 if it has none."""
     links = context.bodies[thing.owner].item.links
     found = [collider.friction for k in thing.links for collider in links[k].colliders]
     return sum(found) / len(found) if found else 0.0
 
 
-class Contact:
+class SupportContact:
     """Distance and push between two things, measured together in the states that are still open."""
 
-    def __init__(self, context: Context, a: Thing, b: Thing) -> None:
+    def __init__(self, context: Context, a: Entity, b: Entity) -> None:
         self.context, self.a, self.b = context, a, b
         self.least_cosine = least_cosine(context, a, b)
         self._up: Array = np.zeros(0)
@@ -62,7 +62,7 @@ class Contact:
         return self._up
 
 
-def balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
+def balance(context: Context, a: Entity, b: Entity, view: View) -> Array:
     """Distance of the centre of mass of ``a`` from the edge of the outline of ``b``, inwards [m], (n,).
 
     If the centre of mass is beside ``b`` and another object touches ``a`` too, the spare of that contact instead.
@@ -76,7 +76,7 @@ def balance(context: Context, a: Thing, b: Thing, view: View) -> Array:
     return within
 
 
-def centre_of_mass(view: View, a: Thing) -> Array:
+def centre_of_mass(view: View, a: Entity) -> Array:
     """The centre of mass of a thing [m], (n, 3); the middle of its box where it has no mass."""
     links = view.bodies[a.owner].item.links
     masses = [links[k].mass for k in a.links]
@@ -89,7 +89,7 @@ def centre_of_mass(view: View, a: Thing) -> Array:
     return total
 
 
-def balance_text(a: Thing, b: Thing, value: float) -> str:
+def balance_text(a: Entity, b: Entity, value: float) -> str:
     """The explanation of :func:`balance`."""
     if value > 0:
         return f"it carries `{a.name}`"
@@ -98,7 +98,7 @@ def balance_text(a: Thing, b: Thing, value: float) -> str:
     )
 
 
-def push_text(a: Thing, b: Thing, cosine: float) -> str:
+def push_text(a: Entity, b: Entity, cosine: float) -> str:
     """The reason why the push of ``b`` does not support ``a``."""
     if cosine < 0:
         return f"`{b.name}` is over `{a.name}`, not under it"
@@ -106,7 +106,7 @@ def push_text(a: Thing, b: Thing, cosine: float) -> str:
     return f"`{b.name}` pushes `{a.name}` to the side, {off:.0f} deg off straight up"
 
 
-def gap_to_others(context: Context, a: Thing, view: View) -> Array:
+def gap_to_others(context: Context, a: Entity, view: View) -> Array:
     """The distance of ``a`` from the nearest object that it does not support [m], (n,)."""
     others = context.others(a)
     gaps = {b: context.distances.between(view, a, b, TOUCH) for b in others}
@@ -115,7 +115,7 @@ def gap_to_others(context: Context, a: Thing, view: View) -> Array:
     return np.asarray(np.min([*found, np.full(view.n, np.inf)], axis=0))
 
 
-def supported_by(context: Context, view: View, a: Thing, gaps: dict[Thing, Array]) -> dict[Thing, NDArray[np.bool_]]:
+def supported_by(context: Context, view: View, a: Entity, gaps: dict[Entity, Array]) -> dict[Entity, NDArray[np.bool_]]:
     """The others that ``a`` supports, directly or through others, (n,) each; ``gaps`` [m] are their distances from it.
 
     Measured only in the states in which something touches ``a``.
@@ -144,7 +144,7 @@ def supported_by(context: Context, view: View, a: Thing, gaps: dict[Thing, Array
     return load
 
 
-def _supports(context: Context, view: View, a: Thing, b: Thing, limit: float = TOUCH) -> NDArray[np.bool_]:
+def _supports(context: Context, view: View, a: Entity, b: Entity, limit: float = TOUCH) -> NDArray[np.bool_]:
     """True where ``a`` is no farther than ``limit`` [m] from ``b`` and pushes it up, (n,)."""
     cosine = least_cosine(context, b, a)
     gap, up = context.distances.support(view, b, a, limit, cosine)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from simfoundry.geometry.frames import Array
-from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.distances import Distances
 from simfoundry.predicates.judging.fingers import Fingers, fingers, grip_margin
 from simfoundry.predicates.judging.states import StateBatch
@@ -39,7 +39,7 @@ class Context:
         """The one state that the scene itself describes."""
         return View(self.bodies, StateBatch(1, {}))
 
-    def others(self, *things: Thing) -> list[Thing]:
+    def others(self, *things: Entity) -> list[Entity]:
         """The objects with a shape that none of ``things`` belongs to."""
         owners = {thing.owner for thing in things}
         names = (name for name in self.bodies.objects if name not in owners)
@@ -86,12 +86,12 @@ class Terms:
             self.margin[left] = np.minimum(self.margin[left], margins[left])
         self.terms.append(Term(value, margins, explain))
 
-    def require_at_rest(self, a: Thing) -> None:
+    def require_at_rest(self, a: Entity) -> None:
         """Require that the object of ``a`` moves no faster than :data:`SETTLED`."""
         speed = self.view.batch.speeds.get(a.owner, np.zeros(self.view.n))
         self.require(speed, SETTLED - speed, lambda v, ok: "" if ok else f"`{a.name}` moves at {100 * v:.1f} cm/s")
 
-    def require_not_held(self, a: Thing) -> None:
+    def require_not_held(self, a: Entity) -> None:
         """Require that no gripper holds ``a``."""
         if self.context.bodies.robots:
             self.require_if_open(
@@ -100,7 +100,7 @@ class Terms:
                 lambda v, ok: "" if ok else f"a robot holds `{a.name}`",
             )
 
-    def gap_text(self, a: Thing, b: Thing, value: float) -> str:
+    def gap_text(self, a: Entity, b: Entity, value: float) -> str:
         """The explanation of a distance [m] between two things."""
         if not np.isfinite(value):
             return f"`{a.name}` and `{b.name}` touch nothing"

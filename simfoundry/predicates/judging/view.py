@@ -1,4 +1,4 @@
-"""Where the things of a scene are in many states: poses, boxes and spans, each computed once and when asked for."""
+"""Poses, boxes and spans of the bodies of a scene in many states, each computed once and when it is needed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from simfoundry.geometry.form import TURNED, Form
 from simfoundry.geometry.frames import Array
 from simfoundry.geometry.poses import Index, Poses, rotate
-from simfoundry.predicates.judging.bodies import Bodies, Thing
+from simfoundry.predicates.judging.bodies import Bodies, Entity
 from simfoundry.predicates.judging.states import StateBatch
 from simfoundry.scene.model import Joint, JointType
 
@@ -60,9 +60,9 @@ class View:
     def __init__(self, bodies: Bodies, batch: StateBatch) -> None:
         self.bodies, self.batch, self.n = bodies, batch, batch.n
         self._links: dict[tuple[str, int], Poses] = {}
-        self._boxes: dict[Thing, Boxes] = {}
-        self._heights: dict[Thing, tuple[Array, Array]] = {}
-        self._balls: dict[Thing, Balls] = {}
+        self._boxes: dict[Entity, Boxes] = {}
+        self._heights: dict[Entity, tuple[Array, Array]] = {}
+        self._balls: dict[Entity, Balls] = {}
 
     def at(self, index: Index) -> View:
         """Some of the states."""
@@ -102,21 +102,21 @@ class View:
         return Poses(X_WZ.p, X_WZ.R @ self.bodies[owner].turns[k].by(at))
 
     def position(self, owner: str, joint: Joint) -> Array:
-        """Where a joint is [rad or m], (n,)."""
+        """The position of a joint [rad or m], (n,)."""
         given = self.batch.robots if owner in self.bodies.robots else self.batch.joints
         at = given.get(f"{owner}.{joint.name}")
         return np.full(self.n, joint.position) if at is None else at
 
-    def frame(self, thing: Thing) -> Poses:
+    def frame(self, thing: Entity) -> Poses:
         """The frame of a thing: of its first link."""
         return self.link(thing.owner, thing.links[0])
 
-    def forms(self, thing: Thing) -> list[tuple[int, Form]]:
+    def forms(self, thing: Entity) -> list[tuple[int, Form]]:
         """The links of a thing that have a shape, by index."""
         forms = self.bodies[thing.owner].forms
         return [(k, form) for k in thing.links if (form := forms[k]) is not None]
 
-    def balls(self, thing: Thing) -> Balls:
+    def balls(self, thing: Entity) -> Balls:
         """The balls around the links of a thing that touch."""
         if thing not in self._balls:
             solid = [(k, form) for k, form in self.forms(thing) if form.solid]
@@ -128,7 +128,7 @@ class View:
 
     # -- extents ----------------------------------------------------------------------------------------------------
 
-    def span(self, thing: Thing, axis: Array) -> tuple[Array, Array]:
+    def span(self, thing: Entity, axis: Array) -> tuple[Array, Array]:
         """Lowest and highest coordinate [m] along one unit vector (3,), or along one a state (n, 3); shape (n,)."""
         low, high = np.full(self.n, np.inf), np.full(self.n, -np.inf)
         for k, form in self.forms(thing):
@@ -142,13 +142,13 @@ class View:
             high = np.maximum(high, offset + (reach + radius).max(axis=1))
         return low, high
 
-    def heights(self, thing: Thing) -> tuple[Array, Array]:
+    def heights(self, thing: Entity) -> tuple[Array, Array]:
         """Lowest and highest point over the ground [m], (n,)."""
         if thing not in self._heights:
             self._heights[thing] = self.span(thing, UP)
         return self._heights[thing]
 
-    def boxes(self, thing: Thing) -> Boxes:
+    def boxes(self, thing: Entity) -> Boxes:
         """The boxes around a thing."""
         if thing not in self._boxes:
             forms, X_WF = self.forms(thing), self.frame(thing)
@@ -174,7 +174,7 @@ def _boxes(X_WF: Poses, low: Array, high: Array) -> Boxes:
 
 
 def over(points: Array, boxes: Boxes) -> Array:
-    """How far inside the outline of both boxes, seen from above, points lie [m], (n,); negative beside it.
+    """Distance of points from the edge of the outline of both boxes, seen from above [m], (n,); negative beside it.
 
     The outline of a box is a hexagon whose sides are those of its edges.
     """
@@ -191,8 +191,8 @@ def over(points: Array, boxes: Boxes) -> Array:
     return margin
 
 
-def ground_gap(view: View, a: Thing, b: Thing) -> Array:
-    """How far two things are apart along the ground [m], (n,), negative where they overlap.
+def ground_gap(view: View, a: Entity, b: Entity) -> Array:
+    """Distance between two things along the ground [m], (n,), negative if they overlap.
 
     The widest gap across the edges of their boxes and along the line between their middles.
     """
