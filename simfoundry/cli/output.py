@@ -30,7 +30,9 @@ P = ParamSpec("P")
 DONE, FINDINGS, CANNOT = 0, 1, 2
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-force_option = click.option("--force", is_flag=True, help="Replace the output file even where it was not generated.")
+force_option = click.option(
+    "--force", is_flag=True, help="Replace the output file even if simfoundry did not write it."
+)
 
 
 class CannotError(click.ClickException):
