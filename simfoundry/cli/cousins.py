@@ -16,24 +16,30 @@ from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subc
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import Recipe
-    from simfoundry.cousins.run.run import Ledger, Plan
+    from simfoundry.cousins.run.run import Ledger, RunPlan
 
 
 @subcommand(force=True)
 @click.argument("recipe", type=FILE)
-@click.option("-n", "--count", type=click.IntRange(1, 1_000_000), help="How many cousins. Default: the recipe's.")
+@click.option(
+    "-n", "--count", type=click.IntRange(1, 1_000_000),
+    help="Make this many cousins. Default: as many as the recipe says.",
+)  # fmt: skip
 @click.option(
     "-o", "--out", type=NEW_FOLDER,
-    help="A folder in the project of the twin. Default: build/NAME in it.",
+    help="Write into this folder of the twin's project. Default: build/NAME.",
 )  # fmt: skip
-@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Processes. Default: one for each core.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="In place of the recipe's.")
-@click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate from the I-th on.")
+@click.option("-j", "--jobs", type=click.IntRange(1, 256), help="Use this many processes. Default: one for each core.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Use this seed instead of the recipe's.")
+@click.option("--shard", callback=shard_of, metavar="I/N", help="Examine every N-th candidate, starting with the I-th.")
 @click.option("--on", "where", type=click.Choice(["local", "ray"]), default="local", show_default=True)
-@click.option("--gallery", type=click.IntRange(0, 1000), default=24, show_default=True, help="Pictures on the page.")
-@click.option("--no-gallery", is_flag=True, help="Draw nothing.")
-@click.option("--vlm", default="", metavar="MODEL", help="Who is asked where the recipe wants models.")
-@click.option("--stage", type=NEW_FILE, help="Also a USD stage of all, as variants.")
+@click.option(
+    "--gallery", type=click.IntRange(0, 1000), default=24, show_default=True,
+    help="Show this many pictures on the page.",
+)  # fmt: skip
+@click.option("--no-gallery", is_flag=True, help="Draw no pictures.")
+@click.option("--vlm", default="", metavar="MODEL", help="Ask this model where the recipe needs one.")
+@click.option("--stage", type=NEW_FILE, help="Also write a USD stage that holds all cousins as variants.")
 def command(
     recipe: Path,
     count: int | None,
@@ -49,7 +55,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make variants of a scene or task that keep what can be done in it.
+    """Make variants of a scene or task that keep its affordances.
 
     Each cousin is a document in OUT that extends the twin with what differs; OUT/manifest.json lists them, and every
     candidate that was rejected, with the reasons; OUT/gallery.html shows the first. The same recipe and seed give the
@@ -62,8 +68,8 @@ def command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
     from simfoundry.cousins.recipe.variant_pool import ASSETS
-    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, Setup
-    from simfoundry.cousins.run.run import Plan, begin, run
+    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
+    from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
@@ -76,11 +82,11 @@ def command(
     if marker is not None:
         click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
         read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
-    setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
+    setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
-            plan = Plan(folder, count or read.spec.count, read.about(), shard)
+            plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
             begin(plan)
             sampler = CandidateSampler.load(setup)
             sampler.require_possible()
@@ -101,7 +107,7 @@ def command(
 
 
 def _write(
-    plan: Plan,
+    plan: RunPlan,
     ledger: Ledger,
     recipe: Recipe,
     pictures: int,
@@ -131,7 +137,7 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
+def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.run.report import FILE, examples, summary
     from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE
 

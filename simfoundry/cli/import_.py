@@ -26,34 +26,32 @@ HEADINGS = {
 @subcommand()
 @click.argument("files", nargs=-1, required=True, type=ANY)
 @click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path),
-    help="NAME.scene.yaml or NAME.asset.yaml; a folder for several files. Default: named after the file, here.",
-)
+    "-o", "--out", type=click.Path(path_type=Path),
+    help="Write NAME.scene.yaml or NAME.asset.yaml, or into this folder. Default: named after the file.",
+)  # fmt: skip
 @click.option(
     "--package", "packages", multiple=True, metavar="NAME=PATH", callback=pairs,
-    help="The folder of a package that `package://NAME/…` means; may be given more than once.",
+    help="Look up `package://NAME/…` in this folder; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--scene", type=FILE,
-    help="The scene document that a task, of the authors' release or in BDDL, is for.",
+    help="Import a task for this scene.",
 )  # fmt: skip
 @click.option(
     "--onto", type=FILE,
-    help="The document that a stage of ours was compiled from: it gets what was edited, and keeps its comments.",
+    help="Apply the edits of a compiled stage to its document, which keeps its comments.",
 )  # fmt: skip
 @click.option(
     "--bind", "bound", multiple=True, metavar="NAME=OBJECT", callback=pairs,
-    help="Which object of --scene a name of a BDDL task means; may be given more than once.",
+    help="Bind a name of a BDDL task to an object of --scene; may be repeated.",
 )  # fmt: skip
 @click.option(
     "--density", type=click.FloatRange(min=0, min_open=True), metavar="KG_PER_M3",
-    help="What links of URDF and bodies of USD that state no mass are made of: wood 600, plastics 1100, steel 7800. "
+    help="Density of links and bodies that state no mass: wood 600, plastics 1100, steel 7800. "
     "Default: 1000, as simulators take it.",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace what is there, edits of your own included.")
-@click.option("--strict", is_flag=True, help="Exit with 1 where something was left out, changed or assumed.")
+@click.option("--force", is_flag=True, help="Replace existing files, including your edits.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if something was left out, changed or assumed.")
 def command(
     files: tuple[Path, ...],
     out: Path | None,
@@ -66,7 +64,7 @@ def command(
     strict: bool,
     as_json: bool,
 ) -> int:
-    """Import URDF, MJCF, USD, a scene or task of the authors' release, or a BDDL task, as a scene, an asset or a task.
+    """Import URDF, MJCF, USD, BDDL, or a scene or task of the paper's release, as a document.
 
     A stage that `compile` wrote gives its own document back, with what was edited in it since: into OUT where that is
     there, or into the document named by --onto.

@@ -30,7 +30,9 @@ P = ParamSpec("P")
 DONE, FINDINGS, CANNOT = 0, 1, 2
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for scripts.")
-force_option = click.option("--force", is_flag=True, help="Replace the output file even where it was not generated.")
+force_option = click.option(
+    "--force", is_flag=True, help="Replace the output file even if simfoundry did not write it."
+)
 
 
 class CannotError(click.ClickException):
@@ -193,8 +195,11 @@ def _line_now_and_then() -> Callable[[str, float], None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
-    """A bar on standard error for steps that take long; where it is no terminal, now and then a line."""
-    if quiet:
+    """Show a bar on standard error for long steps, or off a terminal a line now and then.
+
+    ``SIMFOUNDRY_PROGRESS=never`` leaves out the lines, for logs that are compared.
+    """
+    if quiet or (not sys.stderr.isatty() and os.environ.get("SIMFOUNDRY_PROGRESS") == "never"):
         yield lambda stage, share: None
         return
     if not sys.stderr.isatty():  # without rich, which takes long to import

@@ -39,14 +39,27 @@ class VerifyResults(NamedTuple):
 
 @subcommand(force=True)
 @click.argument("specs", nargs=-1, type=ANY)
-@click.option("--engine", "engines", multiple=True, metavar="NAME", help="Default: all that are found.")
-@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Measure behaviours, too.")
-@click.option("--build", type=click.Path(path_type=Path, exists=True, file_okay=False), help="Verify this build.")
-@click.option("--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="An interpreter that has engines.")
-@click.option("--require", multiple=True, metavar="NAME", help="Fail where this engine is not found.")
-@click.option("--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True, help="Seconds for a build.")
-@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures.")
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Engines at a time.")
+@click.option(
+    "--engine", "engines", multiple=True, metavar="NAME",
+    help="Verify in this engine; may be repeated. Default: all that are found.",
+)  # fmt: skip
+@click.option("--behaviours/--no-behaviours", default=True, show_default=True, help="Also measure behaviours.")
+@click.option(
+    "--build", type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Verify this build instead of a new one.",
+)  # fmt: skip
+@click.option(
+    "--python", "pythons", multiple=True, metavar="[ENGINE=]PATH", help="Also look for engines in this interpreter."
+)
+@click.option("--require", multiple=True, metavar="NAME", help="Fail if this engine is not found.")
+@click.option(
+    "--timeout", type=click.FloatRange(min=1), default=180.0, show_default=True,
+    help="Give an engine this many seconds for a build.",
+)  # fmt: skip
+@click.option("--html", type=NEW_FILE, help="Write a page with tables and pictures to this file.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Run this many engines at a time."
+)
 def command(
     specs: tuple[Path, ...],
     engines: tuple[str, ...],

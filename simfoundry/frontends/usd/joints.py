@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simfoundry.frontends.draft import DriveDraft, JointDraft, ModelDraft
+from simfoundry.frontends.errors import ImportRefusedError
 from simfoundry.frontends.urdf.reader import UNLIMITED_SLIDE_M
 from simfoundry.geometry.frames import Array, Pose
 
@@ -17,6 +19,9 @@ AXES = {"X": np.array([1.0, 0, 0]), "Y": np.array([0, 1.0, 0]), "Z": np.array([0
 
 INFINITE = 1e30
 """Limits and forces above this mean that there is none: USD writes infinity as a large number of single precision."""
+
+NO_LENGTH = 1e-9
+"""Quaternions shorter than this have no direction; newer versions of USD write zero for none."""
 
 JointEnd = tuple[str, Pose, Array]
 """A body of a joint by its path, the frame of the joint's target in the body's, and the scale of its units."""
@@ -53,18 +58,25 @@ def read_joint(
     (parent, X_P, scale_0), (child, X_C, scale_1) = (
         end(list(r.GetTargets())) for r in (joint.GetBody0Rel(), joint.GetBody1Rel())
     )
-    X_0 = X_P @ _local(joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
-    X_1 = X_C @ _local(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
+    X_0 = X_P @ attribute_pose(prim, joint.GetLocalPos0Attr().Get(), joint.GetLocalRot0Attr().Get(), scale_0)
+    X_1 = X_C @ attribute_pose(prim, joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get(), scale_1)
     path = str(prim.GetPath())
     reader = _JointReader(draft, pxr, prim, JointDraft(path, "fixed", parent, child, axis=AXES["X"]), to_m, to_kg)
     reader.read()
     return UsdJoint(path, parent, child, X_0, X_1, reader.joint)
 
 
-def _local(position: Any, rotation: Any, scale: Array) -> Pose:
+def attribute_pose(prim: Any, position: Any, rotation: Any, scale: Array | float = 1.0) -> Pose:
+    """Return the pose of two attributes of a prim; one that is absent, and a rotation of no length, is the identity.
+
+    Raises :class:`ImportRefusedError` for numbers that are not finite.
+    """
     p = np.array(position if position is not None else (0, 0, 0), dtype=np.float64) * scale
     q = (1.0, 0.0, 0.0, 0.0) if rotation is None else (rotation.GetReal(), *rotation.GetImaginary())
-    return Pose.of(p, q if any(q) else (1.0, 0.0, 0.0, 0.0))
+    if not np.isfinite([*p, *q]).all():
+        file = Path(prim.GetStage().GetRootLayer().realPath)
+        raise ImportRefusedError(file, f"a frame of `{prim.GetPath()}` has numbers that are not finite")
+    return Pose.of(p, q if math.hypot(*q) > NO_LENGTH else (1.0, 0.0, 0.0, 0.0))
 
 
 @dataclass

@@ -11,6 +11,7 @@ import numpy as np
 from simfoundry.frontends.draft import LinkDraft, ModelDraft
 from simfoundry.frontends.mass_repair import WATER_DENSITY, assume_density
 from simfoundry.frontends.usd.geoms import UsdGprims
+from simfoundry.frontends.usd.joints import attribute_pose
 from simfoundry.geometry.frames import IDENTITY, Array, Pose
 
 NOISE = 1e-9
@@ -70,10 +71,7 @@ def _add_inertia(body: UsdBody, api: Any, unit: float) -> None:
     diagonal = np.array(api.GetDiagonalInertiaAttr().Get() or (0, 0, 0), dtype=np.float64)
     if not diagonal.any():
         return
-    axes, rotation = Pose.of(), api.GetPrincipalAxesAttr().Get()
-    if rotation is not None and (rotation.GetReal() or any(rotation.GetImaginary())):
-        axes = Pose.of(q=[rotation.GetReal(), *rotation.GetImaginary()])
-    R_LI = (X_LB @ axes).rotation
+    R_LI = (X_LB @ attribute_pose(body.prim, None, api.GetPrincipalAxesAttr().Get())).rotation
     inertia = R_LI @ np.diag(diagonal * unit) @ R_LI.T
     link.inertia = np.where(np.abs(inertia) < NOISE * np.trace(inertia), 0.0, (inertia + inertia.T) / 2)
     if not is_given:

@@ -137,6 +137,18 @@ def test_without_a_mass_the_density_of_usd_is_taken(importing: Importing) -> Non
             '#usda 1.0\ndef Cube "a" {\n double size = inf\n}\n',
             "and a document cannot say that: Input should be a finite",
         ),
+        (
+            FORWARD.replace(
+                "point3f physics:localPos1", "quatf physics:localRot1 = (0.2, inf, 1, 0)\n point3f physics:localPos1"
+            ),
+            "a frame of `/Door/Hinge` has numbers that are not finite",
+        ),
+        (
+            CENTIMETRES.replace(
+                "float3 physics:diag", "quatf physics:principalAxes = (nan, 0, 0, 0)\n float3 physics:diag"
+            ),
+            "a frame of `/World/Box` has numbers that are not finite",
+        ),
         ('#usda 1.0\ndef Xform "a" {}\n', "it has no geometry"),
         ('#usda 1.0\ndef Xform "a" (references = @./none.usda@) {}\n', "it has no geometry: .*none.usda"),
     ],
