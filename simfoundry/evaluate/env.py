@@ -122,7 +122,7 @@ class TaskEnv(gymnasium.Env[Any, Any]):
         return self._observation(), float(success), success, cut, self._info(success)
 
     def render(self) -> Image | None:
-        """What the render camera sees, uint8, shape (h, w, 3); None without a render mode."""
+        """Render the camera, uint8, shape (h, w, 3); None without a render mode."""
         return next(iter(pictures(self._now.world, self._picture).values()), None)
 
     def close(self) -> None:

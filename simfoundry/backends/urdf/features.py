@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from simfoundry.backends.artifact import number
-from simfoundry.backends.features import Cell, approximated, dropped, exact
+from simfoundry.backends.features import SupportCell, approximated, dropped, exact
 from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.scene.model import JointType, Scene, SceneObject
@@ -27,7 +27,7 @@ _NO_BALLS = "URDF has no ball joints; the link is welded in its initial pose."
 _NO_EXCLUSIONS = "URDF cannot exclude contacts; the simulator decides whether links of one object collide."
 _NO_ARMATURE = "URDF has no rotor inertia; the joint accelerates as if it were zero."
 
-FEATURES: dict[str, Cell] = {
+FEATURES: dict[str, SupportCell] = {
     "robots": approximated(CONVERTED),
     "robot_motors": dropped(_NO_MOTORS),
     "robot_contacts": dropped(_NO_SURFACES),

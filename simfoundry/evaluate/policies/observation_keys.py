@@ -1,4 +1,4 @@
-"""What a remote policy is shown: pictures and the robots' senses, by the policy's own keys."""
+"""Observations of a remote policy: pictures and the robots' state, by the policy's own keys."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a task is done: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
+"""Progress of a task: conditions judged on states, steps that stay done, a goal that has to hold for a while."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def judge_of(scene: Scene) -> Judge:
 
 
 class Progress:
-    """What of a task is done as its states go by.
+    """The progress of a task from state to state.
 
     A step is done at the first state in which its goal holds, and stays done; where it holds at the start already, as
     `Closed(drawer)` does before the drawer was opened, it must have been false in between. The whole is done once its

@@ -27,11 +27,11 @@ from simfoundry.worlds.base import World
 from simfoundry.worlds.robot import WorldRobot
 
 FALLEN = 0.3
-"""What is this far [m] below everything that the task began with has fallen off it."""
+"""Distance [m] below everything that the task began with at which an object has fallen off: below a table's height."""
 
 
 class RolloutEnd(StrEnum):
-    """Why a rollout ended."""
+    """The reason why a rollout ended."""
 
     SUCCESS = "success"
     HORIZON = "horizon"
@@ -45,7 +45,7 @@ class RolloutEnd(StrEnum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went [s]."""
+    """Times of the parts of a rollout [s]."""
 
     total: float
     physics: float
@@ -64,7 +64,7 @@ class Video:
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What came of a rollout.
+    """The result of a rollout.
 
     ``steps`` control steps were carried out; ``subtasks`` says at which step each was done, counted from 1, None where
     it was not. ``end`` says why it ended and ``reason`` the details of a failure. ``actions`` are those that were
