@@ -47,8 +47,8 @@ def command(
 
     Edits of different things never conflict, whatever lines they are on. Where both sides changed one value differently
     the document keeps ours, says so under `conflicts`, and cannot be compiled until that is decided: mend the value and
-    remove the entry, or take a side with --resolve, for all of them or at the paths given. Exit code 1 where there is a
-    conflict, or where the merged document has an error that neither side has.
+    remove the entry, or take a side with --resolve, for all of them or at the paths given. The exit code is 1 if there
+    is a conflict, or if the merged document has an error that neither side has.
     """
     if driver:
         return _driver(args)
@@ -158,7 +158,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
-        raise CannotError(f"{path} is no UTF-8 text") from None
+        raise CannotError(f"{path} is not UTF-8 text") from None
 
 
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:

@@ -138,7 +138,7 @@ def rectangles_meet(
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A range for the centre of an object's rectangle [m], shape (2,) each, and for its turn [rad]; the ``support`` that
+    """A range for the centre of an object's rectangle [m], shape (2,) each, for its turn [rad]; the ``support`` that
     it stands on, and the height ``z`` [m] of its frame there."""
 
     low: Array
