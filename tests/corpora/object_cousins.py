@@ -131,16 +131,16 @@ def expert(count: int, seed: int, rollouts: int, shard: tuple[int, int], out: Pa
     """Roll the expert out on Cup in Bowl with each of its object cousins; 1 where it wins too few."""
     from simfoundry.evaluate.expert.policy import Expert
     from simfoundry.evaluate.resets.starts import starts
-    from simfoundry.evaluate.rollouts.progress import judge_of
     from simfoundry.evaluate.rollouts.rollout import rollout
     from simfoundry.evaluate.tasks.task import load_task
+    from simfoundry.predicates import Judge
     from simfoundry.worlds import open_world
 
     won = total = 0
     paths = sorted(cousin_tasks(count, seed, out))
     for path in paths[shard[0] - 1 :: shard[1]]:
         task = load_task(path, cache)
-        policy, judge = Expert(task), judge_of(task.scene)
+        policy, judge = Expert(task), Judge(task.scene)
         with open_world(task.scene, "mujoco") as world:
             for start in starts(task, rollouts, seed, cache=cache):
                 one = rollout(task, start, policy, world, judge)
