@@ -16,7 +16,7 @@ from simfoundry.cli.output import DONE, FINDINGS, print_json, progress_bar, subc
 if TYPE_CHECKING:
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import Recipe
-    from simfoundry.cousins.run.run import Ledger, Plan
+    from simfoundry.cousins.run.run import Ledger, RunPlan
 
 
 @subcommand(force=True)
@@ -68,8 +68,8 @@ def command(
     from simfoundry.cousins.recipe.candidate import ImpossibleError
     from simfoundry.cousins.recipe.document import claim_project, read_recipe
     from simfoundry.cousins.recipe.variant_pool import ASSETS
-    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, Setup
-    from simfoundry.cousins.run.run import Plan, begin, run
+    from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
+    from simfoundry.cousins.run.run import RunPlan, begin, run
     from simfoundry.cousins.run.worker_pools import Work, open_pool
 
     if stage is not None:
@@ -82,11 +82,11 @@ def command(
     if marker is not None:
         click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
         read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
-    setup = Setup(str(recipe.absolute()), str(folder), read.seed, vlm)
+    setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
         try:
-            plan = Plan(folder, count or read.spec.count, read.about(), shard)
+            plan = RunPlan(folder, count or read.spec.count, read.about(), shard)
             begin(plan)
             sampler = CandidateSampler.load(setup)
             sampler.require_possible()
@@ -107,7 +107,7 @@ def command(
 
 
 def _write(
-    plan: Plan,
+    plan: RunPlan,
     ledger: Ledger,
     recipe: Recipe,
     pictures: int,
@@ -137,7 +137,7 @@ def _impossible(error: ImpossibleError, as_json: bool) -> int:
     return FINDINGS
 
 
-def _report(plan: Plan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
+def _report(plan: RunPlan, ledger: Ledger, remarks: tuple[str, ...], as_json: bool) -> int:
     from simfoundry.cousins.run.report import FILE, examples, summary
     from simfoundry.cousins.run.run import LEAST_RATE, PATIENCE
 

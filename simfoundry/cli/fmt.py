@@ -81,7 +81,7 @@ def _stream(check: bool, diff: bool) -> int:
     try:
         before = sys.stdin.buffer.read().decode("utf-8")
     except UnicodeDecodeError:
-        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is no UTF-8 text", "<stdin>")]) from None
+        raise SpecError([Diagnostic("SF001", Severity.ERROR, "this is not UTF-8 text", "<stdin>")]) from None
     text = Formatted(before, format_text(before, "<stdin>"))
     if diff:
         click.echo(_diff(STDIN, text), nl=False)

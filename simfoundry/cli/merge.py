@@ -158,7 +158,7 @@ def _text(path: Path) -> str:
     try:
         return path.read_bytes().decode("utf-8")
     except UnicodeDecodeError:
-        raise CannotError(f"{path} is no UTF-8 text") from None
+        raise CannotError(f"{path} is not UTF-8 text") from None
 
 
 def _print(merged: MergedText, errors: list[Diagnostic], name: Path) -> None:

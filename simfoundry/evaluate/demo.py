@@ -22,7 +22,7 @@ from simfoundry.backends.robot_models.robot_object import as_object
 from simfoundry.errors import OutputError
 from simfoundry.evaluate.expert.grasps import down, grasps
 from simfoundry.evaluate.expert.places import places
-from simfoundry.evaluate.expert.policy import Expert
+from simfoundry.evaluate.expert.policy import ExpertPolicy
 from simfoundry.evaluate.policies.base import ActionSpace, Image
 from simfoundry.evaluate.resets.starts import RolloutStart
 from simfoundry.evaluate.rollouts.control import Controller, physics_steps
@@ -253,7 +253,7 @@ def _try(idea: _Idea, scene: Scene, scene_file: Path, out: Path) -> ArmDemo:
         write_files(folder, {name: text.encode() for name, text in documents.items()})
         task = load_task(folder / TASK, Cache.default())
         start = RolloutStart(0, 0, MappingProxyType({}), SceneState.initial(task.scene))
-        expert = Expert(task)
+        expert = ExpertPolicy(task)
         with open_world(task.scene, "mujoco") as world:
             one = rollout(task, start, expert, world)
             strip = _strip(task, start, one, world)

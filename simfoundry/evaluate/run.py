@@ -316,9 +316,9 @@ def _policy(job: RolloutJob, setting: _Setting) -> Policy:
         for stale in [k for k in _open if k[0] is not None]:
             _open.pop(stale).close()
         if isinstance(choice, ExpertChoice):
-            from simfoundry.evaluate.expert.policy import Expert as Scripted
+            from simfoundry.evaluate.expert.policy import ExpertPolicy
 
-            _open[key] = Scripted(setting.task, setting.judge)
+            _open[key] = ExpertPolicy(setting.task, setting.judge)
         else:
             _open[key] = open_policy(choice)
     return _open[key]

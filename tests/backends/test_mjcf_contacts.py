@@ -16,12 +16,19 @@ import pytest
 
 from simfoundry.backends.losses import Size
 from simfoundry.backends.mjcf import compile_mjcf
-from simfoundry.backends.mjcf.contact_rules import MAX_PAIRS, PROXY, Surface, desired_contact, exact_model, solref
+from simfoundry.backends.mjcf.contact_rules import (
+    MAX_PAIRS,
+    PROXY,
+    ContactSurface,
+    desired_contact,
+    exact_model,
+    solref,
+)
 from simfoundry.backends.mjcf.contacts import object_geoms
 from simfoundry.runtime.plugins import import_file
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid
@@ -31,7 +38,7 @@ HULLS = 6
 Meetings = import_file(shipped("targets/mujoco") / "contacts.py").Meetings
 
 
-def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObject:
+def many(name: str, surface: ContactSurface, x: float, fixed: bool = False) -> SceneObject:
     """A stack of boxes, each a collider: as a decomposed thing."""
     plain = solid(name, box(0.1, 0.1, 0.02), pose(x, 0, 0.5), fixed=fixed)
     parts = tuple(
@@ -45,21 +52,21 @@ def many(name: str, surface: Surface, x: float, fixed: bool = False) -> SceneObj
 def crowd(surfaces: int, each: int) -> Scene:
     """Things of so many surfaces, so many of each, with two tables and a floor like the first."""
     kinds = [
-        Surface(0.2 + 0.05 * k, 0.3 if k % 3 == 2 else 0.0, 0.004 if k == 1 else 0.0, 0.002 if k == 3 else 0.0)
+        ContactSurface(0.2 + 0.05 * k, 0.3 if k % 3 == 2 else 0.0, 0.004 if k == 1 else 0.0, 0.002 if k == 3 else 0.0)
         for k in range(surfaces)
     ]
     things = [many(f"thing_{k}_{n}", kind, 0.3 * n + 3 * k) for k, kind in enumerate(kinds) for n in range(each)]
     tables = [
-        many("table", Surface(0.9, 0.1, 0.0, 0.0), -5, fixed=True),
-        many("desk", Surface(0.5, 0.4, 0.001, 0.0), -8, fixed=True),
+        many("table", ContactSurface(0.9, 0.1, 0.0, 0.0), -5, fixed=True),
+        many("desk", ContactSurface(0.5, 0.4, 0.001, 0.0), -8, fixed=True),
         many("floor", kinds[0], -9, fixed=True),
     ]
     return scene_of(*tables, *things)
 
 
-def expected(scene: Scene) -> Iterator[tuple[str, str, Surface]]:
+def expected(scene: Scene) -> Iterator[tuple[str, str, ContactSurface]]:
     """Every two colliders that can meet, with what their contact should feel like."""
-    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in silent_pairs(o)}
+    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in excluded_link_pairs(o)}
     silent |= {frozenset(pair) for pair in scene.no_contact}
     geoms = [geom for item in scene.objects for geom in object_geoms(item)]
     for a, b in product(geoms, geoms):
@@ -313,9 +320,9 @@ def test_a_box_slides_where_its_two_surfaces_say() -> None:
 
 def slides(angle: float) -> bool:
     """Whether a stack of boxes on a table slides where gravity leans by ``angle`` [rad]."""
-    thing = many("thing", Surface(0.3, 0.0, 0.0, 0.0), 0)
+    thing = many("thing", ContactSurface(0.3, 0.0, 0.0, 0.0), 0)
     thing = replace(thing, X_WO=pose(0, 0, 0.01))  # on the table, whose top is at 0
-    table = many("table", Surface(0.8, 0.0, 0.0, 0.0), 0, fixed=True)
+    table = many("table", ContactSurface(0.8, 0.0, 0.0, 0.0), 0, fixed=True)
     table = replace(
         table,
         X_WO=pose(0, 0, -0.3),

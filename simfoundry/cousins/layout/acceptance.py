@@ -78,7 +78,7 @@ class _Clock:
         self._last = now
 
 
-def _at_rest(layout: Layout, settled: Settled) -> Iterator[Reason]:
+def _at_rest(layout: Layout, settled: SettledLayout) -> Iterator[Reason]:
     for name in settled.restless:
         yield Reason("restless", f"`{name}` does not come to rest in {MOST_S:g} s")
     if settled.deepest > PENETRATION:
@@ -198,7 +198,7 @@ them."""
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettledLayout:
     """The ``state`` at rest, rounded; how far each free object got, in ``moved`` [m] and ``tilted`` [deg].
 
     ``restless`` never came to rest; ``deepest`` [m] is the worst overlap at the end, between the two named;
@@ -214,7 +214,7 @@ class Settled:
     seconds: float
 
 
-def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> Settled:
+def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] = ()) -> SettledLayout:
     """Let a state come to rest. The world's model is reused as it is; what is ``absent`` is not looked at."""
     gone = set(absent)
     items = [o for o in world.scene.objects if not o.fixed and o.name not in gone]
@@ -252,7 +252,7 @@ def settle_layout(world: MujocoWorld, state: SceneState, absent: Iterable[str] =
         end = SceneState.of({**end.poses, **{n: state.poses[n] for n in gone}}, end.joints, end.motions)
     moved = {o.name: float(np.linalg.norm(end.poses[o.name].p - state.poses[o.name].p)) for o in items}
     tilted = {o.name: 0.0 if is_ball(o) else tilt_deg(state.poses[o.name], end.poses[o.name]) for o in items}
-    return Settled(end, moved, tilted, restless, deepest, between, elapsed)
+    return SettledLayout(end, moved, tilted, restless, deepest, between, elapsed)
 
 
 def _without(world: MujocoWorld, state: SceneState, absent: set[str]) -> SceneState:

@@ -296,7 +296,7 @@ def too_full(
     twin: Twin,
     places: Sequence[Support],
     axis: SceneAxis | None,
-    items: Sequence[library.Item] = (),
+    items: Sequence[library.LibraryItem] = (),
     count: int = 0,
     around: str = "",
 ) -> tuple[Reason, ...]:
@@ -324,7 +324,7 @@ def too_full(
     return (Reason("too_full", text, MappingProxyType(numbers)),)
 
 
-def _least(twin: Twin, on: str, items: Sequence[library.Item], count: int, free: float) -> float:
+def _least(twin: Twin, on: str, items: Sequence[library.LibraryItem], count: int, free: float) -> float:
     """The shadows [m^2] of ``count`` of the items together, none taken twice before each was once: at least that.
 
     Where even the rectangles around them fit into what is ``free`` [m^2], they are not looked at closer.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simfoundry.cousins.objects.appearance import PAINTS, WHITE, Color, color_of, sort_of, varied
+from simfoundry.cousins.objects.appearance import Color, category_prior, color_of, priors, varied
 from simfoundry.cousins.objects.components import MAIN, Component, Kind, components
 from simfoundry.cousins.objects.geometry import Rng
 from simfoundry.cousins.objects.meshes import FOLDER
@@ -45,12 +45,12 @@ def skinned(spec: AssetSpec, only: Sequence[str], rng: Rng) -> tuple[AssetSpec, 
     if not found:
         return spec, {}, ""
     component = found[int(rng.integers(len(found)))]
-    sort = sort_of(spec.category or spec.name)
+    sort = category_prior(spec.category or spec.name)
     parts = parts_of(spec)
-    base = color_of(spec, component.parts[0]) or WHITE
+    base = color_of(spec, component.parts[0]) or priors().white
     names = _patterns(spec, parts[component.parts[0]], component)
     name = names[int(rng.integers(len(names)))]
-    second = _second(base, name, sort.colors if sort is not None else PAINTS, rng)
+    second = _second(base, name, sort.colors if sort is not None else priors().paints, rng)
     if name not in NATURAL and rng.random() < 0.5:
         base, second = second, base
     image = _painted(PATTERNS[name], base, second, rng)
@@ -95,7 +95,7 @@ def _second(base: Color, name: str, palette: tuple[Color, ...], rng: Rng) -> Col
         share = rng.uniform(0.45, 0.75)
         r, g, b = (round(v * share, 3) for v in base)
         return r, g, b
-    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [WHITE]
+    far = [c for c in palette if sum(abs(a - b) for a, b in zip(c, base, strict=True)) > 0.5] or [priors().white]
     return varied(far[int(rng.integers(len(far)))], rng)
 
 

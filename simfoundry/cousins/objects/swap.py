@@ -13,8 +13,8 @@ import numpy as np
 
 from simfoundry.assets.cache import Cache, key_of
 from simfoundry.cousins.objects.checks import Needs, needs_of
-from simfoundry.cousins.objects.generation import Given, opened
-from simfoundry.cousins.objects.item import Item, item_of
+from simfoundry.cousins.objects.generation import SourceSetup, opened
+from simfoundry.cousins.objects.item import ObjectAsset, item_of
 from simfoundry.cousins.objects.retrieval import contents
 from simfoundry.cousins.objects.variants import Origins, Progress, Variants, variants, write
 from simfoundry.cousins.recipe.candidate import ImpossibleError, Reason
@@ -75,7 +75,7 @@ def prepare(
 
 
 def made_for(
-    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: Given
+    axis: ObjectAxis, scene: Loaded, tasks: Sequence[TaskSpec], seed: int, folder: Path, given: SourceSetup
 ) -> dict[str, tuple[Path, ...]]:
     """The documents of the variants of each object, made where they are not there yet.
 
@@ -191,7 +191,9 @@ def variant_set(name: str, assets: Mapping[str, str]) -> dict[str, Any]:
     return {"objects": {name: {"variants": {variant: {"asset": path} for variant, path in assets.items()}}}}
 
 
-def _key(item: Item, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None) -> str:
+def _key(
+    item: ObjectAsset, wanted: ObjectVariants, needs: Needs, seed: int, axis: ObjectAxis, library: Path | None
+) -> str:
     """What variants depend on; of models their names in the recipe: whoever is asked says each time something else."""
     meshes = [path.read_bytes() for _, path in sorted(item.files.items())]
     calls = json.dumps([[str(c) for c in needs.rests], list(needs.joints), needs.opening])

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from simfoundry.assets.cache import Cache
-from simfoundry.cousins.recipe.library import Item, default_folder, filtered, read_library, remarks, united
+from simfoundry.cousins.recipe.library import LibraryItem, default_folder, filtered, read_library, remarks, united
 from simfoundry.errors import OutputError
 from simfoundry.runtime.files import write_atomically
 from simfoundry.scene.lower import lower
@@ -61,7 +61,7 @@ class Recipe:
         return (self.task or self.scene).path
 
     @property
-    def distractors(self) -> tuple[Item, ...]:
+    def distractors(self) -> tuple[LibraryItem, ...]:
         """The things that may be put beside the task; raises :class:`ImpossibleError` where there are none."""
         return self._choice[0]
 
@@ -71,7 +71,7 @@ class Recipe:
         return self._choice[1]
 
     @cached_property
-    def _choice(self) -> tuple[tuple[Item, ...], tuple[str, ...]]:
+    def _choice(self) -> tuple[tuple[LibraryItem, ...], tuple[str, ...]]:
         axis = self.spec.distractors
         if axis is None:
             return (), ()

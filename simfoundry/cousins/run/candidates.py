@@ -32,7 +32,7 @@ KEPT_TWINS = 8
 
 
 @dataclass(frozen=True)
-class Setup:
+class SamplerSetup:
     """Which recipe, with which seed, written where: all that a process needs to make candidates.
 
     ``vlm`` names a model, which the process that begins a run may ask.
@@ -55,7 +55,7 @@ class CandidateSampler:
     twins: dict[tuple[tuple[str, Path], ...], Twin] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def load(cls, setup: Setup) -> CandidateSampler:
+    def load(cls, setup: SamplerSetup) -> CandidateSampler:
         """Read the recipe, let the twin come to rest, and find what its axes choose from."""
         recipe, out = read_recipe(Path(setup.recipe), setup.seed), Path(setup.out)
         twin = Twin.load(recipe.twin_file, Cache.default())
@@ -82,7 +82,7 @@ class CandidateSampler:
             return Candidate(index, reasons=found.reasons)
         return _written(self, draw, found, index)
 
-    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.Item]) -> Twin:
+    def extended(self, others: Mapping[str, Choice], added: Mapping[str, library.LibraryItem]) -> Twin:
         """Return the twin with other objects in the place of some, and more that are not there yet."""
         if not others and not added:
             return self.twin
@@ -104,7 +104,7 @@ class _Draw:
     twin: Twin
     layout: Layout
     others: Mapping[str, Choice]
-    added: Mapping[str, library.Item]
+    added: Mapping[str, library.LibraryItem]
 
     @property
     def is_moved(self) -> bool:
@@ -130,7 +130,7 @@ def _draw(shared: CandidateSampler, index: int) -> _Draw | Rejected:
     return layout if isinstance(layout, Rejected) else _Draw(twin, layout, others, added)
 
 
-def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.Item]:
+def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str, library.LibraryItem]:
     """Things from the library, none twice before each was taken once, by names that the scene has not yet."""
     axis = shared.recipe.spec.distractors
     if axis is None:
@@ -141,7 +141,7 @@ def _distractors(shared: CandidateSampler, rng: np.random.Generator) -> dict[str
     )
     count = int(rng.integers(axis.count[0], axis.count[1], endpoint=True))
     order = [k for _ in range(-(-count // len(items)) if items else 0) for k in rng.permutation(len(items))]
-    found: dict[str, library.Item] = {}
+    found: dict[str, library.LibraryItem] = {}
     for k in order[:count]:
         name = next(n for n in library.names(items[k].name) if n not in taken and n not in found)
         found[name] = items[k]

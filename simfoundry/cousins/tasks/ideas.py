@@ -31,7 +31,7 @@ BROAD = 0.1
 
 
 @dataclass(frozen=True)
-class Step:
+class IdeaStep:
     """One step: its ``goal``, what is told, and the object that is carried, empty where a joint is moved."""
 
     name: str
@@ -49,7 +49,7 @@ class Idea:
 
     name: str
     goal: tuple[Any, ...]
-    steps: tuple[Step, ...]
+    steps: tuple[IdeaStep, ...]
     odd: int = 0
 
     @property
@@ -234,24 +234,24 @@ def _need(setting: TaskContext, thing: str) -> float:
     return float(np.prod(np.sort(high - low)[:2]))
 
 
-def _step(thing: str, word: str, target: str) -> Step:
+def _step(thing: str, word: str, target: str) -> IdeaStep:
     side = "in" if word == "Inside" else "on"
     said = f"{'inside' if word == 'Inside' else 'on'} the {_said(target)}"
-    return Step(
+    return IdeaStep(
         f"{thing}_{side}_{_short(target)}", f"{word}({thing}, {target})", f"put the {_said(thing)} {said}", thing
     )
 
 
-def _on_top(thing: str, target: str) -> Step:
+def _on_top(thing: str, target: str) -> IdeaStep:
     """On a thing that has a cavity under its top, and not in it."""
     goal = {"all": (f"OnTop({thing}, {target})", {"not": f"Inside({thing}, {target})"})}
     words = f"put the {_said(thing)} on top of the {_said(target)}"
-    return Step(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
+    return IdeaStep(f"{thing}_on_top_of_{_short(target)}", goal, words, thing)
 
 
-def _moved(joint: str, word: str) -> Step:
+def _moved(joint: str, word: str) -> IdeaStep:
     verb = "open" if word == "Open" else "close"
-    return Step(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
+    return IdeaStep(f"{verb}_{_short(joint)}", f"{word}({joint})", f"{verb} the {_said(joint)}")
 
 
 WORDS = {
@@ -261,7 +261,7 @@ WORDS = {
 """How a predicate is said of a thing that is put somewhere."""
 
 
-def step_of(call: Call) -> Step:
+def step_of(call: Call) -> IdeaStep:
     """The step that brings a predicate about."""
     thing = call.args[0]
     if call.predicate in ("Inside", "OnTop"):
@@ -272,9 +272,11 @@ def step_of(call: Call) -> Step:
         [_short(thing), call.predicate.lower(), *(_short(a) for a in call.args[1:2] if call.kinds[1] == "thing")]
     )
     if call.predicate in WORDS:
-        return Step(name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing)
+        return IdeaStep(
+            name, str(call), f"put the {_said(thing)} {WORDS[call.predicate]} the {_said(call.args[1])}", thing
+        )
     verb = {"Lifted": "lift", "Grasped": "take", "Upright": "stand up"}.get(call.predicate, "move")
-    return Step(name, str(call), f"{verb} the {_said(thing)}", thing)
+    return IdeaStep(name, str(call), f"{verb} the {_said(thing)}", thing)
 
 
 def _short(name: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from simfoundry.evaluate.expert.grasps import Grasp, down, grasps
 from simfoundry.evaluate.expert.handling import STANDOFF, firmly
 from simfoundry.evaluate.expert.motion import ArmPlanner, Path
-from simfoundry.evaluate.expert.worker import CAREFUL, FailedError, Script, Worker
+from simfoundry.evaluate.expert.worker import CAREFUL, ExpertWorker, FailedError, Script
 from simfoundry.geometry.frames import Array, Pose
 from simfoundry.robots.fingers import Jaws
 from simfoundry.scene.kinematics import link_poses
@@ -74,7 +74,7 @@ def ends(joint: Joint) -> tuple[float, float]:
     return (low, high) if abs(low) <= abs(high) else (high, low)
 
 
-def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
+def lead(worker: ExpertWorker, robot: str, target: str, opening: bool) -> Script:
     """Open or close a joint by its handle."""
     owner, _, name = target.partition(".")
     item = worker.scene.object(owner)
@@ -98,7 +98,7 @@ def lead(worker: Worker, robot: str, target: str, opening: bool) -> Script:
     yield from worker.wait(0.3)
 
 
-def plan_lead(worker: Worker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
+def plan_lead(worker: ExpertWorker, robot: str, item: SceneObject, joint: Joint, goal: float) -> LeadPlan | None:
     """The first grasp of a handle with which the arm can lead the joint to ``goal`` [rad or m]."""
     planner, state = worker.planners[robot], worker.now.state
     leading = _Leading(item, state, joint, state.joints[f"{item.name}.{joint.name}"], goal)

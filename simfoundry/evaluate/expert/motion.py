@@ -54,7 +54,7 @@ class Held:
 class ArmPlanner:
     """One arm in its cell."""
 
-    def __init__(self, cell: Cell, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:
+    def __init__(self, cell: PlanningScene, arm: Arm, fingers: Jaws, rng: np.random.Generator) -> None:
         self.cell, self.arm, self.jaws, self.rng = cell, arm, fingers, rng
         self.name = arm.robot.name
 
@@ -188,7 +188,7 @@ FAR = 0.03
 """How far apart things are when they are still looked at [m]."""
 
 
-class Cell:
+class PlanningScene:
     """The scene in MuJoCo, without time. What is asked of it changes it; :meth:`sync` brings it back to a state."""
 
     def __init__(self, scene: Scene) -> None:
