@@ -11,7 +11,7 @@ from simfoundry.geometry.box_distance import BoxField, box_field
 from simfoundry.geometry.exact_distance import LIFT, UP, Candidates
 from simfoundry.geometry.form import Form
 from simfoundry.geometry.frames import Array
-from simfoundry.geometry.part_bounds import Bounds, distance_bounds
+from simfoundry.geometry.part_bounds import Interval, distance_bounds
 from simfoundry.geometry.poses import Index, Poses, rotate
 
 
@@ -95,7 +95,7 @@ def decide_support(pair: LinkPair, limit: float, steepest: float, apart: Array, 
     return np.array(left, dtype=np.int64)
 
 
-def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Bounds:
+def _part_bounds(pair: LinkPair, k: int, limit: float, raised: float = 0.0) -> Interval:
     """Bounds of the distance in the k-th state, where the first link is raised [m]."""
     X_WA, X_WB = (pair.X_WA.p[k] + raised * UP, pair.X_WA.R[k]), (pair.X_WB.p[k], pair.X_WB.R[k])
     return distance_bounds(pair.one, pair.other, X_WA, X_WB, np.nextafter(limit, np.inf))
@@ -181,6 +181,6 @@ def candidates(pair: LinkPair, most: Array) -> Candidates:
 
 
 def _beyond(points: Array, low: Array, high: Array) -> Array:
-    """How far points lie outside of boxes [m]."""
+    """Distances of points outside of boxes [m]; 0 within."""
     off = np.maximum(np.maximum(low - points, points - high), 0.0)
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", off, off)))

@@ -28,7 +28,7 @@ from simfoundry.backends.mjcf.contacts import object_geoms
 from simfoundry.runtime.plugins import import_file
 from simfoundry.runtime.shipped import shipped
 from simfoundry.scene.model import Collider, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 from tests.backends.test_mjcf import load
 from tests.mechanisms import mechanisms
 from tests.scenes import box, cabinet, full_scene, pose, scene_of, solid
@@ -66,7 +66,7 @@ def crowd(surfaces: int, each: int) -> Scene:
 
 def expected(scene: Scene) -> Iterator[tuple[str, str, ContactSurface]]:
     """Every two colliders that can meet, with what their contact should feel like."""
-    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in silent_pairs(o)}
+    silent = {frozenset((o.qualified(a), o.qualified(b))) for o in scene.objects for a, b in excluded_link_pairs(o)}
     silent |= {frozenset(pair) for pair in scene.no_contact}
     geoms = [geom for item in scene.objects for geom in object_geoms(item)]
     for a, b in product(geoms, geoms):

@@ -18,7 +18,7 @@ from simfoundry.backends.mjcf.contact_rules import (
     written_groups,
 )
 from simfoundry.scene.model import Collider, JointType, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs
+from simfoundry.scene.touching import excluded_link_pairs
 
 COLLISION, VISUAL = "collision", "visual"
 """The classes of geoms that collide, of which each material is a child, and of those that do not."""
@@ -107,7 +107,7 @@ def object_geoms(item: SceneObject) -> Iterator[ContactGeom]:
 
 def excluded_pairs(scene: Scene) -> list[tuple[str, str]]:
     """Return the pairs of bodies that do not collide; joints, not contacts, hold a drawer in its cabinet."""
-    own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in silent_pairs(item)]
+    own = [(item.qualified(a), item.qualified(b)) for item in scene.objects for a, b in excluded_link_pairs(item)]
     return [*own, *scene.no_contact]
 
 

@@ -9,7 +9,7 @@ from simfoundry.backends.features import SupportCell, approximated, dropped, exa
 from simfoundry.backends.losses import Loss, approximate, drop, splat_losses, variant_losses
 from simfoundry.backends.robot_models.robot_urdf import CONVERTED
 from simfoundry.scene.model import JointType, Scene, SceneObject
-from simfoundry.scene.touching import touching_pairs
+from simfoundry.scene.touching import contact_pairs
 
 UNBOUNDED_M = 1000.0
 """Where a sliding joint without limits ends [m]: far beyond any table, and exact in single precision."""
@@ -70,7 +70,7 @@ def urdf_losses(scene: Scene) -> Iterator[Loss]:
                 yield drop("ball", element, _NO_BALLS)
             if joint.drive is not None:
                 yield drop("drive", element, _NO_DRIVES)
-        if touching_pairs(item) or item.no_contact:
+        if contact_pairs(item) or item.no_contact:
             yield drop("no_contact", item.name, _NO_EXCLUSIONS)
     if scene.no_contact:
         yield drop("no_contact", "no_contact", _NO_EXCLUSIONS)

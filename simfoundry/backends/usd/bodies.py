@@ -23,7 +23,7 @@ from simfoundry.backends.usd.prims import (
 from simfoundry.geometry.shapes import Mesh
 from simfoundry.scene.kinematics import link_poses
 from simfoundry.scene.model import Joint, JointType, Link, Scene, SceneObject
-from simfoundry.scene.touching import silent_pairs, touching_pairs
+from simfoundry.scene.touching import contact_pairs, excluded_link_pairs
 from simfoundry.scene.trees import Tree, trees
 
 DEFAULT = "default"
@@ -107,7 +107,7 @@ def _articulate(prim: Prim, scope: Prim, tree: Tree, links: Mapping[str, Prim], 
         anchor = define_anchor(scope, prim, root)
         root = prim if alone else anchor
     names = {link.name for link in tree.links}
-    touching = any(names.issuperset(pair) for pair in touching_pairs(tree.owner))
+    touching = any(names.issuperset(pair) for pair in contact_pairs(tree.owner))
     apply_schemas(root, ["PhysicsArticulationRootAPI", "PhysxArticulationAPI", "NewtonArticulationRootAPI"])
     attribute(root, "newton:selfCollisionEnabled", "bool", touching)
     attribute(root, "physxArticulation:enabledSelfCollisions", "bool", touching)
@@ -131,7 +131,7 @@ def filter_pairs(scopes: Scopes, scene: Scene) -> None:
 
     for each in scene.objects:
         for item in (each, *each.variants):
-            excluded = silent_pairs(item)
+            excluded = excluded_link_pairs(item)
             if not excluded and not scene.no_contact:
                 continue
             movers, touched = _touchable(content_prim(scopes, item), item)

@@ -9,7 +9,7 @@ from itertools import islice
 
 import numpy as np
 
-from simfoundry.geometry.crossings import Solid, met
+from simfoundry.geometry.crossings import HalfSpaces, met
 from simfoundry.geometry.frames import Array, Pose, quat_from_rpy
 from simfoundry.geometry.hulls import Hulls
 from simfoundry.geometry.vertical_contact import heights
@@ -63,7 +63,7 @@ class _Target:
     part: Hulls
     X_WC: Pose
     top: float
-    walls: Solid
+    walls: HalfSpaces
     others: tuple[Hulls, ...]
     inside: bool
 
@@ -136,7 +136,7 @@ def _central(found: list[PlaceAt]) -> list[PlaceAt]:
     return sorted(central, key=lambda place: place.cost)[:ENOUGH]
 
 
-def _walled(walls: Solid, foot: Array) -> bool:
+def _walled(walls: HalfSpaces, foot: Array) -> bool:
     """Whether a point at the foot of a thing has walls on most sides, there or a little higher."""
     angle = (np.arange(DIRECTIONS) + 0.25) * (2 * math.pi / DIRECTIONS)
     rays = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)])
