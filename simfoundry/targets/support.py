@@ -32,7 +32,7 @@ _TITLES = {"scene": "Scenes", "object": "Objects", "body": "Bodies", "joint": "J
 
 
 def cells_of(target: Target) -> dict[str, SupportCell]:
-    """What a target makes of each feature: its backend's table, as its profile changes it."""
+    """Return the fidelity of each feature in a target: its backend's table, as its profile changes it."""
     cells = dict(features_of(target.backend))
     profile = target.profile
     for name, how in profile.restores.items():

@@ -1,4 +1,4 @@
-"""What an engine should say of a scene: the same facts, taken from the lowered scene itself."""
+"""The read-back that an engine should give of a scene, taken from the lowered scene itself."""
 
 from __future__ import annotations
 

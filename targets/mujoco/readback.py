@@ -57,7 +57,7 @@ class MujocoSession:
 
     @property
     def timestep(self) -> float:
-        """As the file says."""
+        """Seconds a step, from the file."""
         return float(self.model.opt.timestep)
 
     def step(self) -> None:
