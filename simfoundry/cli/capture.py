@@ -41,7 +41,7 @@ def command(capture: Path, out: Path | None, frame: str | None, force: bool, str
 
 
 def _name(capture: Path) -> str:
-    """What a capture is called: its folder, or NAME of NAME.capture.yaml."""
+    """Return the name of a capture: that of its folder, or NAME of NAME.capture.yaml."""
     if capture.is_dir() or capture.name == "capture.yaml":
         return (capture if capture.is_dir() else capture.parent).resolve().name
     return capture.name.split(".")[0]

@@ -62,10 +62,10 @@ def command(paths: tuple[Path, ...], form: str, lints: bool, as_json: bool) -> i
 
 
 _known: dict[Path, Known] = {}
-"""What this process has read during a command, by project: documents that many others use are read once."""
+"""Documents read by this process during a command, by project, so that shared ones are read once."""
 
 _linted: set[Path] = set()
-"""What this process has held to the lints during a command."""
+"""Documents linted by this process during a command."""
 
 
 def _check(file: Path, lints: bool) -> Checked:

@@ -62,11 +62,10 @@ def command(
     same bytes. A run that was stopped goes on where it was with the same command, and shards that write to one folder
     are united by a run without --shard.
 
-    Exit code 1 where there are fewer cousins, or fewer variants of an object, than asked for, with the reasons.
+    The exit code is 1 if there are fewer cousins, or fewer variants of an object, than asked for.
     """
     from simfoundry.cousins.objects.swap import counts
     from simfoundry.cousins.recipe.candidate import ImpossibleError
-    from simfoundry.cousins.recipe.document import claim_project, read_recipe
     from simfoundry.cousins.recipe.variant_pool import ASSETS
     from simfoundry.cousins.run.candidates import FUNCTION, CandidateSampler, SamplerSetup
     from simfoundry.cousins.run.run import RunPlan, begin, run
@@ -76,12 +75,7 @@ def command(
         from simfoundry.runtime.outputs import ensure_replaceable
 
         ensure_replaceable(stage, [recipe], force)
-    read = read_recipe(recipe, seed)
-    folder = (out or read.scene.root / "build" / read.spec.name).absolute()
-    marker = claim_project(read, folder)
-    if marker is not None:
-        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
-        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
+    read, folder = _read(recipe, seed, out)
     setup = SamplerSetup(str(recipe.absolute()), str(folder), read.seed, vlm)
     with progress_bar(as_json) as progress, resumable(folder):
         progress("the twin", 0.0)
@@ -104,6 +98,19 @@ def command(
         if shard is None:
             _write(plan, ledger, read, 0 if no_gallery else gallery, stage, progress)
     return _report(plan, ledger, read.remarks, as_json)
+
+
+def _read(recipe: Path, seed: int | None, out: Path | None) -> tuple[Recipe, Path]:
+    """The recipe, and the folder of its cousins, which belongs to the project of the twin from now on."""
+    from simfoundry.cousins.recipe.document import claim_project, read_recipe
+
+    read = read_recipe(recipe, seed)
+    folder = (out or read.scene.root / "build" / read.spec.name).absolute()
+    marker = claim_project(read, folder)
+    if marker is not None:
+        click.echo(f"wrote {marker}, which marks the topmost folder of the project", err=True)
+        read = read_recipe(recipe, seed)  # its documents may belong to a larger project now
+    return read, folder
 
 
 def _write(

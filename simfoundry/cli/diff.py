@@ -91,7 +91,7 @@ def _print_findings(found: list[DocumentComparison]) -> None:
 
 
 def plain(comparison: DocumentComparison) -> dict[str, Any]:
-    """What changed as plain data."""
+    """Return the changes as plain data."""
     from dataclasses import asdict
 
     from simfoundry.spec.change.diff.changes import to_json

@@ -84,7 +84,7 @@ def command(
     A policy that answers with an error, or with something that is no action, has failed in that rollout. One that does
     not answer leaves no result: the rollout is missing, counts in no rate, and is tried again by the same command.
 
-    Exit code 1 where rollouts are missing, or where a rate is below --require.
+    The exit code is 1 if rollouts are missing, or if a rate is below --require.
     """
     from simfoundry.api.evaluation import run_plan
     from simfoundry.evaluate.entries import contenders
@@ -110,7 +110,7 @@ def command(
 
 
 def _can_film(worlds: Sequence[str]) -> bool:
-    """Whether videos can be drawn; PyBullet draws by itself. Says why not."""
+    """Return whether videos can be drawn here, and say why not. PyBullet needs no driver."""
     from simfoundry.render.gl import Engine, choose_engine
 
     if "mujoco" not in worlds or choose_engine() is not Engine.RAYCAST:
@@ -181,7 +181,7 @@ def _print(records: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _print_pools(console: Console, records: Sequence[Mapping[str, Any]]) -> None:
-    """What all tasks together say, and how sure it is that two policies differ."""
+    """Print the rates over all tasks, and the evidence that two policies differ."""
     from rich.table import Table
 
     from simfoundry.evaluate.statistics.engine_comparison import compare_engines

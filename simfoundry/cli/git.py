@@ -28,7 +28,7 @@ _scope = (
 
 @dataclass(frozen=True)
 class Scope:
-    """Where git is told: one repository, or all of a user's."""
+    """The scope of git settings: one repository, or all of a user's."""
 
     option: str
     attributes: Path
@@ -176,7 +176,7 @@ def _write(file: Path, text: str) -> None:
 
 
 def _output(*args: str) -> str:
-    """What git prints; empty where it fails."""
+    """Return the output of git, empty if it fails."""
     try:
         return os.fsdecode(git(Path(), *args)).strip()
     except GitError as error:

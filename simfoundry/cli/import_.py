@@ -70,7 +70,7 @@ def command(
     there, or into the document named by --onto.
 
     Meshes go to NAME_files beside the document. What the file says and the document does not is reported item by item.
-    Nothing is written for a file that is refused. Exit code 2 where one was refused.
+    Nothing is written for a file that is refused. The exit code is 2 if one was refused.
     """
     from simfoundry.frontends.draft import ImportOptions
     from simfoundry.frontends.importer import import_file
@@ -178,7 +178,7 @@ def _jobs(files: tuple[Path, ...], out: Path) -> Iterable[tuple[Path, Path]]:
 
 
 def _is_model(path: Path) -> bool:
-    """Whether a file of a folder is meant to be imported: not a package manifest, not a piece that others include."""
+    """Return whether to import a file of a folder: no package manifest, and no part that other files include."""
     if path.suffix.lower() not in (".xml", ".json"):
         return True
     with path.open("rb") as stream:
@@ -198,7 +198,7 @@ def _default_name(path: Path) -> str:
 
 
 def _described(report: ImportReport) -> str:
-    """What was imported, and every way in which it is not what the file says."""
+    """Describe what was imported, and each difference from the file."""
     lines = [f"{report.out}  from {report.format}: {_counts(report)}"]
     lines += [f"{document}" for document in report.more]
     lines += _warned_of_masses(report)

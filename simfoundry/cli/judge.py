@@ -18,7 +18,7 @@ from simfoundry.errors import SimfoundryError
 def command(scene: Path, conditions: tuple[str, ...], as_json: bool) -> int:
     """Judge predicates, as 'Inside(cup, bowl)', in a scene: true or false, by how much, and why.
 
-    Without any, of the scene's own relations. Exit code 1 where one does not hold.
+    Without any, of the scene's own relations. The exit code is 1 if one does not hold.
     """
     from simfoundry.predicates import Judge, PredicateError
     from simfoundry.scene.state import SceneState

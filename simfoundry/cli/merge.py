@@ -47,8 +47,8 @@ def command(
 
     Edits of different things never conflict, whatever lines they are on. Where both sides changed one value differently
     the document keeps ours, says so under `conflicts`, and cannot be compiled until that is decided: mend the value and
-    remove the entry, or take a side with --resolve, for all of them or at the paths given. Exit code 1 where there is a
-    conflict, or where the merged document has an error that neither side has.
+    remove the entry, or take a side with --resolve, for all of them or at the paths given. The exit code is 1 if there
+    is a conflict, or if the merged document has an error that neither side has.
     """
     if driver:
         return _driver(args)

@@ -17,7 +17,7 @@ NEXT = {
     "cousins": ("simfoundry check {path}",),
     "policy": ("simfoundry check {path}",),
 }
-"""What to do with a new document of each kind."""
+"""Next steps with a new document of each kind."""
 
 
 @subcommand()

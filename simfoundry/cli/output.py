@@ -1,4 +1,4 @@
-"""What commands print: findings, JSON, progress; and how errors become exit codes."""
+"""Output of commands: findings, JSON, progress, and exit codes for errors."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def print_findings(findings: list[Diagnostic], as_json: bool = False) -> None:
 
 
 def in_colour(stream: TextIO) -> bool:
-    """Whether a stream is a terminal whose user did not ask for plain text (https://no-color.org)."""
+    """Return whether to color a stream: a terminal whose user did not ask for plain text (https://no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
@@ -177,7 +177,7 @@ def choose_camera(scene: Scene, spec: SceneSpec, name: str | None) -> Camera:
 
 
 LINE_S = 10.0
-"""How long [s] a command may be silent in a log: a person who looks at one gets uneasy after about so long."""
+"""Longest silence of a command in a log [s]; people who watch one begin to doubt after about that time."""
 
 
 def _line_now_and_then() -> Callable[[str, float], None]:

@@ -54,7 +54,7 @@ def command(
     """Propose tasks for a scene: what its things afford, or what a model sees, each proved to be possible.
 
     A task is accepted if its names exist, it is not done already, physics finds a state in which it is, a robot can
-    take and reach its things, and no other means the same. Exit code 1 where there are fewer than asked for.
+    take and reach its things, and no other means the same. The exit code is 1 if there are fewer than asked for.
     """
     from simfoundry.assets.cache import Cache
     from simfoundry.cousins.tasks.context import TaskContext

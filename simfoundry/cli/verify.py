@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class VerifyResults(NamedTuple):
-    """What was read back, how machines behaved, and where scenes came to rest."""
+    """Values read back, measured behaviours, and rest poses."""
 
     readings: Sequence[ReadbackResult]
     results: Sequence[BehaviourResult]
@@ -79,8 +79,8 @@ def command(
     Behaviours are machines with a known answer, as a pendulum, and each scene left alone for two seconds; without SPECS
     only those machines are measured. Engines are found in this Python, in those that --python names, and
     in those of SIMFOUNDRY_ENGINES (separated by commas); each runs in a process of its own, so that a crash or a hang
-    is reported and the rest goes on. Exit code 1 where a quantity differs from the scene without the loss report saying
-    so, a behaviour is off without a known reason, or an engine fails.
+    is reported and the rest goes on. The exit code is 1 if a quantity differs from the scene and the loss report does
+    not say so, if a behaviour is off without a known reason, or if an engine fails.
     """
     from simfoundry.verify.engines import all_engines, find_engine, find_installed, interpreters
 
